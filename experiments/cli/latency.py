@@ -1,7 +1,6 @@
 """``place-rsus latency``: what a layout prevents, however long it takes from sight to braking."""
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +26,7 @@ from .terminal import driven_lines, sentences, table
 if TYPE_CHECKING:
     from placement.latency import LatencyBudget
 
-    from ..parts.latency import LatencyResult, PartyLatency
+    from ..parts.latency import LatencyResult
 
 
 @click.command(
@@ -60,7 +59,7 @@ Examples:
     type=click.FloatRange(min=0.0, min_open=True),
     metavar="SECONDS",
     expected="seconds, more than 0",
-    help="Longest latency shown; default: 0.5, or as far as the budget and the curve need.",
+    help="Longest latency shown; default: 0.5, or as far as the budget reaches.",
 )
 @folder_option("latency.csv and latency.png")
 @question_options(*(name for name in JUDGED if name not in ("latency_budget", "cars")))
@@ -104,26 +103,38 @@ def latency(
 
 _COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VUT alone"}
 _OTHERS = {"vam": "VAM alone", "all_sources": "all and VAM"}
+_SHOWN_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 _NOTE = (
-    "expected: over all latencies of the budget, not at the mean one; fused: in each frame, any of "
-    "the units may detect. A run counts as avoided if its last moment to brake is not over, and a "
-    "confirmed track is alive then."
+    "fused: in each frame, any of the units may detect. A run counts as avoided if its last moment "
+    "to brake is not over, and a confirmed track is alive then."
 )
 
 
 def latency_text(summary: "LatencyResult", out: Path | None) -> str:
     """APR at some latencies, the latencies that leave some APR, and what the budget does."""
+    from ..parts.latency import APR_LEVELS, STEP_S
+
     parties, budget = summary.parties, summary.budget
+    rows = [round(latency_s / STEP_S) for latency_s in _SHOWN_S]
     at = [
-        [_ms(entry.latency_s), *(percent(parties[name].at[row].apr) for name in _COLUMNS)]
-        for row, entry in enumerate(parties["rsu_all"].at)
+        [_ms(summary.latencies_s[row]), *(percent(parties[name].apr[row]) for name in _COLUMNS)]
+        for row in rows
+        if row < len(summary.latencies_s)
     ]
     longest = [
         [
-            f"{100.0 * entry.apr:g} %",
-            *(_longest(parties[name].longest[row].latency_s) for name in _COLUMNS),
+            f"{100.0 * level:g} %",
+            *(_longest(parties[name].longest_s(summary.latencies_s, level)) for name in _COLUMNS),
         ]
-        for row, entry in enumerate(parties["rsu_all"].longest)
+        for level in APR_LEVELS
+    ]
+    names = _COLUMNS | {name: _OTHERS.get(name, name) for name in parties if name not in _COLUMNS}
+    within = [
+        [
+            words,
+            *map(percent, (parties[name].at_best, parties[name].at_mean, parties[name].at_worst)),
+        ]
+        for name, words in names.items()
     ]
     lines = [
         *driven_lines(summary.driven, summary.without_effect),
@@ -134,7 +145,7 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         "",
         *_budget_lines(budget),
         "",
-        *_party_lines(parties),
+        *table(["APR within the budget", "at the least", "at the mean", "at the most"], within),
         *sentences(_NOTE + _own_latencies(summary), indent=2),
     ]
     if out is not None:
@@ -148,43 +159,21 @@ def _ms(latency_s: float) -> str:
 
 def _longest(latency_s: float) -> str:
     if math.isinf(latency_s):
-        return "any" if latency_s > 0.0 else "none"
-    # Rounded down: with what is printed the APR still holds.
-    return f"{math.floor(10000.0 * latency_s + 1.0e-5) / 10.0:.1f} ms"
+        return "all shown" if latency_s > 0.0 else "none"
+    return _ms(latency_s)
 
 
 def _budget_lines(budget: "LatencyBudget") -> list[str]:
     rows = [
         [
             part.name + (" (assumption)" if part.is_assumption else ""),
-            _ms(part.low_s),
-            _ms(0.5 * (part.low_s + part.high_s)),
-            _ms(part.high_s),
+            *map(_ms, (part.low_s, 0.5 * (part.low_s + part.high_s), part.high_s)),
         ]
         for part in budget.parts
     ]
     if len(rows) > 1:
-        times_s = (budget.best_s, budget.mean_s, budget.worst_s)
-        rows.append(["all together", *map(_ms, times_s)])
+        rows.append(["all together", *map(_ms, (budget.best_s, budget.mean_s, budget.worst_s))])
     return table(["latency budget " + budget.name, "least", "mean", "most"], rows)
-
-
-def _party_lines(parties: "Mapping[str, PartyLatency]") -> list[str]:
-    names = {
-        **_COLUMNS,
-        **{name: name for name in parties if name not in (*_COLUMNS, *_OTHERS)},
-        **{name: words for name, words in _OTHERS.items() if name in parties},
-    }
-    rows = [
-        [
-            words,
-            percent(parties[name].expected),
-            percent(parties[name].at_mean),
-            percent(parties[name].at_worst),
-        ]
-        for name, words in names.items()
-    ]
-    return table(["APR within the budget", "expected", "at the mean", "at the worst"], rows)
 
 
 def _own_latencies(summary: "LatencyResult") -> str:

@@ -1,13 +1,11 @@
-"""APR against latency: a layout is judged once, its APR read off for every latency."""
+"""APR against latency: a layout is evaluated once, its APR found for every latency."""
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
@@ -18,7 +16,6 @@ from placement.evaluator import evaluate_layout
 from placement.latency import (
     MAX_LATENCY_S,
     LatencyBudget,
-    LatencyCurve,
     apr_by_latency,
     fixed_latency,
     load_latency_budget,
@@ -35,55 +32,40 @@ from ..figures.axes import (
     Style,
     finish_axes,
     literal,
-    new_figure,
+    new_axes,
     to_png,
-    write_beside,
 )
 from ..progress import WRITING, StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import check_folder, write_files
-from ..results.numbers import percent
 from ..results.record import Record, UnitRecord, build_unit_records
 from ..results.tables import csv_text
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-# ---------- the value
-
-
-SHOWN_LATENCIES_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
+CSV_NAME, PNG_NAME = "latency.csv", "latency.png"
 APR_LEVELS = (1.0, 0.95, 0.9)
-
-
-class LongestLatency(Record, frozen=True, kw_only=True):
-    """Longest latency that leaves an APR: infinite if it never falls below.
-
-    Minus infinity if it is less with none; in JSON both are null, and "is_reached" tells them
-    apart.
-    """
-
-    apr: float
-    latency_s: float
-    is_reached: bool
-
-
-class AprAt(Record, frozen=True, kw_only=True):
-    """APR at a latency; of a step, up to it."""
-
-    latency_s: float
-    apr: float
+STEP_S = 0.005
+_LEAST_SHOWN_S = 0.5
+_SAME_SHARE = 1.0e-12  # ratios of rounded sums
 
 
 class PartyLatency(Record, frozen=True, kw_only=True):
-    """A party's APR: over all latencies of the budget, at its mean and worst, and every step."""
+    """A party's APR at the least, mean and most of the budget, and at every latency shown."""
 
-    expected: float
+    at_best: float
     at_mean: float
     at_worst: float
-    longest: tuple[LongestLatency, ...]
-    steps: tuple[AprAt, ...]
-    at: tuple[AprAt, ...]
+    apr: tuple[float, ...]
+
+    def longest_s(self, latencies_s: tuple[float, ...], level: float) -> float:
+        """Longest latency shown up to which the APR is at least `level`; -inf: not even the first.
+
+        Infinite if it is at every latency shown.
+        """
+        holds = np.array(self.apr) >= level - _SAME_SHARE
+        n_held = int(np.argmin(np.append(holds, False)))
+        if n_held == len(holds):
+            return math.inf
+        return latencies_s[n_held - 1] if n_held else -math.inf
 
 
 class LatencyResult(DrivesRecord, frozen=True, kw_only=True):
@@ -93,47 +75,11 @@ class LatencyResult(DrivesRecord, frozen=True, kw_only=True):
     layout: tuple[UnitRecord, ...]
     runs: int
     budget: LatencyBudget
-    max_latency_s: float
+    latencies_s: tuple[float, ...]
     parties: dict[str, PartyLatency]
     vut_latency_s: float | None
     seconds: dict[str, float]
     versions: dict[str, str]
-
-
-def summarise_curve(
-    curve: LatencyCurve, budget: LatencyBudget, max_latency_s: float
-) -> PartyLatency:
-    """A curve as numbers, with some round latencies up to `max_latency_s`."""
-    longest = [(level, curve.longest_latency_s(level)) for level in APR_LEVELS]
-    shown_s = [latency_s for latency_s in SHOWN_LATENCIES_S if latency_s <= max_latency_s]
-    return PartyLatency(
-        expected=curve.expected_apr(budget),
-        at_mean=float(curve.apr(budget.mean_s)),
-        at_worst=float(curve.apr(budget.worst_s)),
-        longest=tuple(
-            LongestLatency(apr=level, latency_s=latency_s, is_reached=latency_s >= 0.0)
-            for level, latency_s in longest
-        ),
-        steps=_pairs(*curve.steps()),
-        at=_pairs(shown_s, curve.apr(shown_s)),
-    )
-
-
-def _pairs(latencies_s: Iterable[float], aprs: Iterable[float]) -> tuple[AprAt, ...]:
-    return tuple(
-        AprAt(latency_s=float(latency_s), apr=float(apr))
-        for latency_s, apr in zip(latencies_s, aprs, strict=True)
-    )
-
-
-# ---------- the job, and the table
-
-
-CSV_NAME, PNG_NAME = "latency.csv", "latency.png"
-
-_LEAST_SHOWN_S, _MOST_SHOWN_S = 0.5, 3.0
-_STEP_SHOWN_S = 0.1
-_ROUNDING = 1.0e-6
 
 
 def run_latency(
@@ -151,9 +97,8 @@ def run_latency(
 
     The budget is the question's latency, or what :func:`placement.latency.load_latency_budget`
     finds by its name; for `vut_latency_s` see :func:`placement.latency.apr_by_latency`. Shown up to
-    `max_latency_s`, by default as far as the budget reaches and the RSUs' APR falls. Raises
-    InputError if the budget is unknown or given twice, a unit is inside something, or `out` cannot
-    be written.
+    `max_latency_s`, by default half a second or as far as the budget reaches. Raises InputError if
+    the budget is unknown or given twice, a unit is inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
     if out is not None:
@@ -163,25 +108,36 @@ def run_latency(
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     evaluation = evaluate_layout(layout, setting, compute=compute)
-    curves = apr_by_latency(evaluation, setting.rule, vut_latency_s=vut_latency_s)
-    shown_s = _default_max_s(curves, chosen) if max_latency_s is None else max_latency_s
+    shown_s = max(chosen.worst_s, _LEAST_SHOWN_S) if max_latency_s is None else max_latency_s
+    latencies_s = tuple(STEP_S * step for step in range(int(shown_s / STEP_S + 1.0e-6) + 1))
+    ends_s = (chosen.best_s, chosen.mean_s, chosen.worst_s)
+    found = apr_by_latency(
+        evaluation, setting.rule, [*ends_s, *latencies_s], vut_latency_s=vut_latency_s
+    )
+    parties = {
+        name: PartyLatency(at_best=best, at_mean=mean, at_worst=worst, apr=tuple(apr))
+        for name, (best, mean, worst, *apr) in ((key, apr.tolist()) for key, apr in found.items())
+    }
     result = LatencyResult(
         name=layout.name,
         layout=build_unit_records(layout, setting.scene),
         runs=evaluation.axis.n_runs,
         budget=chosen,
-        max_latency_s=shown_s,
-        parties={name: summarise_curve(curve, chosen, shown_s) for name, curve in curves.items()},
+        latencies_s=latencies_s,
+        parties=parties,
         vut_latency_s=vut_latency_s,
         **fields_of(build_drives_record(setting)),
         seconds={},
         versions=versions(),
     )
     if out is not None:
+        import pandas as pd
+
         progress(WRITING, 0, 0)
-        axes, _ = plot_latency(curves, chosen, max_latency_s=shown_s)
-        csv = csv_text(latency_table(curves, max_latency_s=shown_s))
-        write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: to_png(axes)})
+        by_party = {name: party.apr for name, party in parties.items()}
+        table = pd.DataFrame({"latency_s": latencies_s, **by_party})
+        png = to_png(plot_latency(latencies_s, parties, chosen))
+        write_files(out, {CSV_NAME: csv_text(table).encode(), PNG_NAME: png})
         progress.kept = f"the results are in {out}"
     return replace_fields(result, seconds=progress.finish())
 
@@ -197,179 +153,33 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
     return fixed_latency(question.latency_s)
 
 
-def latency_table(curves: Mapping[str, LatencyCurve], *, max_latency_s: float) -> "pd.DataFrame":
-    """Every step of every curve up to a latency.
-
-    Columns party, above_s, until_s, apr: the APR for latencies above the one and up to the other; a
-    party's first row holds for 0, too.
-    """
-    rows = []
-    for party, curve in curves.items():
-        above_s = 0.0
-        for until_s, apr in zip(*(values.tolist() for values in curve.steps()), strict=True):
-            end_s = min(until_s, max_latency_s)
-            rows.append({"party": party, "above_s": above_s, "until_s": end_s, "apr": apr})
-            above_s = until_s
-            if until_s >= max_latency_s:
-                break
-    import pandas as pd
-
-    return pd.DataFrame(rows)
-
-
-def _default_max_s(curves: Mapping[str, LatencyCurve], budget: LatencyBudget) -> float:
-    """As far as the budget reaches, and on to where the RSUs' APR falls, unless that is far off."""
-    falls_s = curves["rsu_all"].longest_latency_s(APR_LEVELS[-1])
-    reach_s = max(budget.worst_s, min(falls_s, _MOST_SHOWN_S - _STEP_SHOWN_S))
-    shown_s = _STEP_SHOWN_S * (int(reach_s / _STEP_SHOWN_S + _ROUNDING) + 1)
-    return max(_LEAST_SHOWN_S, round(shown_s, 9))
-
-
-# ---------- the figure
-
-
-_MS = 1000.0
-_LEAST_BAR_S = 0.001  # a budget may be nothing at all
-_SHADE = "#e4e4e4"
-# Told apart by dashes and width as well as by colour; the later ones lie on top.
+# Told apart by dashes and width as well as by colour.
 _STYLES: Mapping[str, Style] = {
     "rsu_all": {"label": "all RSUs", "color": BLUE, "linestyle": "-", "lw": 3.0},
-    "vut_and_rsus": {
-        "label": "VUT and RSUs",
-        "color": "black",
-        "linestyle": (0, (5, 2)),
-        "lw": 1.4,
-    },
-    "vut": {"label": "VUT alone", "color": VERMILION, "linestyle": (0, (1.5, 1.5)), "lw": 1.8},
+    "vut_and_rsus": {"label": "VUT and RSUs", "color": "black", "linestyle": "--", "lw": 1.4},
+    "vut": {"label": "VUT alone", "color": VERMILION, "linestyle": ":", "lw": 1.8},
 }
-_FILLS = ("#4d4d4d", "#d9d9d9", "#8c8c8c", "#f2f2f2", "#b3b3b3")
-_HATCHES = ("", "//", "", "xx", "..", "\\\\", "++", "oo")
 
 
 def plot_latency(
-    curves: Mapping[str, LatencyCurve], budget: LatencyBudget, *, max_latency_s: float
-) -> list[Axes]:
-    """APR of the sensing parties as steps, the budget's range shaded, its parts as bars below.
-
-    Two pairs of axes in a new figure, in milliseconds; the lower one has a scale of its own.
-    """
-    n_rows = 1 if _is_fixed(budget) else 2
-    height = 3.9 + 0.3 * n_rows + 0.17 * ((len(budget.parts) + 2) // 3)
-    figure = new_figure(WIDTH_IN, height)
-    upper, lower = figure.subplots(2, 1, height_ratios=[8.0, n_rows])
-    handles = _draw_curves(upper, curves, budget, max_latency_s)
-    _draw_parts(lower, budget)
-    style: Style = {"ncols": 3, "fontsize": 8, "frameon": False}
-    figure.legend(handles=handles, loc="outside upper center", **style)
-    figure.legend(handles=_part_patches(budget), loc="outside lower center", **style)
-    return [upper, lower]
-
-
-def _is_fixed(budget: LatencyBudget) -> bool:
-    return budget.best_s == budget.worst_s
-
-
-def _draw_curves(
-    axes: Axes, curves: Mapping[str, LatencyCurve], budget: LatencyBudget, max_latency_s: float
-) -> list[Any]:
-    """Draw what is above; returns the entries of the legend."""
-    units = [name for name in curves if name not in (*_STYLES, "vam", "all_sources")]
-    handles: list[Any] = []
-    for name, style in _STYLES.items():
-        _draw_steps(axes, curves[name], max_latency_s, gid=name, **style, zorder=4)
-        expected = percent(curves[name].expected_apr(budget))
-        words = style["label"] + (
-            f": {expected}" if _is_fixed(budget) else f": {expected} expected"
-        )
-        handles.append(Line2D([], [], **(style | {"label": words})))
-    for name in units:
-        _draw_steps(axes, curves[name], max_latency_s, gid=name, color=GREY, lw=0.7, zorder=2)
-    handles.append(Line2D([], [], color=GREY, lw=0.7, label="each RSU alone"))
-    best, mean, worst = (_MS * value for value in (budget.best_s, budget.mean_s, budget.worst_s))
-    axes.axvline(mean, color="black", lw=0.8, zorder=3, gid="mean")
-    label = "the budget's latency" if _is_fixed(budget) else "the budget's mean"
-    handles.append(Line2D([], [], color="black", lw=0.8, label=label))
-    if not _is_fixed(budget):
-        axes.axvspan(best, worst, color=_SHADE, lw=0.0, zorder=0, gid="budget")
-        handles.append(Patch(facecolor=_SHADE, label="from its least to its most"))
-    axes.set_xlim(0.0, _MS * max_latency_s)
-    axes.set_ylim(-0.03, 1.03)
-    axes.set_yticks(np.linspace(0.0, 1.0, 6), [f"{share:.0f} %" for share in range(0, 101, 20)])
+    latencies_s: tuple[float, ...], parties: Mapping[str, PartyLatency], budget: LatencyBudget
+) -> Axes:
+    """APR of the sensing parties in milliseconds, the budget's range shaded; in a new figure."""
+    axes = new_axes(WIDTH_IN, 3.9)
+    shown_ms = [1000.0 * latency_s for latency_s in latencies_s]
+    for name, party in parties.items():
+        style = _STYLES.get(name, {"color": GREY, "lw": 0.7})
+        axes.plot(shown_ms, [100.0 * apr for apr in party.apr], gid=name, **style)
+    words = literal(f"budget {budget.name}: mean and range")
+    axes.axvline(1000.0 * budget.mean_s, color="black", lw=0.8, gid="mean", label=words)
+    axes.axvspan(1000.0 * budget.best_s, 1000.0 * budget.worst_s, color="#e4e4e4", zorder=0)
+    axes.set_ylim(-3.0, 103.0)
+    axes.legend(fontsize=8, frameon=False)
     finish_axes(
         axes,
         x="latency from the frame to the onset of braking (ms)",
-        y="accidents prevented (APR)",
+        y="accidents prevented (APR, %)",
         size=9,
         grid="y",
     )
-    return handles
-
-
-def _draw_steps(axes: Axes, curve: LatencyCurve, max_latency_s: float, **style: Any) -> None:
-    until, apr = curve.steps()
-    n_shown = 1 + int(np.searchsorted(until, max_latency_s))
-    edges = _MS * np.concatenate([[0.0], np.minimum(until[:n_shown], max_latency_s)])
-    # A value holds up to and with its edge on the right.
-    shown = apr[:n_shown]
-    axes.step(edges, np.concatenate([shown[:1], shown]), where="pre", **(style | {"label": None}))
-
-
-def _draw_parts(axes: Axes, budget: LatencyBudget) -> None:
-    """Stacked bars: the parts on average, and at their worst."""
-    rows = {"mean": [0.5 * (part.low_s + part.high_s) for part in budget.parts]}
-    if _is_fixed(budget):
-        rows = {"always": rows["mean"]}
-    else:
-        rows["worst"] = [part.high_s for part in budget.parts]
-    for row, (name, lengths_s) in enumerate(rows.items()):
-        left = 0.0
-        for index, length_s in enumerate(lengths_s):
-            axes.barh(
-                row,
-                _MS * length_s,
-                left=left,
-                height=0.62,
-                edgecolor="black",
-                linewidth=0.6,
-                gid=f"{name}: {budget.parts[index].name}",
-                **_fill(index),
-            )
-            left += _MS * length_s
-        write_beside(axes, f"{left:.4g} ms", (left, row), away_pt=(3.0, 0.0))
-    axes.set_xlim(0.0, 1.15 * _MS * max(budget.worst_s, _LEAST_BAR_S))
-    axes.set_yticks(range(len(rows)), list(rows), fontsize=8)
-    axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.tick_params(axis="y", length=0)
-    words = literal(f"parts of the latency budget {budget.name} (ms)")
-    finish_axes(axes, x=words, size=9, hidden=("top", "right", "left"))
-
-
-def _part_patches(budget: LatencyBudget) -> list[Patch]:
-    return [
-        Patch(
-            edgecolor="black",
-            linewidth=0.6,
-            label=literal(f"{part.name}, {range_ms(part.low_s, part.high_s)}"),
-            **_fill(index),
-        )
-        for index, part in enumerate(budget.parts)
-    ]
-
-
-def _fill(index: int) -> Style:
-    return {
-        "facecolor": _FILLS[index % len(_FILLS)],
-        "hatch": _HATCHES[index % len(_HATCHES)],
-    }
-
-
-def range_ms(low_s: float, high_s: float) -> str:
-    """A range of seconds in milliseconds.
-
-    Examples
-    --------
-    >>> range_ms(0.0, 0.1), range_ms(0.025, 0.025)
-    ('0 to 100 ms', '25 ms')
-    """
-    low, high = (f"{_MS * value:.4g}" for value in (low_s, high_s))
-    return f"{high} ms" if low == high else f"{low} to {high} ms"
+    return axes

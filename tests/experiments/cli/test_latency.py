@@ -3,32 +3,25 @@
 import csv
 import io
 import json
+import math
 import re
 import subprocess
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import click
-import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
 
 from experiments import main
-from experiments.cli.latency import latency, latency_text
+from experiments.cli.latency import latency
 from experiments.cli.options import JUDGED, question_options
 from experiments.parts import latency as latency_job
-from experiments.parts.latency import (
-    LatencyResult,
-    latency_table,
-    plot_latency,
-    summarise_curve,
-)
-from experiments.results.record import to_plain
+from experiments.parts.latency import PartyLatency, plot_latency
 from geometry.errors import InputError
-from placement.latency import LatencyCurve, load_latency_budget
+from placement.latency import load_latency_budget
 from placement.question import Question
 from placement.setting import build_rule
 
@@ -85,26 +78,6 @@ def _mean_s(summary) -> float:
     return sum(0.5 * (part["low_s"] + part["high_s"]) for part in parts)
 
 
-def _curve(*last_latency_s) -> LatencyCurve:
-    n_runs = len(last_latency_s)
-    return LatencyCurve(
-        first_latency_s=np.full(n_runs, -np.inf),
-        last_latency_s=np.array(last_latency_s),
-        run_index=np.arange(n_runs),
-        weight=np.full(n_runs, 1.0 / n_runs),
-    )
-
-
-@pytest.fixture
-def curves():
-    return {
-        "vut": _curve(0.0, -1.0, -np.inf, -np.inf),
-        "A": _curve(0.1, 0.3, -0.1, -np.inf),
-        "rsu_all": _curve(0.1, 0.3, 0.7, 0.7),
-        "vut_and_rsus": _curve(0.1, 0.3, 0.7, np.inf),
-    }
-
-
 # The whole command
 
 
@@ -121,13 +94,12 @@ def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(run, run_latency
     evaluated = json.loads(out)["evaluation"]
     evaluated |= evaluated["units"]
     for name, party in parties.items():
-        for key in ("expected", "at_mean", "at_worst"):
+        for key in ("at_best", "at_mean", "at_worst"):
             assert party[key] == pytest.approx(evaluated[name]["all"])
-        ratios = [step["apr"] for step in party["steps"]]
-        assert all(high > low for high, low in pairwise(ratios))
-    assert parties["rsu_all"]["expected"] > 0.0
-    assert len(parties["A"]["steps"]) > 2
-    assert len(parties["B"]["steps"]) == 1  # flat: it keeps its latency
+        assert party["apr"][5] == party["at_mean"]
+    assert summary["latencies_s"][5] == 0.025
+    assert parties["rsu_all"]["at_mean"] > 0.0
+    assert len(set(parties["B"]["apr"])) == 1  # flat: it keeps its latency
 
 
 def test_table_figure_and_csv(run_latency):
@@ -147,8 +119,8 @@ def test_table_figure_and_csv(run_latency):
         assert picture.width == 1088
     text = (folder / "latency.csv").read_text()
     rows = list(csv.DictReader(io.StringIO(text)))
-    assert list(rows[0]) == ["party", "above_s", "until_s", "apr"]
-    assert list(dict.fromkeys(row["party"] for row in rows)) == PARTIES
+    assert list(rows[0]) == ["latency_s", *PARTIES]
+    assert len(rows) == 101
 
     code, _, _ = run_latency("--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02")
     assert code == 0
@@ -160,8 +132,8 @@ def test_one_number_is_a_budget_too(run_latency):
     assert code == 0
     summary = json.loads(out)
     assert (summary["budget"]["name"], _mean_s(summary)) == ("40 ms", 0.04)
-    assert [entry["latency_s"] for entry in summary["parties"]["A"]["at"]] == [0, 0.025, 0.05, 0.1]
-    assert summary["max_latency_s"] == 0.1
+    assert summary["latencies_s"] == pytest.approx(np.linspace(0.0, 0.1, 21))
+    assert len(summary["parties"]["A"]["apr"]) == 21
 
 
 # Bad input
@@ -221,97 +193,31 @@ def test_nothing_heavy_is_imported_before_it_is_used():
     assert done.stdout == "[]\n"
 
 
-# Table, text, figure
-
-
-def test_the_csv_has_every_step_up_to_the_longest_latency(curves):
-    table = latency_table(curves, max_latency_s=0.5)
-    steps = {name: rows[["above_s", "until_s", "apr"]] for name, rows in table.groupby("party")}
-    assert steps["rsu_all"].to_numpy().tolist() == [[0, 0.1, 1], [0.1, 0.3, 0.75], [0.3, 0.5, 0.5]]
-    assert steps["A"].to_numpy().tolist() == [[0, 0.1, 0.5], [0.1, 0.3, 0.25], [0.3, 0.5, 0]]
-    assert steps["vut"].to_numpy().tolist() == [[0, 0, 0.25], [0, 0.5, 0]]
-    ends = latency_table(curves, max_latency_s=0.3).groupby("party")["until_s"].max()
-    assert ends.tolist() == [0.3] * 4
-
-
-@pytest.mark.parametrize(("max_s", "n_steps"), [(0.05, 1), (0.3, 2), (0.5, 3), (2.0, 4)])
-def test_curves_are_drawn_as_steps_that_end_at_the_right_edge(curves, max_s, n_steps):
-    budget = load_latency_budget("cpm-100ms")
-    upper, lower = plot_latency(curves, budget, max_latency_s=max_s)
-    lines = {line.get_gid(): line for line in upper.get_lines()}
-    assert set(lines) == {*curves, "mean"}
-    x_ms, apr = lines["rsu_all"].get_data()
-    assert lines["rsu_all"].get_drawstyle() == "steps-pre"
-    assert np.asarray(x_ms) == pytest.approx(
-        [0, *[100, 300, 700, 1e9][: n_steps - 1], 1000 * max_s]
-    )
-    assert list(apr) == [1.0, *[1.0, 0.75, 0.5, 0.0][:n_steps]]
-    assert upper.get_xlim() == (0.0, 1000.0 * max_s)
-    assert lines["mean"].get_xdata()[0] == pytest.approx(113.5)
-    looks = [(lines[name].get_linestyle(), lines[name].get_linewidth()) for name in curves]
-    assert len(set(looks)) == len(curves)  # not by colour alone
-    assert len({bar.get_gid() for bar in lower.patches}) == 10
-    ends = [bar.get_x() + bar.get_width() for bar in lower.patches]
-    assert (ends[4], ends[9]) == (pytest.approx(113.5), pytest.approx(185.0))
-
-
-def test_a_fixed_budget_has_one_bar_and_no_range(curves):
-    upper, lower = plot_latency(curves, load_latency_budget(), max_latency_s=0.5)
-    assert [bar.get_gid() for bar in lower.patches] == ["always: processing and communication"]
-    assert len(upper.patches) == 0
-    (shade,) = plot_latency(curves, load_latency_budget("cpm-50ms"), max_latency_s=0.5)[0].patches
-    assert (shade.get_x(), shade.get_width()) == (pytest.approx(42.0), pytest.approx(93.0))
-
-
-def test_the_text_says_how_long_each_level_holds(curves):
-    budget = load_latency_budget()
-    parties = {
-        name: to_plain(summarise_curve(curve, budget, 0.5)) for name, curve in curves.items()
-    }
-    summary = {
-        "name": "mine",
-        "layout": [{"id": "A", **UNIT}],
-        "runs": 4,
-        "budget": to_plain(budget),
-        "max_latency_s": 0.5,
-        "parties": parties,
-        "vut_latency_s": None,
-        "cases": [],
-        "weathers": [],
-        "detector": "surrogate",
-        "vut_sensors": [],
-        "packet_loss": 0.0,
-        "vam_rate": 0.0,
-        "track_memory_s": None,
-        "not_driven": [],
-        "possible_runs": 1,
-        "driven": [],
-        "seconds": {},
-        "versions": {},
-    }
-    text = latency_text(msgspec.convert(summary, LatencyResult), None)
-    rows = [line.split() for line in text.splitlines()]
-    assert ["100", "%", "100.0", "ms", "100.0", "ms", "none"] in rows
-    assert ["95", "%", "100.0", "ms", "100.0", "ms", "none"] in rows
-    assert ["200", "ms", "75.0", "%", "75.0", "%", "0.0", "%"] in rows
-    assert ["A", "50.0", "%", "50.0", "%", "50.0", "%"] in rows
-    assert "The VUT's own sensors take as long; see --vut-latency." in " ".join(text.split())
+# Levels, figure
 
 
 @pytest.mark.parametrize(
-    ("last_s", "budget", "expected_s"),
-    [
-        ((0.1, 0.2), "study", 0.5),
-        ((0.9, 0.92), "study", 1.0),
-        ((-1.0, 0.1), "cpm-100ms", 0.5),
-        ((np.inf, np.inf), "study", 3.0),
-        ((7.0, 7.0), "study", 3.0),
-    ],
+    ("level", "longest_s"), [(0.4, math.inf), (0.5, 0.01), (0.9, 0.0), (1.0, -math.inf)]
 )
-def test_by_default_the_figure_shows_where_the_apr_falls(last_s, budget, expected_s):
-    curves = {"rsu_all": _curve(*last_s)}
-    shown_s = latency_job._default_max_s(curves, load_latency_budget(budget))
-    assert shown_s == pytest.approx(expected_s)
+def test_the_longest_latency_is_the_last_before_the_apr_falls(level, longest_s):
+    party = PartyLatency(at_best=0.9, at_mean=0.5, at_worst=0.4, apr=(0.9, 0.5, 0.5, 0.4, 0.6))
+    assert party.longest_s((0.0, 0.005, 0.01, 0.015, 0.02), level) == longest_s
+
+
+def test_curves_and_the_budgets_range_are_drawn():
+    apr = {"vut": (0.5, 0.25), "A": (0.75, 0.5), "rsu_all": (1.0, 0.5), "vut_and_rsus": (1.0, 0.5)}
+    parties = {
+        name: PartyLatency(at_best=high, at_mean=high, at_worst=low, apr=(high, low))
+        for name, (high, low) in apr.items()
+    }
+    axes = plot_latency((0.0, 0.5), parties, load_latency_budget("cpm-50ms"))
+    lines = {line.get_gid(): line for line in axes.get_lines()}
+    assert set(lines) == {*parties, "mean"}
+    assert np.array(lines["rsu_all"].get_data()).tolist() == [[0.0, 500.0], [100.0, 50.0]]
+    looks = [(lines[name].get_linestyle(), lines[name].get_linewidth()) for name in parties]
+    assert len(set(looks)) == len(parties)  # not by colour alone
+    (shade,) = axes.patches
+    assert (shade.get_x(), shade.get_width()) == (pytest.approx(42.0), pytest.approx(93.0))
 
 
 # Budgets in other commands
