@@ -1,7 +1,6 @@
 """A folder of results as an optimisation writes it: six runs, two units, no figures."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from placement import pipeline
 from placement.candidates import CandidateGrid, load_candidate_grid
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain.sensitivity import load_assumptions
 from placement.layout import Layout, load_carlancap_layout
 from placement.question import Question, read_cars
 from placement.setting import Setting
@@ -93,14 +91,6 @@ def lay_runs_of(patch: pytest.MonkeyPatch, setting: Setting) -> None:
         patch.setattr(module, "build_setting", build)
 
 
-def vary_few_assumptions(patch: pytest.MonkeyPatch, *names: str) -> None:
-    """The one that needs no rays, and those that are named: each casts its own."""
-    few = [item for item in load_assumptions() if item.name in ("latency_s", *names)]
-    patch.setattr(
-        placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
-    )
-
-
 def write_small_results(folder: Path, setting: Setting, question: Question | None = None) -> None:
     """Choose two cameras of a coarse grid, and write everything but the report and its figures."""
 
@@ -112,7 +102,6 @@ def write_small_results(folder: Path, setting: Setting, question: Question | Non
         patch.setattr(poses, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
         patch.setattr(writing, "write_report", write_blank_report)
-        vary_few_assumptions(patch)
         placement.run_placement(
             question or Question(budget=2, time_limit_s=60.0),
             out=folder,

@@ -87,7 +87,6 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         units[result.baseline.name] = len(result.baseline.layout)
     measure = proof.measure_of(result)
     further = f"{next_unit.next_unit_sentence(result.next_unit, measure)}."
-    other_sensor = f"{next_unit.other_sensor_sentence(result.other_sensors, measure)}."
     return [
         *_head(result),
         Part(
@@ -112,7 +111,6 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         ),
         _impacts(result, others),
         Part(words=[] if further == "." else [further], is_short=True),
-        Part(words=[] if other_sensor == "." else [other_sensor]),
         Part(words=answer.doubts(result), is_short=True),
         *_explained(result),
         _without_optimiser(result.baselines, n_units=n_units),

@@ -5,8 +5,7 @@ from typing import Any
 READY: dict[str, Any] = {
     "modules": (
         "experiments.report.page",
-        "placement.explain.other_sensors",
-        "placement.explain.sensitivity",
+        "placement.explain.tolerances",
         "placement.visibility.point_kernels",  # the compiler
         "placement.visibility.ray_kernels",
         "scipy.integrate",

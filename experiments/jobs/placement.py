@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 from msgspec.structs import replace as replace_fields
 
-from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
@@ -20,15 +19,7 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
-from placement.explain.other_sensors import STAGE as OTHER_SENSORS
-from placement.explain.other_sensors import OtherSensors, find_other_sensors
-from placement.explain.sensitivity import STAGE as WHAT_IF
-from placement.explain.sensitivity import (
-    Sensitivity,
-    Standing,
-    find_sensitivity,
-    prepare_sensitivity,
-)
+from placement.explain.tolerances import Standing
 from placement.ground import PrivateGround, load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser import apr as apr_on_table
@@ -59,7 +50,6 @@ from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import build_explained_record
 from ..parts.front import FrontRecord, describe_front
 from ..parts.ground import PrivateGroundRecord, build_private_ground_record, coverage_section
-from ..parts.next_unit import build_exchanges
 from ..parts.refinement import build_refinement_record
 from ..parts.result import (
     ComparisonResult,
@@ -154,9 +144,7 @@ class _Found:
 class _Begun:
     """Tasks that either process computes, while the main one goes on."""
 
-    what_if: Task[Sensitivity]
     standing: Task[Standing] | None
-    other_sensors: Task[OtherSensors | None]
     fresh: list[Task[FreshWorlds]] = field(default_factory=list)
 
 
@@ -261,8 +249,6 @@ def _result(
 ) -> PlacementResult:
     """All of the result, with what either process has computed meanwhile; `parts` by name."""
     placement, layout = found.placement, found.placement.layout
-    exchanged = begun.other_sensors.result(job.on_wait(OTHER_SENSORS))
-    sensitivity = begun.what_if.result(job.on_wait(WHAT_IF))
     prices = found.plan.wishes.prices
     return build_placement_result(
         placement,
@@ -272,9 +258,7 @@ def _result(
         highest=evaluations.get(HIGHEST),
         baseline=None if study is None else evaluations[study.name],
         compute=job.compute,
-        sensitivity=sensitivity,
         next_unit=placement.next_unit,
-        other_sensors=() if exchanged is None else build_exchanges(layout, exchanged),
         private_ground=_private_ground(layout, job.scene, found.plan.private_ground),
         refinement=found.refinement and build_refinement_record(found.refinement),
         sites_eur=bill.sites_eur,
@@ -296,10 +280,8 @@ def _find(job: _Job, plan: Assembly) -> _Found:
 
     def report(stage: str, done: int, total: int) -> None:
         cache = compute.cache_folder
-        if stage == "optimise" and cache is not None:
-            if any(cache.glob("table-*")):
-                progress.kept += "; the detection table is cached for the next call"
-            job.side.begin("other brakes", prepare_sensitivity, job.setting, compute=compute)
+        if stage == "optimise" and cache is not None and any(cache.glob("table-*")):
+            progress.kept += "; the detection table is cached for the next call"
         progress(stage, done, total)
 
     reporting = replace(compute, progress=report)
@@ -322,22 +304,7 @@ def _begin(job: _Job, found: _Found, layouts: Sequence[Layout]) -> _Begun:
     """Begin what depends on the layout alone: the longest comes first."""
     question, setting, compute, plan = job.question, job.setting, job.compute, found.plan
     layout = found.placement.layout
-    what_if = job.side.begin(
-        WHAT_IF, find_sensitivity, setting, layout, fusion=question.fusion, compute=compute
-    )
     standing = begin_standing(job.side, setting, layout, question, compute)
-    asked = {unit.sensor.name: unit.sensor for unit in plan.candidates}
-    other_sensors = job.side.begin(
-        OTHER_SENSORS,
-        find_other_sensors,
-        setting,
-        layout.units,
-        models=[*{**load_cameras(), **asked}.values()],
-        kept=plan.wishes.existing,
-        fusion=question.fusion,
-        may_look=plan.may_look,
-        compute=compute,
-    )
     n_worlds = max(question.samples, MIN_FRESH_WORLDS) if question.samples else 0
     uncertainty = plan.uncertainty
     assert uncertainty is not None  # assemble reads it with every question
@@ -355,7 +322,7 @@ def _begin(job: _Job, found: _Found, layouts: Sequence[Layout]) -> _Begun:
         )
         for first in range(0, n_worlds, _WORLDS_TOGETHER)
     ]
-    return _Begun(what_if=what_if, standing=standing, other_sensors=other_sensors, fresh=fresh)
+    return _Begun(standing=standing, fresh=fresh)
 
 
 def _evaluate(
@@ -488,7 +455,6 @@ def run_evaluation(
         (layout,) = _with_distinct_names([layout])
         check_layout(layout, job.setting.scene)
         private = load_private_ground(Path(no_look), job.setting.scene) if no_look else None
-        what_if = job.side.begin(WHAT_IF, find_sensitivity, job.setting, layout, compute=compute)
         (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
         bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
         evaluations = {layout.name: evaluation}
@@ -500,7 +466,7 @@ def run_evaluation(
             assumed_prices=bill.assumed,
             study_cases=None if out is None else _on_study_cases(job, evaluations),
         )
-        return _finish(job, result, evaluations, what_if, bill, out=out, command=command)
+        return _finish(job, result, evaluations, bill, out=out, command=command)
 
 
 def run_comparison(
@@ -532,7 +498,6 @@ def run_comparison(
         for layout in layouts:
             check_layout(layout, setting.scene)
         private = load_private_ground(Path(no_look), setting.scene) if no_look else None
-        what_if = job.side.begin(WHAT_IF, find_sensitivity, setting, layouts[0], compute=compute)
         proposed = compare_layout(layouts[0], setting, compute=compute)
         everyone = layouts
         if proposed is not None and proposed.expert is not None:
@@ -557,7 +522,7 @@ def run_comparison(
             baselines=proposed and build_baselines(proposed, evaluations.get(EXPERT), setting),
             sampled=sampled,
         )
-        return _finish(job, result, evaluations, what_if, bill, out=out, command=command)
+        return _finish(job, result, evaluations, bill, out=out, command=command)
 
 
 _R = TypeVar("_R", EvaluationResult, ComparisonResult)
@@ -573,19 +538,17 @@ def _finish(
     job: _Job,
     result: _R,
     evaluations: Mapping[str, Evaluation],
-    what_if: Task[Sensitivity],
     bill: BillOfMaterials,
     *,
     out: Path | None,
     command: str,
 ) -> _R:
-    """The result with its seconds; in a folder, if asked for, with what wrong assumptions do."""
+    """The result with its seconds; in a folder, if asked for."""
     if out is None:
         return replace_fields(result, seconds=job.progress.finish())
-    sensitivity = what_if.result(job.on_wait(WHAT_IF))
     return write_results(
         out,
-        replace_fields(result, sensitivity=sensitivity),
+        result,
         job.setting,
         evaluations,
         command=command,

@@ -20,7 +20,7 @@ from placement.explain.alternatives import (
     find_sturdier,
     recommend,
 )
-from placement.explain.sensitivity import MAX_UNITS, TOLERANCES, Standing, find_standing
+from placement.explain.tolerances import MAX_UNITS, TOLERANCES, Standing, find_standing
 from placement.layout import Layout
 from placement.optimiser import is_feasible
 from placement.pipeline import Assembly, Placement

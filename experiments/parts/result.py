@@ -16,7 +16,7 @@ from placement.evaluation import Evaluation
 from placement.explain.agreement import Disagreement, find_disagreements
 from placement.explain.alternatives import ByRuns, Sturdier
 from placement.explain.contributions import NextUnit
-from placement.explain.sensitivity import Sensitivity, Standing
+from placement.explain.tolerances import Standing
 from placement.optimiser import Failing, placement_value, run_margins_s
 from placement.pipeline import Placement
 from placement.setting import Setting
@@ -42,7 +42,6 @@ from .dangers import Dangers, avoided_runs, build_dangers
 from .explanation import ExplainedRecord
 from .front import FrontRecord
 from .ground import PrivateGroundRecord
-from .next_unit import Exchange
 from .refinement import RefinementRecord
 from .road_users import RoadUserGroups, build_road_users
 from .sampled_worlds import SampledRecord
@@ -125,10 +124,6 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
             "The same layouts on the study's cases, by the evaluator; null where these are what "
             "was asked about, or no arm carries them."
         ),
-    ] = None
-    sensitivity: Annotated[
-        Sensitivity | None,
-        says("What becomes of the layout if an assumption is wrong; only where a folder is made."),
     ] = None
     private_ground: Annotated[
         PrivateGroundRecord | None,
@@ -226,13 +221,6 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
             "aside; null where none fits."
         ),
     ] = None
-    other_sensors: Annotated[
-        tuple[Exchange, ...],
-        says(
-            "Other models at the same mounts, on the detection table, the one that gains most "
-            "first; empty where no unit can be exchanged."
-        ),
-    ] = ()
     baselines: Annotated[
         Baselines, says("Random layouts and an expert's rule, with as many units.")
     ]

@@ -24,7 +24,7 @@ from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.explain.sensitivity import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
+from placement.explain.tolerances import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
 from placement.imaging import render_picture
 from placement.layout import Layout, check_layout
 from placement.question import Question

@@ -31,7 +31,6 @@ from ..parts.result import EvaluationResult, PlacementResult, Result
 from ..parts.runs import cases_section, runs_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
-from ..parts.sensitivity import sensitivity_section
 from ..parts.units import build_plans, units_section
 from ..side_process import SideProcess, Task
 
@@ -146,7 +145,7 @@ def _sections(
         of_proof = [
             proof.section(result),
             tasks.front.result(),
-            next_unit.section(result.next_unit, result.other_sensors, proof.measure_of(result)),
+            next_unit.section(result.next_unit, proof.measure_of(result)),
             *explanation_sections(result.explained, labels),
         ]
         of_grid = [proof.agreement_section(result)]
@@ -171,7 +170,6 @@ def _sections(
         tasks.margins.result(),
         failures_section(subject, setting.rule, labels),
         in_worlds,
-        tasks.what_if.result(),
         alone_section(detailed),
         tasks.coverage.result(),
         *of_grid,
@@ -206,7 +204,6 @@ class Tasks:
     plans: Task[list[Picture]]
     dangers: Task[Section | None]
     margins: Task[Section | None]
-    what_if: Task[Section | None]
     coverage: Task[Section | None]
     front: Task[Section | None]
 
@@ -237,7 +234,6 @@ def begin_tasks(
         plans=side.begin("plans", build_plans, setting, layouts, others),
         dangers=side.begin("dangers", dangers.section, setting, shown, fusion=result.fusion),
         margins=side.begin("margins", margins_section, shown),
-        what_if=side.begin("sensitivity", sensitivity_section, result.sensitivity),
         coverage=side.begin("coverage", coverage_section, setting.scene, subject.layout),
         front=side.begin("front", front_section, front),
     )
@@ -261,7 +257,7 @@ _IN_SIGHT = (
 )
 _FOLDED = (
     *("why", "next-unit", "models", "study-cases", "road", "missed", "added"),
-    *("road-users", "alone", "margins", "sensitivity", "assumptions", "cases", "runs", "again"),
+    *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
 )
 
 

@@ -11,7 +11,6 @@ from small_results import (
     build_small_grid,
     build_small_setting,
     lay_runs_of,
-    vary_few_assumptions,
 )
 
 from experiments import main, side_process
@@ -45,17 +44,10 @@ def few_runs(small_setting, tables, monkeypatch):
 
 
 @pytest.fixture
-def small_study(few_runs, with_blank_pictures, one_assumption, monkeypatch):
-    """As `few_runs`; compares with two units, varies one assumption, no other lens, no figures."""
-    monkeypatch.setattr(placement, "load_cameras", dict)
+def small_study(few_runs, with_blank_pictures, monkeypatch):
+    """As `few_runs`; compares with two units, no figures."""
     monkeypatch.setattr(placement, "find_baseline", build_small_baseline)
     return few_runs
-
-
-@pytest.fixture
-def one_assumption(monkeypatch):
-    """Varies the one that needs no rays."""
-    vary_few_assumptions(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -67,7 +59,6 @@ def whole_placement(small_setting, tmp_path_factory):
             patch.setenv("PLACE_RSUS_CACHE", str(folder / "tables"))
             lay_runs_of(patch, small_setting)
             patch.setattr(poses, "load_candidate_grid", build_small_grid)
-            vary_few_assumptions(patch, "height_m")
             with (
                 Path("out").open("w") as out,
                 Path("err").open("w") as err,

@@ -8,7 +8,7 @@ import pytest
 from browser_pages import open_page, start_browser
 from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_names
 from partial_pages import blank_pictures, build_result
-from small_results import lay_runs_of, vary_few_assumptions
+from small_results import lay_runs_of
 
 from experiments.jobs import placement
 from experiments.progress import StageProgress
@@ -44,7 +44,6 @@ def addresses(small_setting, whole_placement, tmp_path_factory):
     away = Layout(name="away", units=(replace(units[0], pose=turned),))
     with pytest.MonkeyPatch.context() as patch:
         lay_runs_of(patch, small_setting)
-        vary_few_assumptions(patch)
         question = Question()
         with blank_pictures():
             placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
@@ -79,7 +78,7 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
         with open_page(browser, path.as_uri()) as page:
             headings[kind] = texts(page, "h2")
             assert page.is_visible("#player-plan svg")
-    assert {"Why these poses", "What each unit buys", "What if an assumption is wrong?"} <= set(
+    assert {"Why these poses", "What each unit buys", "Time and distance to spare"} <= set(
         headings["placement"]
     )
     assert {"Side by side", "If the world is not as planned"} <= set(headings["comparison"])
@@ -160,9 +159,9 @@ def check_contents_lead_to_every_section(page):
 
 
 def test_a_link_to_a_folded_section_opens_it(browser, addresses):
-    with open_page(browser, addresses["placement"].as_uri() + "#sensitivity") as page:
+    with open_page(browser, addresses["placement"].as_uri() + "#margins") as page:
         assert page.locator("details.part[open]").count() == 1
-        assert page.is_visible("details.part[open] #sensitivity")
+        assert page.is_visible("details.part[open] #margins")
         assert page.locator("details.part:not([open])").count() > 4
 
 

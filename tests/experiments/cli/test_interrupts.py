@@ -29,14 +29,10 @@ ENOUGH_S = 5.0
 SCRIPT = """
 import json, os, signal, sys, time
 from pathlib import Path
-from functools import partial
 from experiments.jobs import placement
 from experiments.main import main
-from placement.explain.sensitivity import load_assumptions
 
 placement.on_study_cases = lambda *given, **options: None  # as at any other junction: takes long
-few = [item for item in load_assumptions() if item.name == "latency_s"]
-placement.find_sensitivity = partial(placement.find_sensitivity, assumptions=few)
 
 def processor_s(process):
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()

@@ -29,8 +29,6 @@ def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(run, small_stud
     assert found["gap"] == 0.0
     assert found["spent_eur"] == sum(COSTS_EUR[model_of(unit)] for unit in found["layout"])
     assert found["spent_eur"] <= BUDGET_EUR
-    tried = {entry["model"] for entry in found["other_sensors"]}
-    assert set(COSTS_EUR) - {model_of(unit) for unit in found["layout"]} <= tried
     study = load_carlancap_layout().units  # always among the candidates
     n_candidates = len(study)
     for model in COSTS_EUR:

@@ -76,7 +76,6 @@ def test_a_placement_is_written_as_it_is_returned(small_study, tmp_path):
         "other priorities",
         "evaluate",
         "tolerances",
-        "what if",
         "write results",
         "total",
     ]

@@ -13,7 +13,7 @@ from experiments.parts.alternatives import (
     recommended_sentences,
 )
 from placement.explain.alternatives import ByRuns, Sturdier
-from placement.explain.sensitivity import MountingError, Standing
+from placement.explain.tolerances import MountingError, Standing
 
 
 def said(*, heavy_runs=(), by_runs=None, sturdier=None, mounting=None):

@@ -4,7 +4,6 @@ import copy
 import json
 import re
 from dataclasses import replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from experiments.parts.reading import load_result
 from experiments.parts.schema import SCHEMA_FILE, schema_text
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
-from placement.explain.sensitivity import load_assumptions
 from placement.layout import RESULT_SCHEMAS, Layout, load_carlancap_layout
 from placement.setting import Radio
 from scenarios.runs import build_frame_axis
@@ -124,15 +122,6 @@ def test_every_key_of_the_schema_is_in_the_documentation_and_no_other():
 
 
 @pytest.fixture
-def two_assumptions(small_study, monkeypatch):
-    """One of them needs rays of its own."""
-    few = [item for item in load_assumptions() if item.name in ("latency_s", "height_m")]
-    monkeypatch.setattr(
-        placement, "find_sensitivity", partial(placement.find_sensitivity, assumptions=few)
-    )
-
-
-@pytest.fixture
 def garden(tmp_path):
     corners = np.array([[-110.0, 10.0], [-100.0, 10.0], [-100.0, 12.0], [-110.0, 12.0]])
     ring = to_geographic(corners, load_study_scene().crs).tolist()
@@ -168,7 +157,7 @@ def written(run, out, *arguments):
 
 
 PLACEMENTS = {
-    "plain": (["--budget", "2"], {"front", "stages", "sensitivity", "explained"}),
+    "plain": (["--budget", "2"], {"front", "stages", "explained"}),
     "cheapest": (["--target", "max", "--least", "cost"], {"goal"}),
     "single": (["--budget", "2", "--fusion", "single", "--survive", "1"], {"stages"}),
 }
@@ -238,12 +227,11 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
     assert set(result.runs["weather"]) == {"day", "fog"}
 
 
-@pytest.mark.usefixtures("without_figures", "two_assumptions")
+@pytest.mark.usefixtures("without_figures")
 def test_evaluations_and_comparisons_are_as_the_schema_says(run, tmp_path, layout_files):
     one, two = layout_files
     summary = written(run, tmp_path / "one", "evaluate", "--layout", one)
     assert messages(summary) == []
-    assert "sensitivity" in summary
     code, printed, _ = run("evaluate", "--layout", one, "--json", "--quiet")
     assert code == 0
     assert messages(json.loads(printed)) == []
@@ -255,7 +243,7 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(run, tmp_path, layou
     assert set(result.runs["layout"]) == {"first-1", "first-2", "expert rule"}
 
 
-@pytest.mark.usefixtures("without_figures", "two_assumptions")
+@pytest.mark.usefixtures("without_figures")
 def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     """Every key of it is needed or known, and every number is a number."""
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
@@ -265,10 +253,9 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     assert plain(load_result(tmp_path / "out").summary) == summary
     summary = with_first_of_each(summary)
     assert messages(summary) == []
-    optional = {"front", "private_ground", "refinement", "sampled", "sensitivity"}
+    optional = {"front", "private_ground", "refinement", "sampled"}
     optional |= {
         "next_unit",
-        "other_sensors",
         "road_users",
         "study_cases",
         "heavy_runs",

@@ -278,7 +278,7 @@ def test_other_peoples_folders_stay(scene_command, city, tmp_path):
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
 
-@pytest.mark.usefixtures("with_blank_pictures", "one_assumption")
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     command, city, tmp_path, monkeypatch
 ):

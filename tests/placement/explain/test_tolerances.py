@@ -8,7 +8,7 @@ from geometry.poses import Pose, wrap_deg
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain.sensitivity import LIFTS_M, TURNS_DEG, find_standing, find_tolerances
+from placement.explain.tolerances import LIFTS_M, TURNS_DEG, find_standing, find_tolerances
 from placement.optimiser import run_margins_s
 from placement.setting import Setting
 from placement.visibility import build_detection_table
