@@ -6,8 +6,7 @@ from typing import Annotated, cast
 import msgspec
 
 from placement.optimiser.problem import Objective
-from placement.refinement import Refinement
-from placement.refinement.poses import Move
+from placement.refinement import Move, Refinement
 
 from ..results.numbers import joined, number, percent
 from ..results.record import (
@@ -42,7 +41,6 @@ class RefinementRecord(Record, frozen=True, kw_only=True):
     grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
     grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]
     poses_tried: Annotated[int, says("Poses between those of the grid.", ge=0)]
-    rounds: Annotated[int, says("Rounds of the search.", ge=0)]
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
 
 
@@ -56,7 +54,6 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
         grid_candidates=refinement.unrefined.problem.table.n_poses,
         grid_is_proven=refinement.unrefined.certificate.is_proven,
         poses_tried=refinement.n_tried,
-        rounds=refinement.n_rounds,
         seconds=refinement.seconds,
     )
 

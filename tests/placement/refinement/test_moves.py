@@ -7,7 +7,7 @@ from geometry.poses import Pose
 from geometry.sensors import with_fov
 from placement.candidates import CandidatePose
 from placement.layout import Layout
-from placement.refinement.poses import Move, pair_units, rename
+from placement.refinement import Move, pair_units, rename
 
 CAMERA = pick_sensor("carla-ncap-rgb", "test")
 

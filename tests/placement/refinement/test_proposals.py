@@ -2,23 +2,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers
 
 from geometry.catalogue import pick_sensor
-from geometry.poses import Pose, body_rotation
+from geometry.poses import Pose
 from placement import refinement
 from placement.candidates import CandidateGrid, CandidatePose, build_candidates
 from placement.optimiser import Limits
-from placement.refinement.poses import (
-    WeakSpots,
-    aimed,
-    around,
-    build_places,
-    find_weak_spots,
-    moved,
-)
+from placement.refinement import build_places, moved
 
 
 def _limits(candidates, **fields):
@@ -134,72 +127,9 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
         zoomed = moved(places, 0, **pose, fov_deg=asked)
         assert zoomed.sensor.horizontal_fov_deg == got
         assert zoomed.id.endswith(f"/varifocal-1080p/{got:g}")
-    rng = np.random.default_rng(0)
-    fovs = [
-        c.sensor.horizontal_fov_deg
-        for _, c in around(places, [(0, candidates[0])], rng, spread=1.0)
-    ]
-    assert min(fovs) >= 26.2
-    assert max(fovs) == 89.6
-    assert len(set(fovs)) > 20
-
-
-def test_poses_around_a_unit_stay_at_its_site_and_shrink_with_the_spread(places):
-    unit = places.candidates[3]
-
-    def turns(spread):
-        found = around(places, [(3, unit)], np.random.default_rng(0), spread=spread)
-        assert {origin for origin, _ in found} == {3}
-        assert {pose.site_id for _, pose in found} == {unit.site_id}
-        assert 1 < len({pose.pose.position_m[2] for _, pose in found}) <= 3
-        away = [
-            (pose.pose.yaw_deg - unit.pose.yaw_deg + 180.0) % 360.0 - 180.0 for _, pose in found
-        ]
-        return np.abs(away)
-
-    wide, narrow = turns(1.0), turns(0.1)
-    assert np.median(wide) > 5.0 * np.median(narrow)
-    assert wide.max() > 16.0
-    assert narrow.max() < 8.0
-
-
-def test_poses_that_are_forced_or_forbidden_are_not_moved(meadow, meadow_grid, meadow_placement):
-    n_poses = len(meadow_grid)
-    is_forced = np.arange(n_poses) == 2
-    is_forbidden = np.arange(n_poses) >= 8
-    limits = _limits(meadow_grid, is_forced=is_forced, is_forbidden=is_forbidden)
-    places = build_places(meadow.scene, meadow_grid, limits)
-    rng = np.random.default_rng(0)
-    chosen = [(row, meadow_grid[row]) for row in (2, 9)]
-    assert around(places, chosen, rng, spread=1.0) == []
-    spots = find_weak_spots(meadow_placement.problem, meadow_placement.pose_index, meadow.runs)
-    origins = {origin for origin, _ in aimed(places, meadow_placement.problem.table, spots, rng)}
-    assert origins
-    assert origins <= {0, 1, 3, 4, 5, 6, 7}
-
-
-@settings(max_examples=10)
-@given(st.integers(0, 2**32 - 1))
-def test_aimed_poses_look_at_what_is_weak(meadow_placement, meadow_grid, places, seed):
-    spots = WeakSpots(
-        frame_index=np.array([5]), probability=np.array([1.0]), vru_m=np.array([[12.0, 9.0, 0.9]])
-    )
-    rng = np.random.default_rng(seed)
-    found = aimed(places, meadow_placement.problem.table, spots, rng)
-    assert len(found) == 32
-    for origin, candidate in found:
-        assert candidate.site_id == meadow_grid[origin].site_id
-        ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
-        offset = spots.vru_m[0] - candidate.pose.position_m
-        assert ahead @ offset / np.linalg.norm(offset) > np.cos(np.radians(50.0))
-
-
-def test_nothing_is_aimed_at_where_nothing_is_weak(places, meadow_placement):
-    nothing = WeakSpots(
-        frame_index=np.array([], dtype=int), probability=np.array([]), vru_m=np.zeros((0, 3))
-    )
-    rng = np.random.default_rng(0)
-    assert aimed(places, meadow_placement.problem.table, nothing, rng) == []
+    zooms = {pose.sensor.horizontal_fov_deg for pose in refinement._turned(zoomed, 0, places)}
+    assert max(zooms) == 89.6
+    assert min(zooms) < 80.0
 
 
 def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
@@ -209,11 +139,11 @@ def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     )
     candidates = build_candidates(meadow.scene, grid)
     places = build_places(meadow.scene, candidates, _limits(candidates))
-    steps = refinement._steps(candidates[0], 0, places)
+    steps = refinement._turned(candidates[0], 0, places)
     assert steps
     assert all(step.pose.pitch_deg != 0.0 for step in steps)
     tilted = replace(candidates[0].pose, pitch_deg=-8.0)
-    steps = refinement._steps(replace(candidates[0], id="tilted", pose=tilted), 0, places)
+    steps = refinement._turned(replace(candidates[0], id="tilted", pose=tilted), 0, places)
     # Eight degrees up it is level again: then it is not turned.
     assert [step.pose.yaw_deg for step in steps if step.pose.pitch_deg == 0.0] == [0.0]
     assert any(step.pose.yaw_deg != 0.0 and step.pose.pitch_deg == -8.0 for step in steps)

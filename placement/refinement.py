@@ -1,0 +1,601 @@
+"""Poses between those of the grid: a layout whose units are turned, tilted, zoomed and lifted."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count, product, starmap
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geometry.arrays import BoolArray
+from geometry.clock import now_s
+from geometry.errors import InputError, Unquoted
+from geometry.poses import Pose, wrap_deg
+from geometry.scene import Scene, Site, containing_instance
+from geometry.sensors import CameraModel, with_fov
+
+from .candidates import CandidatePose, is_turn_useless
+from .compute import DEFAULT_COMPUTE, Compute
+from .detection_table import DetectionTable
+from .layout import Certificate, Layout
+from .live import LiveTable
+from .optimiser import (
+    Effort,
+    Limits,
+    PlacementProblem,
+    Solution,
+    is_feasible,
+    presolve,
+    solve_placement,
+)
+from .optimiser.problem import Objective, objective_values
+from .optimiser.solve import build_stage
+from .pipeline import Placement
+from .setting import Setting
+
+
+class StageValue(NamedTuple):
+    """One objective of a set of poses, and its value in that objective's unit."""
+
+    name: Objective
+    value: float
+
+
+def stage_values(problem: PlacementProblem, pose_index: Sequence[int]) -> tuple[StageValue, ...]:
+    """Objectives of a set of poses, rows of the problem's table, in the problem's order."""
+    return tuple(starmap(StageValue, objective_values(problem, pose_index).items()))
+
+
+def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool:
+    """True if the first difference that exceeds rounding noise favours `values`.
+
+    Examples
+    --------
+    >>> improves([StageValue(Objective.UNITS, 2.0)], [StageValue(Objective.UNITS, 3.0)])
+    True
+    """
+    for mine, theirs in zip(values, others, strict=True):
+        excess = mine.name.excess(mine.value, theirs.value)
+        if abs(excess) > mine.name.tolerance:
+            return excess > 0.0
+    return False
+
+
+def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
+    """The bounds of a certificate for a set of poses that is as good as its layout or better.
+
+    `values` are those of a set within the certificate's problem. A bound holds for all sets that
+    are as good in the stages before as the certificate's layout, and so for those that are as good
+    as this one. `solver` is the text about the solver that the new certificate gets.
+    """
+    return Certificate(
+        stages=tuple(
+            build_stage(own.name, own.value, proven.bound, proven.seconds)
+            for own, proven in zip(values, certificate.stages, strict=True)
+        ),
+        solver=solver,
+    )
+
+
+# ---------- places, and the steps from one pose to its neighbours
+
+
+_DIGITS = 2  # of metres and degrees: finer than anyone mounts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Places:
+    """Where poses of a grid may be moved to."""
+
+    scene: Scene  # its sites say how high
+    candidates: tuple[CandidatePose, ...]  # the grid
+    # (n,): which of them stand for poses that may be chosen: not forbidden, and not existing.
+    is_free: BoolArray
+    row_of: Mapping[str, int]  # row of every id
+
+    def height_range_m(self, origin: int) -> tuple[float, float]:
+        """Lowest and highest position for a row of the grid, in the world frame, in metres."""
+        pose = self.candidates[origin]
+        own_m = float(pose.pose.position_m[2])
+        site = self.site_of(origin)
+        if site is None:
+            return own_m, own_m
+        low_m, high_m = site.position_m[2] + site.height_range_m
+        return min(float(low_m), own_m), max(float(high_m), own_m)
+
+    def site_of(self, origin: int) -> Site | None:
+        """Site of the scene that carries a grid's pose, if there is one."""
+        name = self.candidates[origin].site_id
+        return next((site for site in self.scene.sites if site.id == name), None)
+
+
+def build_places(scene: Scene, candidates: Sequence[CandidatePose], limits: Limits) -> Places:
+    """Where poses may be moved to under limits."""
+    return Places(
+        scene=scene,
+        candidates=tuple(candidates),
+        is_free=~(limits.is_forced | limits.is_forbidden),
+        row_of={candidate.id: row for row, candidate in enumerate(candidates)},
+    )
+
+
+def moved(
+    places: Places,
+    origin: int,
+    *,
+    height_m: float,
+    yaw_deg: float,
+    pitch_deg: float,
+    fov_deg: float | None = None,
+) -> CandidatePose | None:
+    """Replacement for a row of the grid, moved and turned; None if it would be inside something.
+
+    The height is brought into the site's range, the pitch into -90 .. 90 degrees, and the field of
+    view into the range of a varifocal lens; it is that of the grid by default. The pose's id says
+    where it is mounted and how it looks.
+    """
+    grid = places.candidates[origin]
+    low_m, high_m = places.height_range_m(origin)
+    height_m = float(np.clip(round(height_m, _DIGITS), low_m, high_m))
+    yaw_deg = round(float(wrap_deg(round(yaw_deg, _DIGITS))), _DIGITS)
+    pitch_deg = float(np.clip(round(pitch_deg, _DIGITS), -90.0, 90.0))
+    position_m = np.append(grid.pose.position_m[:2], height_m)
+    is_old = height_m == grid.pose.position_m[2]
+    if not is_old and containing_instance(places.scene, position_m) is not None:
+        return None
+    sensor, lens = grid.sensor, ""
+    if isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None:
+        asked = sensor.horizontal_fov_deg if fov_deg is None else fov_deg
+        fov_deg = float(np.clip(round(asked, _DIGITS), *sensor.fov_range_deg))
+        sensor, lens = with_fov(sensor, fov_deg, grid.id), f"/{fov_deg:g}"
+    # As the grid names its poses: the same name is the same pose.
+    site = places.site_of(origin)
+    is_of_grid = site is not None and grid.id.startswith(f"{site.id}/")
+    name = grid.site_id if is_of_grid else grid.id
+    above_m = height_m if site is None else height_m - float(site.position_m[2])
+    return replace(
+        grid,
+        id=f"{name}/{above_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{sensor.name}{lens}",
+        pose=Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg),
+        sensor=sensor,
+    )
+
+
+STEPS_DEG = (128.0, 64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 0.5)
+"""Of yaw and pitch; and, in per cent, of the field of view of a varifocal lens."""
+
+
+def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
+    """Neighbours of a pose, each id once."""
+    sensor = unit.sensor
+    has_zoom = isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None
+    poses = []
+    for step_deg, turn_sign, tilt_sign, zoom_sign in product(STEPS_DEG, *[(-1, 0, 1)] * 3):
+        if zoom_sign and (turn_sign or tilt_sign or not has_zoom):
+            continue
+        pitch_deg = unit.pose.pitch_deg + tilt_sign * step_deg
+        if turn_sign and is_turn_useless(sensor, pitch_deg=pitch_deg):
+            continue
+        zoom = np.exp(0.01 * step_deg * zoom_sign)
+        pose = moved(
+            places,
+            origin,
+            height_m=float(unit.pose.position_m[2]),
+            yaw_deg=unit.pose.yaw_deg + turn_sign * step_deg,
+            pitch_deg=pitch_deg,
+            fov_deg=zoom * sensor.horizontal_fov_deg,
+        )
+        if pose is not None and pose.id != unit.id:
+            poses.append(pose)
+    return list({pose.id: pose for pose in poses}.values())
+
+
+LIFTS_M = (1.0, 0.5, 0.25, 0.1)
+"""Of the height: each costs rays of its own."""
+
+
+def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
+    """The same pose higher and lower on its site, each id once."""
+    poses = [
+        moved(
+            places,
+            origin,
+            height_m=float(unit.pose.position_m[2]) + lift_m,
+            yaw_deg=unit.pose.yaw_deg,
+            pitch_deg=unit.pose.pitch_deg,
+            fov_deg=unit.sensor.horizontal_fov_deg,
+        )
+        for size_m in LIFTS_M
+        for lift_m in (-size_m, size_m)
+    ]
+    found = {pose.id: pose for pose in poses if pose is not None and pose.id != unit.id}
+    return list(found.values())
+
+
+# ---------- the search
+
+
+_MAX_MOUNTS = 16  # whose rays are cached, some ten megabytes each at the study's junction
+_PROOF_SHARE = 0.4  # of the time: for the whole grid, when the search is over
+_LEAST_SOLVER_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Tried:
+    """A pose at hand."""
+
+    candidate: CandidatePose
+    origin: int  # row of the grid's pose that it is, or stands in for: same place, same sensor
+    packed: NDArray[np.uint8]  # (ceil(n_frames / 8),): its row of a detection table
+
+
+class _Search:
+    """Looks for better poses of the units of a placement, at their places."""
+
+    def __init__(
+        self,
+        setting: Setting,
+        placement: Placement,
+        candidates: Sequence[CandidatePose],
+        *,
+        compute: Compute,
+        end_s: float,
+    ) -> None:
+        self.grid = placement.problem
+        self.places = build_places(setting.scene, candidates, self.grid.limits)
+        self.live = LiveTable(setting, compute=compute, max_mounts=_MAX_MOUNTS)
+        self.end_s = end_s
+        self.new: dict[str, _Tried] = {}  # poses that are not of the grid, by id
+        self.units = [self._of_grid(row) for row in placement.pose_index]
+        self.values = stage_values(self.grid, placement.pose_index)
+
+    def turn(self) -> None:
+        """Compass search over yaw, pitch and field of view, then height, unit by unit.
+
+        In the end no step of any unit alone improves the set, unless time was up.
+
+        Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
+        direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function
+        here - runs are avoided or not, frames come every tenth of a second -, so that a larger step
+        may improve where smaller ones change nothing: all steps are tried at once.
+        """
+        position, n_settled = 0, 0
+        while n_settled < len(self.units) and now_s() < self.end_s:
+            unit = self.units[position]
+            if self.places.is_free[unit.origin] and any(
+                self._take_best(position, steps(unit.candidate, unit.origin, self.places))
+                for steps in (_turned, _lifted)
+            ):
+                n_settled = 0
+            else:
+                n_settled += 1
+                position = (position + 1) % len(self.units)
+
+    def _take_best(self, position: int, poses: Sequence[CandidatePose]) -> bool:
+        """Exchange one unit for the best of some poses; whether that improves."""
+        others = [unit for index, unit in enumerate(self.units) if index != position]
+        taken = {unit.candidate.id for unit in others}
+        tried = self._look(
+            self.units[position].origin, [pose for pose in poses if pose.id not in taken]
+        )
+        # Only those in question: a problem on the whole grid takes longer to put together.
+        problem = self._problem([*others, *tried])
+        is_better = False
+        for index, one in enumerate(tried, start=len(others)):
+            rows = [*range(len(others)), index]
+            values = stage_values(problem, rows)
+            if improves(values, self.values) and is_feasible(problem, rows):
+                self.units[position], self.values, is_better = one, values, True
+        return is_better
+
+    def _look(self, origin: int, poses: Sequence[CandidatePose]) -> list[_Tried]:
+        """Poses with their rows, from the grid or computed anew."""
+        row_of = self.places.row_of
+        unknown = [pose for pose in poses if pose.id not in row_of and pose.id not in self.new]
+        if unknown:
+            for pose, packed in zip(unknown, self.live.packed(unknown), strict=True):
+                self.new[pose.id] = _Tried(candidate=pose, origin=origin, packed=packed)
+        return [
+            self._of_grid(row_of[pose.id]) if pose.id in row_of else self.new[pose.id]
+            for pose in poses
+        ]
+
+    def _of_grid(self, row: int) -> _Tried:
+        return _Tried(
+            candidate=self.places.candidates[row], origin=row, packed=self.grid.table.packed[row]
+        )
+
+    def _problem(self, poses: Iterable[_Tried]) -> PlacementProblem:
+        """The grid's problem on some poses; those that are forced must be among them."""
+        poses = list(poses)
+        limits = self.grid.limits.of_poses(np.array([one.origin for one in poses], dtype=np.int64))
+        is_new = np.array([one.candidate.id not in self.places.row_of for one in poses])
+        table = DetectionTable(
+            pose_ids=tuple(one.candidate.id for one in poses),
+            axis=self.grid.table.axis,
+            packed=np.stack([one.packed for one in poses]),
+        )
+        limits = replace(limits, is_forced=limits.is_forced & ~is_new)
+        return replace(self.grid, table=table, limits=limits)
+
+    def prove(self, placement: Placement, solver: Effort, *, end_s: float) -> "_Proven | None":
+        """The best set and its bounds among the whole grid and all new poses.
+
+        None where nothing could be said in time of how good it is.
+        """
+        everyone = [*map(self._of_grid, range(self.grid.table.n_poses)), *self.new.values()]
+        problem = self._problem(everyone)
+        row_of = {name: row for row, name in enumerate(problem.table.pose_ids)}
+        rows = [row_of[unit.candidate.id] for unit in self.units]
+        limit_s = min(max(end_s - now_s(), _LEAST_SOLVER_S), solver.time_limit_s)
+        try:
+            solution: Solution = solve_placement(
+                problem, effort=replace(solver, time_limit_s=limit_s)
+            )
+        except InputError:
+            return None  # the set at hand meets all wishes, but time was too short to find one
+        found = stage_values(problem, solution.pose_index)
+        if improves(found, self.values) and is_feasible(problem, solution.pose_index):
+            rows, self.values = list(solution.pose_index), found
+        pose_index = tuple(sorted(rows))
+        candidates = tuple(one.candidate for one in everyone)
+        layout, moves = rename(
+            placement.layout,
+            [candidates[row] for row in pose_index],
+            named=[candidate.id for candidate in self.places.candidates],
+            name=f"refined-{len(pose_index)}",
+        )
+        certificate = certify(
+            self.values,
+            solution.certificate,
+            f"{solution.certificate.solver}, over {self.grid.table.n_poses} candidates of the grid "
+            f"and {len(self.new)} tried beside them",
+        )
+        refined = replace(
+            placement,
+            layout=layout,
+            certificate=certificate,
+            presolve=presolve(problem).statistics,
+            problem=problem,
+            presolved=None,
+            pose_index=pose_index,
+            nominal=problem,
+            nominal_index=pose_index,
+            next_unit=None,  # between the poses of the grid there are ever more
+        )
+        return _Proven(placement=refined, candidates=candidates, moves=moves)
+
+
+class _Proven(NamedTuple):
+    """A refined placement, the rows of its table, and what became of each unit."""
+
+    placement: Placement
+    candidates: tuple[CandidatePose, ...]
+    moves: "tuple[Move, ...]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Refinement:
+    """A layout, and what it was before."""
+
+    unrefined: Placement  # the one given: its certificate is about the grid alone
+    # the refined one: its problem's table has the poses tried behind those of the grid, and
+    # the bounds of its certificate are about these, not about all poses in between. The one
+    # given, where nothing better was found.
+    placement: Placement
+    candidates: tuple[CandidatePose, ...]  # the rows of that table
+    # before, after: in the order of the problem's stages; `after` is `before` or better
+    before: tuple[StageValue, ...]
+    after: tuple[StageValue, ...]
+    moves: "tuple[Move, ...]"  # what became of each unit; empty where nothing better was found
+    n_tried: int  # new poses whose detections were computed
+    seconds: float  # time spent. [s]
+
+    @property
+    def is_improved(self) -> bool:
+        """True if a better layout was found."""
+        return bool(self.moves)
+
+    def __repr__(self) -> str:
+        return f"Refinement({self.placement.layout!r}, {self.n_tried} poses tried)"
+
+
+def refine(
+    setting: Setting,
+    placement: Placement,
+    candidates: Sequence[CandidatePose],
+    *,
+    time_limit_s: float = 60.0,
+    solver: Effort | None = None,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> Refinement:
+    """Look for a better layout between the poses of a grid.
+
+    Parameters
+    ----------
+    setting : Setting
+        What the layout was found in.
+    placement : Placement
+        The layout, and its problem: limits, floors, goal and stages stay as they are. Units that
+        are forced do not move.
+    candidates : sequence of CandidatePose
+        The grid: the rows of the placement's table.
+    time_limit_s : float
+        Six tenths of it for the steps, the rest for the proof. Results are the same again only
+        where it is not reached. [s]
+    solver : Effort, optional
+        Of the optimiser; its time limit is shortened where `time_limit_s` leaves less.
+    compute : Compute
+        Threads, progress, and the seed of the points on the VRUs: that of the table.
+
+    Returns
+    -------
+    refinement : Refinement
+        Never worse, in the order of the problem's stages. The units are turned, tilted, zoomed and
+        lifted in small steps where they are, until no step of one unit improves anything; then the
+        problem is solved again on the grid and all poses tried.
+
+    Raises
+    ------
+    InputError
+        The table is not that of the candidates, or of sampled worlds; the time is not positive.
+    """
+    if not time_limit_s > 0.0:
+        raise InputError("time_limit_s", time_limit_s, "seconds, more than 0")
+    started_s = now_s()
+    _check_table(placement.problem, setting, candidates)
+    search = _Search(
+        setting,
+        placement,
+        candidates,
+        compute=compute,
+        end_s=started_s + (1.0 - _PROOF_SHARE) * time_limit_s,
+    )
+    before = search.values
+    compute.progress("refine: steps", 0, 0)
+    search.turn()
+    proven = None
+    if improves(search.values, before):
+        compute.progress("refine: proof", 0, 0)
+        effort = Effort() if solver is None else solver
+        proven = search.prove(placement, effort, end_s=started_s + time_limit_s)
+    refined, all_candidates, moves = proven or (placement, tuple(candidates), ())
+    return Refinement(
+        unrefined=placement,
+        placement=refined,
+        candidates=all_candidates,
+        before=before,
+        after=before if proven is None else search.values,
+        moves=moves,
+        n_tried=len(search.new),
+        seconds=now_s() - started_s,
+    )
+
+
+def _check_table(
+    problem: PlacementProblem, setting: Setting, candidates: Sequence[CandidatePose]
+) -> None:
+    if problem.table.pose_ids != tuple(candidate.id for candidate in candidates):
+        raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")
+    if problem.table.axis.run_ids != setting.axis.run_ids:
+        raise InputError(
+            "refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
+        )
+
+
+# ---------- moves
+
+
+_SAME_PLACE_M = 1.0e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Move:
+    """One unit before and after."""
+
+    before: CandidatePose | None  # None: the unit is new
+    after: CandidatePose | None  # None: the unit is gone
+
+    @property
+    def is_same_place(self) -> bool:
+        """True if the same sensor is still at the same place, maybe higher or lower."""
+        before, after = self.before, self.after
+        return before is not None and after is not None and is_same_place(before, after)
+
+    @property
+    def _both(self) -> tuple[CandidatePose, CandidatePose]:
+        """The unit before and after, where it is neither new nor gone."""
+        assert self.before is not None
+        assert self.after is not None
+        return self.before, self.after
+
+    @property
+    def turn_deg(self) -> float:
+        """Change of the yaw, counter-clockwise."""
+        before, after = self._both
+        return float(wrap_deg(after.pose.yaw_deg - before.pose.yaw_deg))
+
+    @property
+    def tilt_deg(self) -> float:
+        """Change of the pitch, up."""
+        before, after = self._both
+        return after.pose.pitch_deg - before.pose.pitch_deg
+
+    @property
+    def lift_m(self) -> float:
+        """Change of the height, up."""
+        before, after = self._both
+        return float(after.pose.position_m[2] - before.pose.position_m[2])
+
+    @property
+    def zoom_deg(self) -> float:
+        """Change of the horizontal field of view; 0 for what has no lens."""
+        old, new = (unit.sensor for unit in self._both)
+        if not isinstance(old, CameraModel) or not isinstance(new, CameraModel):
+            return 0.0
+        return new.horizontal_fov_deg - old.horizontal_fov_deg
+
+
+def is_same_place(one: CandidatePose, other: CandidatePose) -> bool:
+    """True if two poses are of one sensor model at one place, whatever their heights."""
+    away_m = one.pose.position_m[:2] - other.pose.position_m[:2]
+    return one.sensor.name == other.sensor.name and bool(np.hypot(*away_m) <= _SAME_PLACE_M)
+
+
+def pair_units(
+    before: Sequence[CandidatePose], after: Sequence[CandidatePose]
+) -> list[tuple[int | None, int | None]]:
+    """Pairs of a unit of a layout and the pose of another one that took its place.
+
+    Every index stands in them once: the old units in their order, then what is new.
+    """
+    distances = sorted(
+        (_distance_deg(one, other), old, new)
+        for old, one in enumerate(before)
+        for new, other in enumerate(after)
+        if is_same_place(one, other)
+    )
+    new_of: dict[int, int] = {}
+    for _, old, new in distances:
+        if old not in new_of and new not in new_of.values():
+            new_of[old] = new
+    pairs: list[tuple[int | None, int | None]] = [
+        (old, new_of.get(old)) for old in range(len(before))
+    ]
+    return pairs + [(None, new) for new in range(len(after)) if new not in new_of.values()]
+
+
+def rename(
+    before: Layout, poses: Sequence[CandidatePose], *, named: Sequence[str], name: str
+) -> tuple[Layout, tuple[Move, ...]]:
+    """A layout of the poses, whose units keep their names where they stay in place, and the moves.
+
+    `before` has the names that stay. `named` are names that mean one pose and no other, such as
+    those of an existing layout: another pose gets another name. The units come in the order of the
+    old ones, new ones behind; the moves leave out units that stayed as they were.
+    """
+    taken = {unit.id for unit in before.units}
+    free = (unit_id for unit_id in (f"U{n}" for n in count(1)) if unit_id not in taken)
+    moves = []
+    for old, new in pair_units(before.units, poses):
+        unit = None if old is None else before.units[old]
+        if new is None:
+            moves.append(Move(before=unit, after=None))
+            continue
+        keeps_name = unit is not None and (unit.id not in named or unit.id == poses[new].id)
+        unit_id = unit.id if unit is not None and keeps_name else next(free)
+        moves.append(Move(before=unit, after=replace(poses[new], id=unit_id)))
+    units = tuple(move.after for move in moves if move.after is not None)
+    return Layout(name=name, units=units), tuple(m for m in moves if not _is_unchanged(m))
+
+
+def _distance_deg(one: CandidatePose, other: CandidatePose) -> float:
+    turn = float(wrap_deg(one.pose.yaw_deg - other.pose.yaw_deg))
+    return abs(turn) + abs(one.pose.pitch_deg - other.pose.pitch_deg)
+
+
+def _is_unchanged(move: Move) -> bool:
+    return move.is_same_place and not any(
+        (move.turn_deg, move.tilt_deg, move.lift_m, move.zoom_deg)
+    )
