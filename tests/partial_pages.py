@@ -16,7 +16,7 @@ from PIL import Image
 
 from experiments.figures import plan
 from experiments.figures.axes import root_figure
-from experiments.parts import dangers, ground, section
+from experiments.parts import dangers, section
 from experiments.parts.result import KINDS, Result
 from experiments.parts.section import Bullets, Picture, Section, Table
 from experiments.report.page import page_environment
@@ -53,7 +53,7 @@ def blank_pictures() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(section, "to_png", blank_png)
-        for module in (ground, dangers, pictures, plan):
+        for module in (dangers, pictures, plan):
             patch.setattr(module, "draw_scene", lambda axes, scene: None)
         yield
 

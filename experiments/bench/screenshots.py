@@ -35,7 +35,6 @@ _REPORT_PARTS = (
     "What each unit buys",
     "Time and distance to spare",
     "If a unit or a pole fails",
-    "What the cameras see of the road",
     "Watch a run",
     "Bill of materials",
 )

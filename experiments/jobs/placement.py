@@ -49,7 +49,7 @@ from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import build_explained_record
 from ..parts.front import FrontRecord, describe_front
-from ..parts.ground import PrivateGroundRecord, build_private_ground_record, coverage_section
+from ..parts.ground import PrivateGroundRecord, build_private_ground_record
 from ..parts.refinement import build_refinement_record
 from ..parts.result import (
     ComparisonResult,
@@ -271,7 +271,6 @@ def _begin_pictures(job: _Job, layout: Layout, study: Layout | None) -> None:
     """Begin the pictures of the report that need nothing but the layout."""
     others = [] if study is None else [study]
     job.side.begin("plans", build_plans, job.setting, {layout.name: layout}, others)
-    job.side.begin("coverage", coverage_section, job.scene, layout)
 
 
 def _find(job: _Job, plan: Assembly) -> _Found:

@@ -31,7 +31,6 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
         ),
     ]
     marginal_apr: Annotated[Share, says("APR of all less that of the others.")]
-    first_share: Annotated[Share, says("Its part in the first confirmations, by weight.")]
     mean_delay_s: Annotated[
         float,
         says(
@@ -109,7 +108,6 @@ def _contribution(
             dict.fromkeys(run_of_level(table.axis.run_ids[run]) for run in part.only_runs.tolist())
         ),
         marginal_apr=part.marginal_apr,
-        first_share=part.first_share,
         mean_delay_s=part.mean_delay_s,
         max_delay_s=part.max_delay_s,
         without=LayoutValueRecord(**part.without._asdict()),
@@ -243,9 +241,8 @@ def contribution_table(
             ),
             "later without it, mean (s)": lambda part: _of_others(part, part.mean_delay_s),
             "later, at most (s)": lambda part: _of_others(part, part.max_delay_s),
-            "its part in first confirmations": lambda part: percent(part.first_share),
         },
-        numeric=range(1, 9),
+        numeric=range(1, 8),
     )
 
 
@@ -317,8 +314,6 @@ def explanation_sections(
             [
                 " ".join([*reasons, *contribution_sentences(explained)]),
                 contribution_table(explained, labels),
-                "A unit's part in first confirmations: each frame of the window that confirms a "
-                "road user first is shared by the units that detect in it.",
             ],
         )
     ]

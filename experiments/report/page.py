@@ -24,7 +24,7 @@ from ..parts.explanation import explanation_sections
 from ..parts.failures import failures_section
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
-from ..parts.ground import coverage_section, private_ground_section
+from ..parts.ground import private_ground_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
 from ..parts.result import EvaluationResult, PlacementResult, Result
@@ -171,7 +171,6 @@ def _sections(
         failures_section(subject, setting.rule, labels),
         in_worlds,
         alone_section(detailed),
-        tasks.coverage.result(),
         *of_grid,
     ]
 
@@ -204,7 +203,6 @@ class Tasks:
     plans: Task[list[Picture]]
     dangers: Task[Section | None]
     margins: Task[Section | None]
-    coverage: Task[Section | None]
     front: Task[Section | None]
 
     @property
@@ -234,7 +232,6 @@ def begin_tasks(
         plans=side.begin("plans", build_plans, setting, layouts, others),
         dangers=side.begin("dangers", dangers.section, setting, shown, fusion=result.fusion),
         margins=side.begin("margins", margins_section, shown),
-        coverage=side.begin("coverage", coverage_section, setting.scene, subject.layout),
         front=side.begin("front", front_section, front),
     )
 
@@ -256,7 +253,7 @@ _IN_SIGHT = (
     *("accidents", "dangers", "failures", "private-ground", "bill"),
 )
 _FOLDED = (
-    *("why", "next-unit", "models", "study-cases", "road", "missed", "added"),
+    *("why", "next-unit", "models", "study-cases", "missed", "added"),
     *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
 )
 

@@ -27,7 +27,6 @@ FIRST = {
     "unit": "a",
     "only_runs": ["r1", "r2", "r3", "r4"],
     "marginal_apr": 0.4,
-    "first_share": 0.7,
     "mean_delay_s": 0.3,
     "max_delay_s": 0.9,
     "without": WITHOUT,
