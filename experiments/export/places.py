@@ -6,7 +6,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.frames import to_geographic
+from geometry.frames import parse_crs, to_geographic
 from geometry.maps.georeferences import transform
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
@@ -67,8 +67,23 @@ def map_positions(layout: Layout, scene: Scene) -> FloatArray:
     Shape (n_units, 2), in ``scene.source_crs``, or ``scene.crs`` where that is empty; east or
     longitude first.
     """
-    points_m = positions_m(layout)[:, :2]
-    return transform(points_m, scene.crs, scene.source_crs) if scene.source_crs else points_m
+    return map_points(positions_m(layout)[:, :2], scene)
+
+
+def map_points(points_m: FloatArray, scene: Scene) -> FloatArray:
+    """Points of the world frame, (n, 2), in the coordinates of the scene's map."""
+    if not scene.source_crs:
+        return points_m
+    return transform(points_m, scene.crs, scene.source_crs)
+
+
+def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
+    """Points of the world frame, (n, 2), in the map's coordinates, where these are in metres."""
+    if not scene.crs:
+        return points_m + scene.source_origin_m
+    if scene.source_crs and parse_crs(scene.source_crs).is_geographic:
+        return points_m
+    return map_points(points_m, scene)
 
 
 def require_crs(crs: str, format_name: str) -> None:
