@@ -44,7 +44,7 @@ from .optimiser import (
     solve_sturdily,
     sturdy_problem,
 )
-from .optimiser.problem import Fusion, apr
+from .optimiser.problem import Fusion
 from .question import BLIND, SEE, Question, read_cars
 from .sampling.tables import SampledTable, obtain_table, sampled_table
 from .sampling.uncertainty import Uncertainty, load_drawn
@@ -352,11 +352,7 @@ class Highest:
     pose_index: tuple[int, ...]
     certificate: Certificate
     problem: PlacementProblem
-
-    @property
-    def apr(self) -> float:
-        """On the detection table."""
-        return apr(self.problem, self.pose_index)
+    given_up: float  # APR that might be given up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -504,6 +500,7 @@ def place(assembly: Assembly) -> Placement:
             pose_index=solution.pose_index,
             certificate=solution.certificate,
             problem=problem,
+            given_up=wishes.give_up,
         )
         asked = sturdy_problem(problem, solution, wishes.give_up)
         solution = found.sturdy

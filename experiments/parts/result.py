@@ -364,9 +364,10 @@ def build_placement_result(
     }
     return PlacementResult(
         **answer,
-        highest=placement.highest
-        and HighestRecord(
-            given_up=placement.highest.apr - problem.floors[-1].share,
+        highest=None
+        if placement.highest is None
+        else HighestRecord(
+            given_up=placement.highest.given_up,
             stages=build_stage_records(placement.highest.certificate)[:2],
             compared=None if highest is None else build_compared(found, highest, rule),
         ),

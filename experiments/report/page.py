@@ -223,7 +223,6 @@ def begin_tasks(
     """
     if not evaluations:
         raise InputError("evaluations", Unquoted("none"), "at least one")
-    subject = next(iter(evaluations.values()))
     shown, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
     others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
