@@ -4,5 +4,5 @@
 ``unavoided`` says why runs are not avoided, ``agreement`` where detection table and evaluator
 differ, ``tolerances`` what errors of mounting do. ``alternatives`` are
 layouts that other priorities would choose, of which it picks one by the evaluator. ``conflicts``
-finds demands that no layout meets together, none of them needless.
+finds the smallest set of demands that no layout meets, with the search of ``feasible_sets``.
 """

@@ -1,12 +1,13 @@
 """Conflicts: demands that contradict each other, and the least by which one must give way.
 
-A problem is taken apart into demands, of which any part makes a problem again. Demands without
-which the others still cannot be met are left out, one after the other: what remains is a conflict
-of which none can be spared (Chinneck, Dravnieks 1991, "deletion filter").
+A problem is taken apart into demands, of which any part makes a problem again. Parts are asked
+for in order of size, but for those that a set of poses found before meets, too: the first part that
+nothing meets is a smallest conflict.
 """
 
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -17,15 +18,10 @@ from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
 from ..candidates import CandidatePose
-from ..optimiser import Floor, Goal, Limits, PlacementProblem, is_allowed, presolve
-from ..optimiser.bitsets import left_after_failures, set_values
-from ..optimiser.greedy import extend_greedily, forced_units, to_full
-from ..optimiser.presolve import ReducedProblem
-from ..optimiser.problem import Measure, Objective, Requirement, objectives_in_order
-from ..optimiser.solve import UnmetError, check_limits, check_reach
-from ..optimiser.stages import Search, Stages
-from ..optimiser.steering import Deadline, Effort
+from ..optimiser import Floor, Limits, PlacementProblem, floor_value, is_allowed
+from ..optimiser.steering import TOLERANCE
 from ..wishes import Wishes, build_limits
+from .feasible_sets import Answer, Oracle
 
 # ---------- demands
 
@@ -39,6 +35,7 @@ Kind = Literal[
     "separation",
     "forced_sites",
     "forbidden",
+    "forced",
 ]
 
 
@@ -48,7 +45,7 @@ class Demand:
 
     # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive": that
     # all floors hold when units fail; "capacity": of all sites; "separation": rivals among
-    # the sites; "forced_sites", "forbidden": all of them together
+    # the sites; "forced_sites", "forbidden", "forced": all of them together
     kind: Kind
     floor: int | None = None  # index of the floor
 
@@ -62,8 +59,88 @@ class Separation:
     site_capacity: IntArray  # (n_sites,): units that each site could carry without it
 
 
-def list_demands(problem: PlacementProblem, separation: Separation | None) -> tuple[Demand, ...]:
-    """All demands that bind something; existing units, which are forced, are none but a fact."""
+class Wish:
+    """A placement problem that can be taken apart.
+
+    `separation` says where the rivals of its limits come from, if from a least distance. With
+    `keeps_forced`, forced poses are no demand but a fact, such as existing units.
+    """
+
+    def __init__(
+        self,
+        problem: PlacementProblem,
+        separation: Separation | None = None,
+        *,
+        keeps_forced: bool = False,
+    ) -> None:
+        self.problem, self.separation = problem, separation
+        self.keeps_forced = keeps_forced
+        self.demands = tuple(
+            demand
+            for demand in _list_demands(problem, separation)
+            if not (keeps_forced and demand.kind == "forced")
+        )
+        self.everything = frozenset(range(len(self.demands)))
+        self._limits: dict[frozenset[int], Limits] = {}
+
+    def part(self, active: Set[int]) -> PlacementProblem:
+        """The problem with some of the demands only; equal limits are one object."""
+        demands = self.demands
+        survives = any(demands[number].kind == "survive" for number in active)
+        floors = tuple(
+            floor if survives else replace(floor, n_failures=0) for floor in self._floors(active)
+        )
+        return replace(
+            self.problem, limits=self._limits_of(active), floors=floors, goal="best", survive=0
+        )
+
+    def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
+        """Demands that a set of poses meets all at once, `active` ones among them if it meets them.
+
+        That floors hold when units fail counts as met where that is so for all floors that are
+        met without failures, or where it is asked for: then floors must hold so.
+        """
+        met = set()
+        asks_to_survive = any(self.demands[number].kind == "survive" for number in active)
+        holds_all, survive = True, None
+        for number, demand in enumerate(self.demands):
+            if demand.kind == "survive":
+                survive = number
+            elif demand.floor is None:
+                if is_allowed(self._limits_of({number}), poses):
+                    met.add(number)
+            else:
+                floor = self.problem.floors[demand.floor]
+                holds = self._holds(floor, poses)
+                holds_unfailed = self._holds(replace(floor, n_failures=0), poses)
+                holds_all &= holds or not holds_unfailed
+                if holds or (holds_unfailed and not asks_to_survive):
+                    met.add(number)
+        if survive is not None and (asks_to_survive or holds_all):
+            met.add(survive)
+        return frozenset(met)
+
+    def _holds(self, floor: Floor, poses: Sequence[int]) -> bool:
+        return floor_value(self.problem, floor, poses) >= floor.share - TOLERANCE
+
+    def _floors(self, active: Set[int]) -> list[Floor]:
+        indices = [self.demands[number].floor for number in sorted(active)]
+        return [self.problem.floors[index] for index in indices if index is not None]
+
+    def _limits_of(self, active: Set[int]) -> Limits:
+        key = frozenset(
+            number for number in active if self.demands[number].kind not in ("floor", "survive")
+        )
+        if key not in self._limits:
+            kinds = {self.demands[number].kind for number in key}
+            if self.keeps_forced:
+                kinds.add("forced")
+            self._limits[key] = _loosen(self.problem.limits, kinds, self.separation)
+        return self._limits[key]
+
+
+def _list_demands(problem: PlacementProblem, separation: Separation | None) -> tuple[Demand, ...]:
+    """All demands that bind something."""
     limits = problem.limits
     capacity = limits.site_capacity if separation is None else separation.site_capacity
     per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
@@ -71,9 +148,10 @@ def list_demands(problem: PlacementProblem, separation: Separation | None) -> tu
         "budget_units": limits.budget_units is not None,
         "budget_eur": limits.budget_eur is not None,
         "capacity": bool((per_site > capacity).any()),
-        "separation": separation is not None,
+        "separation": separation is not None or len(limits.rivals) > 0,
         "forced_sites": bool(limits.is_forced_site.any()),
         "forbidden": bool(limits.is_forbidden.any()),
+        "forced": bool(limits.is_forced.any()),
     }
     demands = [Demand(kind="floor", floor=index) for index in range(len(problem.floors))]
     if any(floor.n_failures for floor in problem.floors):
@@ -81,12 +159,8 @@ def list_demands(problem: PlacementProblem, separation: Separation | None) -> tu
     return (*demands, *(Demand(kind=kind) for kind, is_asked in is_there.items() if is_asked))
 
 
-def part_of(
-    problem: PlacementProblem, separation: Separation | None, demands: Set[Demand]
-) -> PlacementProblem:
-    """The problem with some of its demands only."""
-    kinds = {demand.kind for demand in demands}
-    limits = problem.limits
+def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> Limits:
+    """Limits of some kinds only."""
     capacity = limits.site_capacity
     if separation is not None and "separation" not in kinds:
         capacity = separation.site_capacity
@@ -94,143 +168,22 @@ def part_of(
     is_kept_apart = separation is not None and "separation" in kinds
     if "capacity" not in kinds and not is_kept_apart:
         capacity = np.full(limits.n_sites, limits.n_poses)
-    limits = replace(
+    return replace(
         limits,
         site_capacity=capacity,
         budget_units=limits.budget_units if "budget_units" in kinds else None,
         budget_eur=limits.budget_eur if "budget_eur" in kinds else None,
+        is_forced=limits.is_forced & ("forced" in kinds),
         is_forbidden=limits.is_forbidden & ("forbidden" in kinds),
         is_forced_site=limits.is_forced_site & ("forced_sites" in kinds),
         rivals=limits.rivals if "separation" in kinds else limits.rivals[:0],
     )
-    floors = [problem.floors[demand.floor] for demand in demands if demand.floor is not None]
-    if "survive" not in kinds:
-        floors = [replace(floor, n_failures=0) for floor in floors]
-    return replace(problem, limits=limits, floors=tuple(floors), goal="best", survive=0)
-
-
-# ---------- whether a problem can be met, and how much of it
-
-
-_SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Answer:
-    """A set of poses, None where none was found; whether it, or that there is none, is proven."""
-
-    pose_index: tuple[int, ...] | None
-    is_proven: bool
-    value: float = np.nan  # the least or the most, where a number was asked for
-
-
-class _Questions:
-    """Questions about one problem with other limits and floors, until time is up."""
-
-    def __init__(self, problem: PlacementProblem, end_s: float) -> None:
-        self.end_s, limits = end_s, problem.limits
-        # Whatever the limits, every pose that detects anything has its place in it.
-        free = Limits(
-            site_index=limits.site_index,
-            site_capacity=np.full(limits.n_sites, limits.n_poses),
-            unit_cost_eur=limits.unit_cost_eur,
-            site_cost_eur=limits.site_cost_eur,
-            is_forced=limits.is_forced,
-            is_forced_site=limits.is_forced_site,
-        )
-        bare = replace(problem, limits=free, floors=(), goal="best", survive=0)
-        self.presolved = presolve(bare, drops_dominated=False)
-
-    def left_s(self) -> float:
-        """Time left, in seconds."""
-        return self.end_s - now_s()
-
-    def find(self, problem: PlacementProblem) -> _Answer:
-        """A set that meets limits and floors."""
-        search = self._search(problem, self._ask(problem, "fewest"))
-        if search is None or search.shortfall > 0.0:
-            is_proven = search is None or search.nothing_meets_all
-            return _Answer(pose_index=None, is_proven=is_proven)
-        assert search.units is not None
-        return _Answer(pose_index=to_full(search.reduced, search.units), is_proven=True)
-
-    def best(
-        self,
-        problem: PlacementProblem,
-        objective: Objective,
-        measure: Measure | None = None,
-        n_failures: int = 0,
-    ) -> _Answer:
-        """The best value of an objective within limits and floors, by some measure of runs."""
-        goals: dict[Objective, Goal] = {Objective.UNITS: "fewest", Objective.COST: "cheapest"}
-        reduced = self._ask(problem, goals.get(objective, "best"), n_failures)
-        if measure is not None:
-            reduced = replace(reduced, measure=measure.of_runs(reduced.run_index))
-            if not reduced.weight.any():  # nothing that counts can be avoided: any set is as good
-                return replace(self.find(problem), value=0.0)
-        search = self._search(problem, reduced)
-        if search is None or search.units is None or search.shortfall > 0.0:
-            return _Answer(pose_index=None, is_proven=False)
-        effort = Effort(time_limit_s=max(search.deadline.left_s(), 1.0e-3))
-        stages = Stages(replace(problem, survive=n_failures), search, effort)
-        bound = {
-            Objective.UNITS: stages.bound_units,
-            Objective.COST: stages.bound_first_cost_eur,
-            Objective.APR: stages.bound_apr,
-            Objective.APR_SURVIVED: stages.bound_apr_survived,
-        }[objective]()
-        units = search.units[None, :]
-        if objective is Objective.UNITS:
-            value = float(units.size)
-        elif objective is Objective.COST:
-            value = search.value.cost_eur
-        else:
-            value = float(left_after_failures(reduced, reduced.measure, n_failures, units)[0])
-        return _Answer(
-            pose_index=to_full(reduced, search.units),
-            is_proven=abs(bound - value) <= objective.tolerance,
-            value=value,
-        )
-
-    def _ask(self, problem: PlacementProblem, goal: Goal, survive: int = 0) -> ReducedProblem:
-        """The reduced problem with a problem's limits and floors."""
-        reduced = self.presolved
-        return replace(
-            reduced,
-            limits=problem.limits.of_poses(reduced.pose_index),
-            floors=tuple(
-                Requirement(
-                    measure=problem.floor_measure(floor).of_runs(reduced.run_index),
-                    least=floor.share,
-                    n_failures=floor.n_failures,
-                )
-                for floor in problem.floors
-            ),
-            objectives=objectives_in_order(goal, survive=survive),
-            survive=survive,
-        )
-
-    def _search(self, problem: PlacementProblem, reduced: ReducedProblem) -> Search | None:
-        """A search that has begun; None where limits or floors are out of reach at once."""
-        try:
-            check_limits(problem.limits, problem.table.pose_ids)
-            limits = reduced.limits
-            usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
-            check_reach(problem, replace(reduced, words=reduced.words[usable]))
-        except UnmetError:
-            return None
-        deadline = Deadline(now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0))
-        search = Search(reduced, deadline=deadline)
-        units = extend_greedily(reduced, forced_units(reduced))
-        meets = len(units) > 0 and is_allowed(reduced.limits, units)
-        if meets and set_values(reduced, units[None, :]).lacking[0] == 0.0:
-            search.keep(units)
-        if search.units is None or reduced.objectives[0] is not Objective.UNITS:
-            search.start(() if search.units is None else [search.units])
-        return search
 
 
 # ---------- relaxations
+
+
+_MAX_TRIALS = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,7 +194,8 @@ class Relaxation:
     # what can be had in place of its number: units, euros, share, failed units, units per
     # site, metres. NaN where it has none.
     value: float = np.nan
-    # of a demand that lists poses or sites: those that have to go; sites for "forced_sites"
+    # of a demand that lists poses, sites or rivals: those that have to go. Poses, and rows of
+    # the limits' rivals; sites for "forced_sites".
     given_up: tuple[int, ...] = ()
     suffices: bool = False  # the whole wish can be met then; else only this conflict is settled
     is_least: bool = True  # proven: less does not do
@@ -252,101 +206,137 @@ def relax(
     problem: PlacementProblem, relaxation: Relaxation, separation: Separation | None = None
 ) -> PlacementProblem:
     """The problem with one demand relaxed, all others as they were."""
-    kind, value, limits = relaxation.demand.kind, relaxation.value, problem.limits
-    floors = problem.floors
+    kind, value = relaxation.demand.kind, relaxation.value
+    limits, items = problem.limits, list(relaxation.given_up)
     if kind == "floor":
+        floors = list(problem.floors)
         index = relaxation.demand.floor
-        floors = tuple(
-            replace(floor, share=min(max(value, 0.0), 1.0)) if number == index else floor
-            for number, floor in enumerate(floors)
-        )
-    elif kind == "survive":
+        assert index is not None
+        floors[index] = replace(floors[index], share=min(max(value, 0.0), 1.0))
+        return replace(problem, floors=tuple(floors))
+    if kind == "survive":
         most = int(value)
-        floors = tuple(replace(f, n_failures=min(f.n_failures, most)) for f in floors)
-    elif kind == "budget_units":
+        return replace(
+            problem,
+            floors=tuple(replace(f, n_failures=min(f.n_failures, most)) for f in problem.floors),
+        )
+    if kind == "budget_units":
         limits = replace(limits, budget_units=int(value))
     elif kind == "budget_eur":
         limits = replace(limits, budget_eur=value)
     elif kind == "capacity":
         limits = replace(limits, site_capacity=np.maximum(limits.site_capacity, int(value)))
     elif kind == "separation":
-        assert separation is not None
-        limits = replace(
-            limits,
-            rivals=limits.rivals[separation.pair_distance_m < value],
-            site_capacity=limits.site_capacity if value > 0.0 else separation.site_capacity,
-        )
+        limits = _bring_nearer(limits, value, items, separation)
     else:
-        field = "is_forbidden" if kind == "forbidden" else "is_forced_site"
+        field = {
+            "forced": "is_forced",
+            "forbidden": "is_forbidden",
+            "forced_sites": "is_forced_site",
+        }[kind]
         flags = getattr(limits, field).copy()
-        flags[list(relaxation.given_up)] = False
+        flags[items] = False
         limits = replace(limits, **{field: flags})
-    return replace(problem, limits=limits, floors=floors)
+    return replace(problem, limits=limits)
 
 
-class _Relaxing:
-    """Looks for the least by which one demand gives way so that some others can be met, too."""
+def _bring_nearer(
+    limits: Limits, distance_m: float, pairs: Sequence[int], separation: Separation | None
+) -> Limits:
+    """Limits with a smaller separation, or without some rivals where no distance is known."""
+    if separation is None:
+        return replace(limits, rivals=np.delete(limits.rivals, list(pairs), axis=0))
+    is_near = separation.pair_distance_m < distance_m
+    capacity = limits.site_capacity if distance_m > 0.0 else separation.site_capacity
+    return replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
+
+
+def find_relaxation(
+    wish: Wish, oracle: Oracle, number: int, others: frozenset[int]
+) -> Relaxation | None:
+    """The least by which a demand has to give way so that others can be met, too.
+
+    The others can be met together. None if nothing was found in time; `suffices` is to be filled
+    in.
+    """
+    demand = wish.demands[number]
+    with_it, without = wish.part(others | {number}), wish.part(others)
+    if demand.kind == "budget_units":
+        asked = with_it.limits.budget_units or 0
+        return _of_value(demand, oracle.least_units(without, more_than=asked))
+    if demand.kind == "budget_eur":
+        asked_eur = with_it.limits.budget_eur or 0.0
+        return _of_value(demand, oracle.least_cost_eur(without, more_than_eur=asked_eur))
+    if demand.kind == "floor":
+        assert demand.floor is not None
+        floor = wish.problem.floors[demand.floor]
+        survives = any(wish.demands[other].kind == "survive" for other in others)
+        answer = oracle.most(
+            without, wish.problem.floor_measure(floor), floor.n_failures if survives else 0
+        )
+        return _of_value(demand, answer)
+    trial = _Trial(demand, with_it, oracle, _separation_among(wish, others))
+    if demand.kind == "survive":
+        most = max(floor.n_failures for floor in with_it.floors)
+        return trial.first([float(n) for n in range(most - 1, -1, -1)])
+    if demand.kind == "capacity":
+        limits = with_it.limits
+        per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
+        least = int(limits.site_capacity.min()) + 1
+        return trial.first([float(n) for n in range(least, int(per_site.max()) + 1)])
+    if demand.kind == "separation" and wish.separation is not None:
+        distances = np.unique(wish.separation.pair_distance_m)
+        return trial.first([*distances[::-1].tolist(), 0.0])
+    return trial.fewest(_items(demand, with_it.limits), oracle.find(without))
+
+
+def _separation_among(wish: Wish, others: frozenset[int]) -> Separation | None:
+    """The demand of the separation where sites may also carry any number of units."""
+    separation = wish.separation
+    if separation is None or any(wish.demands[other].kind == "capacity" for other in others):
+        return separation
+    limits = wish.problem.limits
+    return replace(separation, site_capacity=np.full(limits.n_sites, limits.n_poses))
+
+
+def _of_value(demand: Demand, answer: Answer) -> Relaxation | None:
+    if answer.pose_index is None:
+        return None
+    return Relaxation(
+        demand=demand,
+        value=answer.value,
+        is_least=answer.is_proven,
+        pose_index=answer.pose_index,
+    )
+
+
+def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
+    """The entries of a demand, in groups that belong together: all forbidden poses of a site."""
+    if demand.kind == "forced":
+        return [(pose,) for pose in np.flatnonzero(limits.is_forced).tolist()]
+    if demand.kind == "forced_sites":
+        return [(site,) for site in np.flatnonzero(limits.is_forced_site).tolist()]
+    if demand.kind == "separation":
+        return [(pair,) for pair in range(len(limits.rivals))]
+    forbidden = np.flatnonzero(limits.is_forbidden)
+    sites = limits.site_index[forbidden]
+    return [tuple(forbidden[sites == site].tolist()) for site in np.unique(sites)]
+
+
+class _Trial:
+    """Relaxations of one demand that are tried one after the other."""
 
     def __init__(
         self,
-        problem: PlacementProblem,
-        separation: Separation | None,
-        questions: _Questions,
         demand: Demand,
-        others: Set[Demand],
+        problem: PlacementProblem,
+        oracle: Oracle,
+        separation: Separation | None,
     ) -> None:
-        self.problem, self.separation, self.questions = problem, separation, questions
-        self.demand, self.others = demand, others
-        self.with_it = part_of(problem, separation, {*others, demand})
-        self.without = part_of(problem, separation, others)
-        if separation is not None and Demand(kind="capacity") not in others:
-            limits = problem.limits  # without it, sites may carry any number of units
-            capacity = np.full(limits.n_sites, limits.n_poses)
-            self.separation = replace(separation, site_capacity=capacity)
+        self.demand, self.problem, self.oracle = demand, problem, oracle
+        self.separation = separation
 
-    def least(self) -> Relaxation | None:
-        """The relaxation; None if nothing was found in time."""
-        kind, limits = self.demand.kind, self.with_it.limits
-        if kind == "budget_units":
-            return self._best(Objective.UNITS)
-        if kind == "budget_eur":
-            return self._best(Objective.COST)
-        if kind == "floor":
-            return self._floor()
-        if kind == "survive":
-            most = max(floor.n_failures for floor in self.with_it.floors)
-            return self._first([float(n) for n in range(most - 1, -1, -1)])
-        if kind == "capacity":
-            per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
-            least = int(limits.site_capacity.min()) + 1
-            return self._first([float(n) for n in range(least, int(per_site.max()) + 1)])
-        if kind == "separation":
-            assert self.separation is not None
-            distances = np.unique(self.separation.pair_distance_m)
-            return self._first([*distances[::-1].tolist(), 0.0])
-        return self._fewest()
-
-    def _best(
-        self, objective: Objective, measure: Measure | None = None, n_failures: int = 0
-    ) -> Relaxation | None:
-        answer = self.questions.best(self.without, objective, measure, n_failures)
-        if answer.pose_index is None:
-            return None
-        return Relaxation(
-            demand=self.demand,
-            value=answer.value,
-            is_least=answer.is_proven,
-            pose_index=answer.pose_index,
-        )
-
-    def _floor(self) -> Relaxation | None:
-        assert self.demand.floor is not None
-        floor: Floor = self.problem.floors[self.demand.floor]
-        n_failures = floor.n_failures if Demand(kind="survive") in self.others else 0
-        objective = Objective.APR_SURVIVED if n_failures else Objective.APR
-        return self._best(objective, self.problem.floor_measure(floor), n_failures)
-
-    def _first(self, values: Sequence[float]) -> Relaxation | None:
+    def first(self, values: Sequence[float]) -> Relaxation | None:
         """The first of some values, each looser than the one before, that can be met."""
         low, high, best = 0, len(values), None
         is_proven = True
@@ -360,104 +350,161 @@ class _Relaxing:
                 is_proven &= tried.is_least
         return None if best is None else replace(best, is_least=is_proven)
 
-    def _fewest(self) -> Relaxation | None:
-        """Few sites that have to go: one that does, or else those of which none could stay."""
-        limits = self.with_it.limits
-        is_site = self.demand.kind == "forced_sites"
-        chosen = np.flatnonzero(limits.is_forced_site if is_site else limits.is_forbidden)
-        site_of = chosen if is_site else limits.site_index[chosen]
-        items = {int(site): chosen[site_of == site].tolist() for site in np.unique(site_of)}
-        is_proven = True
-        for item in items.values():
-            if self.questions.left_s() <= 0.0:
-                is_proven = False
-                break
-            tried = self._try(np.nan, item)
-            if tried.pose_index:
-                return tried
-            is_proven &= tried.is_least
-        free = self.questions.find(self.without).pose_index
-        if free is None:
+    def fewest(self, items: Sequence[tuple[int, ...]], without: Answer) -> Relaxation | None:
+        """Fewest items that have to go; `without` is what can be had without all of them."""
+        if without.pose_index is None:
             return None
-        used = set(limits.site_index[list(free)].tolist())
-        left = [site for site in items if (site in used) != is_site]
-        best = self._relaxation(np.nan, [one for site in left for one in items[site]], free)
-        for site in left.copy() if self.questions.left_s() > 0.0 else ():
-            fewer = [one for other in left if other != site for one in items[other]]
+        enough = [item for item in items if self._is_violated(item, without.pose_index)]
+        best = self._relaxation(np.nan, enough, without.pose_index)
+        n_trials, is_proven = 0, True
+        for size in range(1, len(enough)):
+            for given_up in combinations(items, size):
+                if n_trials == _MAX_TRIALS or self.oracle.left_s() <= 0.0:
+                    return self._thinned(best, enough)
+                n_trials += 1
+                tried = self._try(np.nan, given_up)
+                if tried.pose_index:
+                    return replace(tried, is_least=is_proven)
+                is_proven &= tried.is_least
+        return replace(best, is_least=is_proven)
+
+    def _thinned(self, best: Relaxation, given_up: list[tuple[int, ...]]) -> Relaxation:
+        """No item that is given up could stay, as far as time goes; others might be fewer."""
+        for item in given_up.copy():
+            if self.oracle.left_s() <= 0.0:
+                break
+            fewer = [other for other in given_up if other != item]
             tried = self._try(np.nan, fewer)
             if tried.pose_index:
-                left.remove(site)
-                best = tried
-        return replace(best, is_least=is_proven and len(left) <= 2)
+                given_up, best = fewer, tried
+        return replace(best, is_least=False)
+
+    def _is_violated(self, item: tuple[int, ...], poses: tuple[int, ...]) -> bool:
+        """True if a set of poses is against an item of the demand."""
+        limits, kind = self.problem.limits, self.demand.kind
+        sites = set(limits.site_index[list(poses)].tolist())
+        if kind == "forced":
+            return not set(item) <= set(poses)
+        if kind == "forced_sites":
+            return not set(item) <= sites
+        if kind == "forbidden":
+            return not set(item).isdisjoint(poses)
+        return all(set(limits.rivals[pair].tolist()) <= sites for pair in item)
 
     def _relaxation(
-        self, value: float, given_up: Sequence[int], poses: tuple[int, ...] = ()
+        self, value: float, given_up: Sequence[tuple[int, ...]], poses: tuple[int, ...] = ()
     ) -> Relaxation:
-        return Relaxation(
-            demand=self.demand, value=value, given_up=tuple(given_up), pose_index=poses
-        )
+        gone = tuple(part for item in given_up for part in item)
+        return Relaxation(demand=self.demand, value=value, given_up=gone, pose_index=poses)
 
-    def _try(self, value: float, given_up: Sequence[int]) -> Relaxation:
+    def _try(self, value: float, given_up: Sequence[tuple[int, ...]]) -> Relaxation:
         """A relaxation; no poses if it cannot be met, and then whether that is proven."""
         relaxation = self._relaxation(value, given_up)
-        part = self.with_it
-        if self.demand.floor is None:
-            part = relax(part, relaxation, self.separation)
-        answer = self.questions.find(part)
+        answer = self.oracle.find(relax(self.problem, relaxation, self.separation))
         return replace(relaxation, is_least=answer.is_proven, pose_index=answer.pose_index or ())
 
 
 # ---------- conflicts
 
 
+_MAX_SETS = 20_000
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conflict:
     """Demands that cannot all be met; any part of them can."""
 
-    demands: tuple[Demand, ...]  # in the order of :func:`list_demands`
+    demands: tuple[Demand, ...]  # in the order of ``Wish.demands``
     # for each demand the least by which it has to give way, where that was found
     relaxations: tuple[Relaxation, ...]
 
 
-def find_conflict(
+def find_conflicts(
     problem: PlacementProblem,
     *,
     separation: Separation | None = None,
+    keeps_forced: bool = False,
     time_limit_s: float = 30.0,
-) -> Conflict | None:
-    """Demands because of which no set of poses meets limits and floors, none of them needless.
+    max_sets: int = _MAX_SETS,
+) -> tuple[Conflict, ...]:
+    """Why no set of poses meets limits and floors.
 
-    `time_limit_s` is for all questions together, presolve is finished in any case. None if the wish
-    can be met, if it was not found out that it cannot, or if nothing would help.
+    With `keeps_forced`, forced poses are no demand but a fact, such as existing units.
+    `time_limit_s` is for all questions together, presolve is finished in any case. Up to `max_sets`
+    sets are gone through one by one, more of them by models.
+
+    A smallest conflict comes first, then a smallest one among the remaining demands, and so on: no
+    two share a demand. There is none if the wish can be met, if it was not found out that it
+    cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
-        return None
-    every = list_demands(problem, separation)
-    questions = _Questions(problem, now_s() + time_limit_s)
+        return ()
+    wish = Wish(problem, separation, keeps_forced=keeps_forced)
+    oracle = Oracle(problem, end_s=now_s() + time_limit_s, max_sets=max_sets)
+    asked: dict[frozenset[int], Answer] = {}
 
-    def ask(demands: Sequence[Demand]) -> _Answer:
-        return questions.find(part_of(problem, separation, set(demands)))
+    def ask(active: frozenset[int]) -> Answer:
+        if active not in asked:
+            asked[active] = oracle.find(wish.part(active))
+        return asked[active]
 
-    def is_refused(demands: Sequence[Demand]) -> bool:
-        answer = ask(demands)
-        return answer.pose_index is None and answer.is_proven
+    if ask(frozenset()).pose_index is None:  # forced and forbidden, say
+        return ()
+    left, found = wish.everything, []
+    while left and _is_refused(ask(left)):
+        numbers = _smallest_conflict(wish, left, ask)
+        found.append(numbers)
+        left -= numbers
+    return tuple(
+        Conflict(
+            demands=tuple(wish.demands[number] for number in sorted(numbers)),
+            relaxations=_relaxations(wish, oracle, numbers, ask),
+        )
+        for numbers in found
+    )
 
-    if ask(()).pose_index is None or not is_refused(every):
-        return None
-    needed = list(every)
-    for demand in every:
-        fewer = [other for other in needed if other != demand]
-        if is_refused(fewer):
-            needed = fewer
+
+def _is_refused(answer: Answer) -> bool:
+    return answer.pose_index is None and answer.is_proven
+
+
+def _smallest_conflict(
+    wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
+) -> frozenset[int]:
+    """A smallest conflict among demands that cannot all be met; any, where time is short."""
+    met = list[frozenset[int]]()  # demands that some set of poses meets together
+    for size in range(len(demands) + 1):
+        for tried in map(frozenset, combinations(sorted(demands), size)):
+            if any(tried <= known for known in met):
+                continue
+            answer = ask(tried)
+            if _is_refused(answer):
+                return tried
+            if answer.pose_index is None:  # time is up
+                return _thinned(demands, ask)
+            met.append(wish.met_by(answer.pose_index, tried))
+    raise ValueError("the demands can be met")
+
+
+def _thinned(demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]) -> frozenset[int]:
+    """A conflict without the demands that are known to be needless."""
+    for demand in sorted(demands):
+        if _is_refused(ask(demands - {demand})):
+            demands -= {demand}
+    return demands
+
+
+def _relaxations(
+    wish: Wish, oracle: Oracle, conflict: frozenset[int], ask: Callable[[frozenset[int]], Answer]
+) -> tuple[Relaxation, ...]:
     found = []
-    for demand in needed:
-        all_others = [other for other in every if other != demand]
-        suffices = ask(all_others).pose_index is not None
-        others = set(all_others if suffices else needed) - {demand}
-        relaxation = _Relaxing(problem, separation, questions, demand, others).least()
+    for number in sorted(conflict):
+        suffices = ask(wish.everything - {number}).pose_index is not None
+        others = (wish.everything if suffices else conflict) - {number}
+        relaxation = find_relaxation(wish, oracle, number, others)
         if relaxation is not None:
             found.append(replace(relaxation, suffices=suffices))
-    return Conflict(demands=tuple(needed), relaxations=tuple(found))
+    return tuple(found)
 
 
 # ---------- messages
@@ -480,14 +527,18 @@ def find_refusal(
     rows of its table. None if they can be met, or if it was not found out that they cannot.
     """
     separation = build_separation(problem, wishes, scene, candidates)
-    conflict = find_conflict(problem, separation=separation, time_limit_s=time_limit_s)
-    if conflict is None:
+    conflicts = find_conflicts(
+        problem, separation=separation, keeps_forced=True, time_limit_s=time_limit_s
+    )
+    if not conflicts:
         return None
     words = _Words(problem, wishes, candidates)
+    first, *others = conflicts
     got = "demands that no layout meets together"
-    if len(conflict.demands) == 1:
+    if len(first.demands) == 1:
         got = "more than any layout gives"
-    return InputError(words.demands(conflict), Unquoted(got), words.ways_out(conflict))
+    more = [f"; besides, {words.demands(other)}: {words.ways_out(other)}" for other in others]
+    return InputError(words.demands(first), Unquoted(got), words.ways_out(first) + "".join(more))
 
 
 def build_separation(

@@ -10,14 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import problems, questions
 
-from placement.explain.conflicts import (
-    Demand,
-    Separation,
-    find_conflict,
-    list_demands,
-    part_of,
-    relax,
-)
+from placement.explain.conflicts import Demand, Separation, Wish, find_conflicts, relax
 from placement.optimiser import (
     PlacementProblem,
     cost_eur,
@@ -34,7 +27,7 @@ def wishes(draw: st.DrawFn) -> tuple[PlacementProblem, Separation | None]:
     problem = draw(questions())
     limits = problem.limits
     if not draw(st.booleans()):
-        return replace(problem, limits=replace(limits, rivals=None)), None
+        return problem, None
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     separation = Separation(
         distance_m=20.0,
@@ -76,6 +69,8 @@ def meets(
         if separation is not None and (at_site > limits.site_capacity).any():
             return False
         return not any(at_site[one] and at_site[other] for one, other in limits.rivals)
+    if kind == "forced":
+        return set(np.flatnonzero(limits.is_forced).tolist()) <= set(poses)
     if kind == "forbidden":
         return not limits.is_forbidden[list(poses)].any()
     if kind == "forced_sites":
@@ -86,39 +81,37 @@ def meets(
 def met_together(
     problem: PlacementProblem, separation: Separation | None, demands: Iterable[Demand]
 ) -> list[Poses]:
-    """All sets of poses with those that are forced that meet some demands."""
+    """All sets of poses that meet some demands."""
     demands = list(demands)
-    forced = set(np.flatnonzero(problem.limits.is_forced).tolist())
     survives = any(demand.kind == "survive" for demand in demands)
     return [
         poses
         for poses in sets_of(problem.table.n_poses)
-        if forced <= set(poses)
-        and all(meets(problem, separation, d, poses, survives=survives) for d in demands)
+        if all(meets(problem, separation, d, poses, survives=survives) for d in demands)
     ]
 
 
-def check_conflict(problem, separation):
-    demands = list_demands(problem, separation)
-    conflict = find_conflict(problem, separation=separation)
+def check_conflicts(problem, separation, **options):
+    demands = Wish(problem, separation).demands
+    found = find_conflicts(problem, separation=separation, **options)
     feasible = [poses for poses in sets_of(problem.table.n_poses) if is_feasible(problem, poses)]
     assert met_together(problem, separation, demands) == feasible
-    # A fact that cannot be met, such as two existing units at rival sites, is no conflict.
-    has_conflict = not feasible and bool(met_together(problem, separation, ()))
-    assert (conflict is not None) == has_conflict
-    if conflict is None:
-        return
-    assert not met_together(problem, separation, conflict.demands)
-    for demand in conflict.demands:
-        fewer = [other for other in conflict.demands if other != demand]
-        assert met_together(problem, separation, fewer)
-    assert [r.demand for r in conflict.relaxations] == list(conflict.demands)
-    for relaxation in conflict.relaxations:
-        check_relaxation(problem, separation, conflict, relaxation)
+    assert (len(found) == 0) == (len(feasible) > 0)
+    left = list(demands)
+    for conflict in found:
+        for size in range(1, len(conflict.demands)):
+            for fewer in combinations(left, size):
+                assert met_together(problem, separation, fewer)
+        assert not met_together(problem, separation, conflict.demands)
+        for relaxation in conflict.relaxations:
+            check_relaxation(problem, separation, conflict, relaxation)
+        assert [r.demand for r in conflict.relaxations] == list(conflict.demands)
+        left = [demand for demand in left if demand not in conflict.demands]
+    assert not found or met_together(problem, separation, left)
 
 
 def check_relaxation(problem, separation, conflict, relaxation):
-    demands = list_demands(problem, separation)
+    demands = Wish(problem, separation).demands
     demand = relaxation.demand
     others = [other for other in demands if other != demand]
     assert relaxation.suffices == bool(met_together(problem, separation, others))
@@ -128,18 +121,14 @@ def check_relaxation(problem, separation, conflict, relaxation):
         others = [other for other in conflict.demands if other != demand]
     allowed = met_together(problem, separation, others)
     assert relaxation.pose_index in allowed
+    assert relaxation.is_least
     expected = least(problem, separation, demand, others, allowed)
-    if demand.kind == "forbidden":
-        n_given_up = len(set(problem.limits.site_index[list(relaxation.given_up)]))
-    else:
-        n_given_up = len(relaxation.given_up)
-    if not n_given_up:
-        assert relaxation.is_least
+    if not relaxation.given_up:
         assert relaxation.value == pytest.approx(expected)
-    elif relaxation.is_least:
-        assert n_given_up == expected
+    elif demand.kind == "forbidden":
+        assert len(set(problem.limits.site_index[list(relaxation.given_up)])) == expected
     else:
-        assert n_given_up > 2
+        assert len(relaxation.given_up) == expected
 
 
 def least(problem, separation, demand, others, allowed):
@@ -178,10 +167,17 @@ def least(problem, separation, demand, others, allowed):
             for poses in allowed
         )
     if kind == "separation":
+        if separation is None:
+            return min(
+                sum({one, other} <= used for one, other in limits.rivals.tolist()) for used in sites
+            )
         return max(
             nearest(limits, separation, poses, used)
             for poses, used in zip(allowed, sites, strict=True)
         )
+    if kind == "forced":
+        forced = set(np.flatnonzero(limits.is_forced).tolist())
+        return min(len(forced - set(poses)) for poses in allowed)
     if kind == "forbidden":
         return min(
             len({limits.site_index[pose] for pose in poses if limits.is_forbidden[pose]})
@@ -210,32 +206,57 @@ def nearest(limits, separation, poses, used):
 
 
 @given(wish=wishes())
-def test_no_demand_of_a_conflict_is_needless_and_relaxations_are_least(wish):
-    check_conflict(*wish)
+def test_conflicts_are_smallest_and_relaxations_are_least(wish):
+    check_conflicts(*wish)
+
+
+@given(wish=wishes())
+def test_models_find_the_same_conflicts_without_enumeration(wish):
+    check_conflicts(*wish, max_sets=0)
+
+
+@given(wish=wishes())
+def test_what_is_forced_is_a_fact_where_that_is_asked(wish):
+    problem, separation = wish
+    given = [demand for demand in Wish(problem, separation).demands if demand.kind == "forced"]
+    found = find_conflicts(problem, separation=separation, keeps_forced=True)
+    free = [demand for demand in Wish(problem, separation).demands if demand not in given]
+    is_feasible_at_all = bool(met_together(problem, separation, [*given, *free]))
+    assert (len(found) == 0) == (is_feasible_at_all or not met_together(problem, separation, given))
+    for conflict in found:
+        assert not met_together(problem, separation, [*given, *conflict.demands])
+        for demand in conflict.demands:
+            fewer = [other for other in conflict.demands if other != demand]
+            assert met_together(problem, separation, [*given, *fewer])
+        for relaxation in conflict.relaxations:
+            if relaxation.suffices:
+                assert is_feasible(relax(problem, relaxation, separation), relaxation.pose_index)
 
 
 @given(problem=problems())
 def test_what_can_be_met_has_no_conflict(problem):
-    assert find_conflict(problem) is None
+    assert find_conflicts(problem) == ()
 
 
 @given(wish=wishes())
 def test_the_whole_is_the_sum_of_its_demands(wish):
     problem, separation = wish
-    part = part_of(problem, separation, set(list_demands(problem, separation)))
+    whole = Wish(problem, separation)
+    part = whole.part(whole.everything)
     for poses in sets_of(problem.table.n_poses)[:60]:
         assert is_feasible(part, poses) == is_feasible(problem, poses)
+        met = whole.met_by(poses, frozenset())
+        assert is_feasible(whole.part(met), poses)
+        assert (met == whole.everything) == is_feasible(problem, poses)
 
 
 @given(wish=wishes())
 def test_nothing_is_claimed_when_time_is_up(wish):
     problem, separation = wish
-    demands = list_demands(problem, separation)
-    conflict = find_conflict(problem, separation=separation, time_limit_s=0.0)
-    if conflict is None:
-        return
-    assert not met_together(problem, separation, conflict.demands)
-    for relaxation in conflict.relaxations:
-        others = conflict.demands if not relaxation.suffices else demands
-        others = [other for other in others if other != relaxation.demand]
-        assert relaxation.pose_index in met_together(problem, separation, others)
+    demands = Wish(problem, separation).demands
+    for conflict in find_conflicts(problem, separation=separation, time_limit_s=0.0, max_sets=0):
+        assert not met_together(problem, separation, conflict.demands)
+        for relaxation in conflict.relaxations:
+            others = conflict.demands if not relaxation.suffices else demands
+            others = [other for other in others if other != relaxation.demand]
+            assert relaxation.pose_index in met_together(problem, separation, others)

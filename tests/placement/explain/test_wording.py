@@ -121,7 +121,7 @@ TOO_MUCH = "got more than any layout gives; expected"
         (
             {"budget_units": 1, "forced_sites": ("corner-ne", "lamp-e1")},
             f"`budget` 1 and `force_site` corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
-            "`budget` 2 or `force_site` without corner-ne",
+            "`budget` 2 or `force_site` without lamp-e1",
         ),
         (
             {"budget_units": 4, "target": 1.0, "separation_m": 30.0},
@@ -134,12 +134,14 @@ def test_conflicts_are_told_by_the_fields_of_the_question(refusal_of, wishes, te
     assert str(refusal_of(**wishes)) == text
 
 
-def test_of_two_conflicts_one_is_told_and_that_it_is_not_all(refusal_of):
+def test_two_conflicts_are_both_told(refusal_of):
     refusal = refusal_of(
         budget_units=1, target=0.5, budget_eur=1000.0, forced_sites=("corner-ne", "lamp-e1")
     )
     assert str(refusal) == (
-        f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself)"
+        f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself); besides, "
+        "`target` 0.5 and `budget` 1: one of them to give way: `target` 0.25 (not enough by "
+        "itself) or `budget` 2 (not enough by itself)"
     )
 
 
