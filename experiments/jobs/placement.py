@@ -41,7 +41,7 @@ from placement.wishes import assumed_prices
 from ..parts.alternatives import (
     begin_standing,
     find_front_runners,
-    find_other_priorities,
+    find_other_weights,
     leading_layouts,
 )
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
@@ -179,7 +179,7 @@ def run_placement(
         )
         _begin_pictures(job, found.placement.layout, study)
         front = _front_below(job, found)
-        by_runs, sturdier = find_other_priorities(
+        by_runs = find_other_weights(
             found.on_grid, question, plan, compute=compute, progress=progress
         )
         leading = leading_layouts(found.on_grid, found.placement)
@@ -204,7 +204,6 @@ def run_placement(
             explained=explained,
             front=front,
             by_runs=by_runs,
-            sturdier=sturdier,
             front_runners=front_runners,
             mounting=mounting,
             study_cases=study_cases,

@@ -14,10 +14,8 @@ from placement.explain.alternatives import (
     STAGE,
     ByRuns,
     Deciding,
-    Sturdier,
     build_front_runner,
     find_by_runs,
-    find_sturdier,
     recommend,
 )
 from placement.explain.tolerances import MAX_UNITS, TOLERANCES, Standing, find_standing
@@ -94,25 +92,24 @@ def find_heavy_runs(axis: FrameAxis) -> tuple[HeavyRun, ...]:
     )
 
 
-def find_other_priorities(
+def find_other_weights(
     placement: Placement,
     question: Question,
     plan: Assembly,
     *,
     compute: Compute,
     progress: StageProgress,
-) -> tuple[ByRuns | None, Sturdier | None]:
-    """Layouts that other priorities choose from the same poses.
+) -> ByRuns | None:
+    """The layout that is best if all runs count the same; None where that is not asked.
 
     Weights that the user gave are meant: runs that count the same are not compared with them.
     """
     problem, chosen = placement.problem, placement.pose_index
     progress(STAGE, 0, 0)
     effort, cache = plan.effort, compute.cache_folder
-    by_runs = None
-    if question.weights in ("", "case") and question.score == AVOIDED:
-        by_runs = find_by_runs(problem, chosen, effort=effort, cache_folder=cache)
-    return by_runs, find_sturdier(problem, chosen, effort=effort, cache_folder=cache)
+    if question.weights not in ("", "case") or question.score != AVOIDED:
+        return None
+    return find_by_runs(problem, chosen, effort=effort, cache_folder=cache)
 
 
 def begin_standing(
@@ -228,7 +225,6 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
 def doubt_sentences(
     heavy_runs: Sequence[HeavyRun],
     by_runs: ByRuns | None = None,
-    sturdier: Sturdier | None = None,
     mounting: Standing | None = None,
     *,
     n_runs: int,
@@ -237,7 +233,6 @@ def doubt_sentences(
     return [
         *_heavy(heavy_runs),
         *([_by_runs(by_runs, n_runs)] if by_runs else []),
-        *([_sturdier(sturdier)] if sturdier else []),
         *([_mounting(mounting)] if mounting else []),
     ]
 
@@ -266,15 +261,6 @@ def _by_runs(found: ByRuns, n_runs: int) -> str:
         f"If every run counted the same (--weights run), another layout would be {best}: it avoids "
         f"{found.runs_avoided} of {count_runs(n_runs)}, this one {found.runs_avoided_here} (on the "
         "detection table)."
-    )
-
-
-def _sturdier(found: Sturdier) -> str:
-    return (
-        f"More robust for {100.0 * max(found.apr_here - found.apr, 0.0):.1f} points of APR: "
-        f"--survive 1 gives {percent(found.apr)}, and {percent(found.apr_one_failed)} if any one "
-        f"unit fails, where this gives {percent(found.apr_here)} and "
-        f"{percent(found.apr_one_failed_here)} (on the detection table)."
     )
 
 

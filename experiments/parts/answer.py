@@ -91,7 +91,6 @@ def doubts(result: Result) -> list[str]:
     return doubt_sentences(
         result.heavy_runs,
         result.by_runs,
-        result.sturdier,
         result.mounting,
         n_runs=result.runs,
     )

@@ -14,7 +14,7 @@ from placement import optimiser
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.evaluation import Evaluation
 from placement.explain.agreement import Disagreement, find_disagreements
-from placement.explain.alternatives import ByRuns, Sturdier
+from placement.explain.alternatives import ByRuns
 from placement.explain.contributions import NextUnit
 from placement.explain.tolerances import Standing
 from placement.optimiser import Failing, placement_value, run_margins_s
@@ -226,10 +226,6 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
     ]
     by_runs: Annotated[
         ByRuns | None, says("Whether the layout is the best, too, if every run counts the same.")
-    ] = None
-    sturdier: Annotated[
-        Sturdier | None,
-        says("What --survive 1 gives; null where that costs 3 points of APR or more."),
     ] = None
     mounting: Annotated[Standing | None, says("What errors of mounting cost.")] = None
     front_runners: Annotated[

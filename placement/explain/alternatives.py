@@ -20,7 +20,6 @@ from ..optimiser import (
     Effort,
     PlacementProblem,
     Solution,
-    placement_value,
     presolve,
     run_margins_s,
     solve_placement,
@@ -32,10 +31,6 @@ from ..optimiser.steering import TOLERANCE
 STAGE = "other priorities"
 TIME_LIMIT_S = 10.0
 """Most time for each alternative: it is mentioned in passing."""
-
-
-LEAST_KEPT, MOST_GIVEN_UP = 0.05, 0.03
-"""A sturdier layout is offered where it keeps at least so much more for less APR than this."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,19 +46,6 @@ class ByRuns:
         int, says("Runs that the layout found avoids, before it was refined.")
     ]
     is_proven: Annotated[bool, says("No layout is proven to avoid more.")]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sturdier:
-    """The layout that keeps the most when any one unit fails, on the detection table."""
-
-    units: Annotated[tuple[str, ...], says("Ids of the candidate poses.")]
-    apr: Annotated[float, says("Its APR, and that when the unit that is needed most fails.")]
-    apr_one_failed: Annotated[
-        float, says("Its APR, and that when the unit that is needed most fails.")
-    ]
-    apr_here: Annotated[float, says("Those of the layout found, before it was refined.")]
-    apr_one_failed_here: Annotated[float, says("Those of the layout found, before it was refined.")]
 
 
 def find_by_runs(
@@ -94,34 +76,6 @@ def find_by_runs(
         runs_avoided=max(here, there),
         runs_avoided_here=here,
         is_proven=found.certificate.is_proven,
-    )
-
-
-def find_sturdier(
-    problem: PlacementProblem,
-    pose_index: Sequence[int],
-    *,
-    effort: Effort,
-    cache_folder: Path | None = None,
-) -> Sturdier | None:
-    """The layout that the APR that is left when a unit fails would choose, before all else.
-
-    None as for :func:`find_by_runs`, of a single unit, and where it costs much or keeps little.
-    """
-    if not _is_plain(problem) or len(pose_index) < 2:
-        return None
-    survives = replace(problem, survive=1)
-    found = _solve("sturdier", survives, pose_index, effort, cache_folder, n_stages=2)
-    there, here = (placement_value(problem, rows) for rows in (found.pose_index, pose_index))
-    kept, given_up = there.apr_one_failed - here.apr_one_failed, here.apr - there.apr
-    if given_up >= MOST_GIVEN_UP or kept < LEAST_KEPT:
-        return None
-    return Sturdier(
-        units=_ids(problem, found.pose_index),
-        apr=there.apr,
-        apr_one_failed=there.apr_one_failed,
-        apr_here=here.apr,
-        apr_one_failed_here=here.apr_one_failed,
     )
 
 

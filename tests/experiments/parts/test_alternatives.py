@@ -12,12 +12,12 @@ from experiments.parts.alternatives import (
     find_heavy_runs,
     recommended_sentences,
 )
-from placement.explain.alternatives import ByRuns, Sturdier
+from placement.explain.alternatives import ByRuns
 from placement.explain.tolerances import MountingError, Standing
 
 
-def said(*, heavy_runs=(), by_runs=None, sturdier=None, mounting=None):
-    return doubt_sentences(heavy_runs, by_runs, sturdier, mounting, n_runs=482)
+def said(*, heavy_runs=(), by_runs=None, mounting=None):
+    return doubt_sentences(heavy_runs, by_runs, mounting, n_runs=482)
 
 
 def standing(aim_deg, height_m, apr=1.0, lost=(), error="pitch", step=1.0):
@@ -63,16 +63,6 @@ def test_heavy_runs_are_named_the_heaviest_first():
 def test_it_is_said_whether_the_layout_is_the_same_by_runs(here, is_proven, text):
     record = ByRuns(units=("a",), runs_avoided=435, runs_avoided_here=here, is_proven=is_proven)
     assert said(by_runs=record) == [text]
-
-
-def test_a_sturdier_layout_is_offered_with_what_it_costs():
-    found = Sturdier(
-        units=("a",), apr=0.947, apr_one_failed=0.899, apr_here=0.967, apr_one_failed_here=0.317
-    )
-    assert said(sturdier=found) == [
-        "More robust for 2.0 points of APR: --survive 1 gives 94.7 %, and 89.9 % if any one unit "
-        "fails, where this gives 96.7 % and 31.7 % (on the detection table)."
-    ]
 
 
 def test_what_errors_of_mounting_cost_is_said():

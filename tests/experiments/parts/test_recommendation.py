@@ -47,10 +47,9 @@ def test_where_the_layout_found_is_recommended_nothing_is_written_beside_it(
 def test_weights_that_somebody_chose_are_meant(weights, asks, monkeypatch):
     asked = []
     monkeypatch.setattr(alternatives, "find_by_runs", lambda *given, **options: asked.append(1))
-    monkeypatch.setattr(alternatives, "find_sturdier", lambda *given, **options: None)
     nothing = type("Nothing", (), {"problem": None, "pose_index": (), "cache_folder": None})
     question = type("Asked", (), {"weights": weights, "score": "avoided", "effort": Effort()})
-    alternatives.find_other_priorities(
+    alternatives.find_other_weights(
         nothing, question, question, compute=nothing, progress=lambda *given: None
     )
     assert bool(asked) == asks

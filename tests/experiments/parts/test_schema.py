@@ -262,7 +262,6 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "cars",
         "added",
         "without_effect",
-        "sturdier",
         "mounting",
         "front_runners",
         "by_runs",

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from small_tables import avoiding_problem
 
-from placement.explain import alternatives
-from placement.explain.alternatives import find_by_runs, find_sturdier
-from placement.optimiser import Effort, apr, apr_one_failed, run_margins_s, solve_placement
+from placement.explain.alternatives import find_by_runs
+from placement.optimiser import Effort, run_margins_s, solve_placement
 
 EFFORT = Effort()
 RUNS = ["1000000", "0100000", "0011111", "1000001"]
@@ -44,32 +43,9 @@ def test_the_layout_by_runs_avoids_as_many_as_any_pair(problem, chosen):
     assert found.runs_avoided_here == n_avoided(problem, chosen) < most
 
 
-def test_the_sturdier_layout_keeps_as_much_as_any_pair(problem, chosen, monkeypatch):
-    monkeypatch.setattr(alternatives, "MOST_GIVEN_UP", 1.0)
-    found = find_sturdier(problem, chosen, effort=EFFORT)
-    most = max(apr_one_failed(problem, rows) for rows in pairs(problem))
-    assert found.apr_one_failed == pytest.approx(most)
-    assert found.apr_here == pytest.approx(apr(problem, chosen))
-    assert found.apr_one_failed_here < most
-
-
-def test_a_sturdier_layout_is_offered_where_it_keeps_much_for_little(problem, chosen, monkeypatch):
-    monkeypatch.setattr(alternatives, "MOST_GIVEN_UP", 1.0)
-    found = find_sturdier(problem, chosen, effort=EFFORT)
-    for name, limit in (
-        ("MOST_GIVEN_UP", found.apr_here - found.apr),
-        ("LEAST_KEPT", found.apr_one_failed - found.apr_one_failed_here + 1.0e-6),
-    ):
-        with monkeypatch.context() as patch:
-            patch.setattr(alternatives, name, limit)
-            assert find_sturdier(problem, chosen, effort=EFFORT) is None
-
-
 def test_nobody_looks_where_there_is_nothing_to_compare(problem, chosen):
     alike = replace(problem.table.axis, weight=np.full(7, 1 / 7))
     by_runs = replace(problem, table=replace(problem.table, axis=alike))
     assert find_by_runs(by_runs, chosen, effort=EFFORT) is None
-    assert find_sturdier(problem, chosen[:1], effort=EFFORT) is None
     for asked in (replace(problem, survive=1), replace(problem, goal="cheapest")):
         assert find_by_runs(asked, chosen, effort=EFFORT) is None
-        assert find_sturdier(asked, chosen, effort=EFFORT) is None
