@@ -1,5 +1,6 @@
 """Every question on small tables against brute force: floors, wishes, money, failures, samples."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import pytest
@@ -11,10 +12,13 @@ from geometry.errors import InputError
 from placement.optimiser import (
     Effort,
     PlacementProblem,
+    apr,
     apr_failed,
     is_feasible,
     placement_value,
     solve_placement,
+    solve_sturdily,
+    sturdy_problem,
 )
 
 Row = tuple[float, ...]
@@ -83,3 +87,23 @@ def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver
     sign = -1.0 if first.name in ("units", "cost_eur") else 1.0
     assert is_feasible(problem, solution.pose_index)
     assert sign * first.bound >= best[0] - 1e-6
+
+
+@given(problem=questions(), give_up=st.sampled_from([0.0, 0.05, 0.3, 1.0]))
+def test_what_is_given_up_buys_the_most_that_is_left_when_a_unit_fails(problem, give_up):
+    problem = replace(problem, goal="best", survive=0, floors=(), tail=1.0)
+    try:
+        highest, sturdy = solve_sturdily(problem, give_up=give_up, effort=Effort())
+    except InputError:
+        assert brute_force(problem) is None
+        return
+    best = brute_force(problem)
+    assert rank(problem, highest.pose_index) == pytest.approx(best, abs=1e-8)
+    assert highest.certificate.is_proven
+    if give_up == 0.0 or len(highest.pose_index) < 2:
+        assert sturdy is None
+        return
+    asked = sturdy_problem(problem, highest, give_up)
+    assert rank(asked, sturdy.pose_index) == pytest.approx(brute_force(asked), abs=1e-8)
+    assert apr(problem, sturdy.pose_index) >= best[0] - give_up - 1e-8
+    assert sturdy.certificate.is_proven
