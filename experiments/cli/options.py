@@ -55,7 +55,7 @@ OPTIONS = {
     "least": Shown(ASKED, is_common=True, needs="target"),
     "min_case_apr": Shown(ASKED),
     "survive": Shown(ASKED, metavar="N|unit|site", is_common=True),
-    "give_up": Shown(ASKED, metavar="SHARE", is_common=True),
+    "give_up": Shown(ASKED, metavar="SHARE"),
     "keep": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
     "within": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
     "force_site": Shown(MOUNTED, metavar="SITES"),

@@ -16,7 +16,7 @@ def to_json_text(document: object) -> str:
 
     Examples
     --------
-    >>> to_json_text({"gap": math.inf, "apr": 0.1})
+    >>> to_json_text({"gap": float("inf"), "apr": 0.1})
     '{\n  "gap": null,\n  "apr": 0.1\n}\n'
     """
     text = json.dumps(to_plain(document), indent=2, ensure_ascii=False)

@@ -26,6 +26,7 @@ from geometry.errors import InputError
 from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene
 from placement.layout import load_layout
+from placement.question import Question
 from placement.verification.certificates import instance_of
 from placement.verification.instances import StoredProblem, load_stored_problem, save_problem
 
@@ -36,7 +37,9 @@ Document = dict[str, Any]
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("placed") / "results"
-    write_small_results(folder, build_small_setting())
+    write_small_results(
+        folder, build_small_setting(), Question(budget=2, give_up=0.0, time_limit_s=60.0)
+    )
     return folder
 
 

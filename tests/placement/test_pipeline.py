@@ -19,7 +19,7 @@ from placement.optimiser import (
     is_feasible,
     placement_value,
     solve_greedy,
-    solve_placement,
+    solve_sturdily,
 )
 from placement.pipeline import Assembly, pick_layout, place
 from placement.sampling.tables import obtain_table
@@ -217,9 +217,9 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
 
     def count(problem, *arguments, **options):
         solved.append(problem)
-        return solve_placement(problem, *arguments, **options)
+        return solve_sturdily(problem, *arguments, **options)
 
-    monkeypatch.setattr(pipeline, "solve_placement", count)
+    monkeypatch.setattr(pipeline, "solve_sturdily", count)
 
     def ask(budget, effort=None):
         compute = Compute(cache_folder=tmp_path)
@@ -240,12 +240,13 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
 @pytest.mark.parametrize("gap", [0.0, 0.1])
 def test_only_a_proven_answer_is_kept(asked, tmp_path, monkeypatch, gap):
     def solve(problem, *arguments, **options):
-        solution = solve_placement(problem, *arguments, **options)
+        solution, sturdy = solve_sturdily(problem, *arguments, **options)
         first, *others = solution.certificate.stages
         stages = (replace(first, gap=gap), *others)
-        return replace(solution, certificate=replace(solution.certificate, stages=stages))
+        certificate = replace(solution.certificate, stages=stages)
+        return replace(solution, certificate=certificate), sturdy
 
-    monkeypatch.setattr(pipeline, "solve_placement", solve)
+    monkeypatch.setattr(pipeline, "solve_sturdily", solve)
     compute = Compute(cache_folder=tmp_path)
     place(asked(budget_units=1, compute=compute))
     assert any(tmp_path.glob("answer-*")) == (gap == 0.0)

@@ -26,7 +26,7 @@ def written(small_setting, tmp_path_factory):
         lay_runs_of(patch, small_setting)
         patch.setattr(writing, "write_report", lambda *given, **options: None)
         placement.run_placement(
-            Question(budget=2, within="carlancap-12", time_limit_s=60.0),
+            Question(budget=2, within="carlancap-12", give_up=0.0, time_limit_s=60.0),
             out=folder,
             compute=Compute(workers=2),
             command="place-rsus",

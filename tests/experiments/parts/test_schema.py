@@ -255,6 +255,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     assert messages(summary) == []
     optional = {"front", "private_ground", "refinement", "sampled"}
     optional |= {
+        "highest",
         "next_unit",
         "road_users",
         "study_cases",
