@@ -100,8 +100,7 @@ def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
 
 def _is_best(result: PlacementResult) -> bool:
     """True if no choice is proven to prevent more, and nothing else was asked for."""
-    first = result.stages[0]
-    return result.goal == "best" and first.name == "apr" and first.gap == 0.0
+    return result.goal == "best" and result.stages[0].name == "apr" and _is_proven(result)
 
 
 def _is_proven(result: PlacementResult) -> bool:
@@ -155,14 +154,13 @@ def _proof(result: Result) -> Card:
         words = "this layout was given, and not searched for"
         return Card(head="Proof", figure=NOTHING, words=words)
     tried = f"among {result.candidates:,} possible mountings (by the planning model)"
-    if result.highest is not None and _is_proven(result):
-        words = (
-            f"no other choice keeps more if a sensor fails, unless it prevents over "
-            f"{points(result.highest.given_up)} less than the most that can be {tried}"
-        )
-        return Card(head="Proof", figure="proven best", words=words)
-    if result.highest is None and result.stages[0].gap == 0.0:
+    if _is_proven(result):
         words = f"no other choice {_BEST[result.goal]} {tried}"
+        if result.highest is not None:
+            words = (
+                f"no other choice keeps more if a sensor fails, unless it prevents over "
+                f"{points(result.highest.given_up)} less than the most that can be {tried}"
+            )
         return Card(head="Proof", figure="proven best", words=words)
     if result.bound is None:
         return Card(head="Proof", figure="none", words=f"the best that was found {tried}")

@@ -22,7 +22,7 @@ from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
 from .limits import Limits, cost_eur
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import Floor, Measure, Objective, PlacementProblem, objective_values
+from .problem import Floor, Measure, Objective, PlacementProblem, apr, objective_values
 from .stages import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
@@ -242,8 +242,8 @@ def sturdy_problem(
     problem: PlacementProblem, highest: Solution, give_up: float
 ) -> PlacementProblem:
     """What is left when a unit fails comes first; so much of the highest APR may be given up."""
-    apr = objective_values(problem, highest.pose_index)[Objective.APR]
-    floor = Floor(name="give_up", share=max(apr - give_up, 0.0))
+    share = max(apr(problem, highest.pose_index) - give_up, 0.0)
+    floor = Floor(name="give_up", share=share)
     return replace(problem, survive=1, floors=(*problem.floors, floor))
 
 

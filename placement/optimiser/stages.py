@@ -550,9 +550,9 @@ class Stages:
         """Ties by a walk through the covering problem; the APR itself may be held already."""
         search = self.search
         reduced, root = search.reduced, search.root
-        held = least_apr(reduced)
-        if n_failures > 0 and not self.problem.survive:
-            held = search.value.apr
+        held = None
+        if n_failures:
+            held = least_apr(reduced) if self.problem.survive else search.value.apr
         return TieSearch(
             reduced,
             self._units(),
@@ -562,7 +562,7 @@ class Stages:
             limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
             ahead=steering.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,
-            least_apr=held if n_failures else None,
+            least_apr=held,
             on_better=self._improved,
         ).find(search.deadline.of("walk"))
 
