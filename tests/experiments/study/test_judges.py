@@ -131,8 +131,10 @@ def one_unit(tmp_path):
 
 @needs_scip
 @pytest.mark.parametrize("off", [0.0, 0.001])
-def test_scip_agrees_with_trying_each_pose_and_with_nothing_else(one_unit, off):
+@pytest.mark.parametrize("gives_up", [False, True])
+def test_scip_agrees_with_trying_each_pose_and_with_nothing_else(one_unit, off, gives_up):
     folder, apr = one_unit
-    stage = {"objective": apr + off, "bound": apr + off}
-    (folder / "certificate.json").write_text(json.dumps({"stages": [stage]}), encoding="utf-8")
+    proof = {"stages": [{"objective": apr + off, "bound": apr + off}]}
+    answer = {"stages": [], "highest": proof} if gives_up else proof | {"highest": None}
+    (folder / "summary.json").write_text(json.dumps(answer), encoding="utf-8")
     assert judges.judge_proof(folder).is_passed == (off == 0.0)
