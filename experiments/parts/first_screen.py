@@ -87,9 +87,10 @@ def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
     also = "" if result.cars == 1.0 else f", and {together} if they hear what the sensors see"
     if isinstance(result, PlacementResult) and result.highest and result.highest.compared:
         other = result.highest.compared.evaluation
+        most = "any choice prevents" if result.highest.stages[0].gap == 0.0 else "was found"
         best = (
             f", and {percent(result.evaluation.apr_without_worst_unit)} if one of them fails; "
-            f"the most that any choice prevents is {percent(other.judged.all)}, but then "
+            f"the most that {most} is {percent(other.judged.all)}, but then "
             f"{percent(other.apr_without_worst_unit)} if one fails"
         )
     return (

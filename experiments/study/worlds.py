@@ -26,7 +26,7 @@ from geometry.scene_files import load_scene
 from placement.cache import hash_of_code
 from placement.certify import estimate_gap
 from placement.compute import Compute
-from placement.optimiser import presolve, solve_greedy, solve_placement
+from placement.optimiser import presolve, solve_greedy, solve_placement, solve_sturdily
 from placement.optimiser.problem import apr, apr_one_failed
 from placement.pipeline import Assembly, assemble, pick_layout
 from placement.question import BLIND, SEE, Question
@@ -36,6 +36,7 @@ from placement.sampling.out_of_sample import (
     out_of_sample_layouts,
     resampled_cvar,
 )
+from placement.wishes import GIVE_UP
 
 from ..figures.axes import BLUE, WIDTH_IN, new_figure, to_png
 from ..figures.plan import plot_plan
@@ -47,6 +48,7 @@ CARS = (BLIND, SEE)
 TAILS = (1.0, 0.25)
 N_AT_ONCE = 10  # fresh worlds between two savings
 Rows = tuple[int, ...]  # of the candidates, ascending
+Wanted = tuple[int, float, float]  # budget, tail, and the APR given up to bear a failure
 T = TypeVar("T")
 
 
@@ -71,12 +73,18 @@ class Chosen(msgspec.Struct, frozen=True, kw_only=True):
 
     budget: int
     tail: float
+    given: float = 0.0  # APR that may be given up to keep more when a unit fails
     found: Rows
     greedy: Rows
     value: float  # of the found one there: its mean APR, or that of the worst worlds
     bound: float  # that no layout exceeds there
     processor_s: float
     memory_mib: float  # most of the process until then
+
+    @property
+    def wanted(self) -> Wanted:
+        """What was asked for."""
+        return self.budget, self.tail, self.given
 
 
 class Records(msgspec.Struct, kw_only=True):
@@ -100,30 +108,37 @@ def _assembly(question: Question, where: Where, compute: Compute) -> Assembly:
 
 
 def choose(
-    question: Question, where: Where, wanted: Sequence[tuple[int, float]], compute: Compute
+    question: Question, where: Where, wanted: Sequence[Wanted], compute: Compute
 ) -> list[Chosen]:
-    """Best and greedy layouts for budgets and tails, in the same worlds."""
-    most = max(budget for budget, _ in wanted)
+    """Best and greedy layouts for what is wanted, in the same worlds."""
+    most = max(budget for budget, *_ in wanted)
     assembly = _assembly(replace(question, budget=most), where, compute)
     whole = assembly.problem
     table_s = time.process_time()
     chosen = []
-    for budget, tail in wanted:
+    for budget, tail, given in wanted:
         started = time.process_time()
         problem = replace(whole, limits=replace(whole.limits, budget_units=budget), tail=tail)
         reduced = presolve(problem, workers=compute.workers)
-        # Of further blocks the bound alone counts.
-        n_stages = 1 if where.block else None
-        solution = solve_placement(problem, reduced, effort=assembly.effort, n_stages=n_stages)
-        stage = solution.certificate.stages[0]
+        if given:
+            highest, sturdy = solve_sturdily(
+                problem, reduced, give_up=given, effort=assembly.effort
+            )
+            solution = sturdy or highest
+        else:
+            # Of further blocks the bound alone counts.
+            n_stages = 1 if where.block else None
+            solution = solve_placement(problem, reduced, effort=assembly.effort, n_stages=n_stages)
+        stages = {stage.name: stage for stage in solution.certificate.stages}
         chosen.append(
             Chosen(
                 budget=budget,
                 tail=tail,
+                given=given,
                 found=tuple(sorted(solution.pose_index)),
                 greedy=tuple(sorted(solve_greedy(problem, reduced))),
-                value=stage.objective,
-                bound=min(1.0, stage.bound),
+                value=stages["apr"].objective,
+                bound=min(1.0, stages["apr"].bound),
                 processor_s=table_s + time.process_time() - started,
                 memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
             )
@@ -179,10 +194,11 @@ class Study:
             for n, block in product(self.samples, range(self.n_blocks)):
                 yield Where(scene=scene, cars=cars, n_worlds=n, block=block)
 
-    def wanted(self, where: Where) -> list[tuple[int, float]]:
-        """Budgets and tails; the tail in the first block alone, where it has two worlds."""
+    def wanted(self, where: Where) -> list[Wanted]:
+        """Tails in the first block alone, where they have two worlds; on the plan the default."""
         has_tail = where.n_worlds * TAILS[1] >= 2.0 and where.block == 0
-        return [*product(self.budgets, TAILS if has_tail else TAILS[:1])]
+        given = (0.0,) if where.n_worlds else (0.0, GIVE_UP)
+        return [*product(self.budgets, TAILS if has_tail else TAILS[:1], given)]
 
     def layouts(self, records: Records, scene: str, cars: str) -> list[Rows]:
         """Layouts to judge: those of the first blocks, and with other cars the best ones alone."""
@@ -216,7 +232,7 @@ def run(study: Study, path: Path, compute: Compute) -> Records:
     for index, where in enumerate(wheres):
         compute.progress("choose", index, len(wheres))
         known = records.chosen.setdefault(where.name, [])
-        have = {(one.budget, one.tail) for one in known}
+        have = {one.wanted for one in known}
         if missing := [one for one in study.wanted(where) if one not in have]:
             known += in_own_process(choose, study.question, where, missing, compute)
             save()
@@ -294,7 +310,7 @@ class Row:
         low, high = self.ahead
         return [
             str(one.budget),
-            "plan" if not self.where.n_worlds else f"{self.where.n_worlds} worlds",
+            place_name(self.where.n_worlds, one.given),
             "mean" if one.tail == 1.0 else "worst quarter",
             percent(one.value) + ("" if one.bound <= one.value + 1.0e-9 else " (not proven)"),
             percent(measured[0]) + (f" ± {_points(error)}" if one.tail == 1.0 else ""),
@@ -310,6 +326,13 @@ _COLUMNS = (
     *("units", "chosen in", "for", "value there", "in fresh worlds", "greedy there"),
     *("ahead of greedy, 95 %", "gap, and its bias", "processor s", "MiB"),
 )
+
+
+def place_name(n_worlds: int, given: float) -> str:
+    """What a layout was chosen in, and whether some APR was given up."""
+    if n_worlds:
+        return f"{n_worlds} worlds"
+    return "plan, default" if given else "plan, highest APR"
 
 
 def _points(share: float) -> str:
@@ -329,7 +352,7 @@ def rows_of(study: Study, records: Records, scene: str, cars: str) -> list[Row]:
                 other.bound
                 for block in blocks
                 for other in records.chosen.get(block.name, [])
-                if (other.budget, other.tail) == (one.budget, one.tail)
+                if other.wanted == one.wanted
             ]
             found, greedy = (np.array(fresh[_key(rows)]) for rows in (one.found, one.greedy))
             rows.append(
@@ -344,18 +367,20 @@ def rows_of(study: Study, records: Records, scene: str, cars: str) -> list[Row]:
     return sorted(rows, key=lambda row: (row.chosen.budget, -row.chosen.tail))
 
 
+def _one(records: Records, where: Where, budget: int, given: float = 0.0) -> Chosen:
+    """The layout for the mean."""
+    wanted = (budget, TAILS[0], given)
+    return next(one for one in records.chosen[where.name] if one.wanted == wanted)
+
+
 def _sight_rows(study: Study, records: Records, scene: str) -> Iterator[list[str]]:
     """Layouts chosen with cars of either kind, valued with cars of both kinds."""
     wheres = [Where(scene=scene, cars=cars, n_worlds=0) for cars in CARS]
-    for budget, n_worlds, chosen_for in product(study.budgets, (0, *study.samples), CARS):
+    places = [(0, 0.0), (0, GIVE_UP), *((n_worlds, 0.0) for n_worlds in study.samples)]
+    for budget, (n_worlds, given), chosen_for in product(study.budgets, places, CARS):
         where = Where(scene=scene, cars=chosen_for, n_worlds=n_worlds)
-        (one,) = (
-            one
-            for one in records.chosen[where.name]
-            if (one.budget, one.tail) == (budget, TAILS[0])
-        )
-        key = _key(one.found)
-        cells = [str(budget), f"{n_worlds} worlds" if n_worlds else "plan", chosen_for]
+        key = _key(_one(records, where, budget, given).found)
+        cells = [str(budget), place_name(n_worlds, given), chosen_for]
         for judged in wheres:
             whole, failed = records.planned[judged.name][key]
             fresh = np.array(records.fresh[judged.name][key][: study.n_judged])
@@ -374,11 +399,9 @@ def plot_sight(study: Study, records: Records, scene: str) -> Figure:
     for judged, axes in zip(CARS, figure.subplots(1, len(CARS)), strict=True):
         values = records.planned[Where(scene=scene, cars=judged, n_worlds=0).name]
         for cars in CARS:
-            found = {
-                one.budget: one.found
-                for one in records.chosen[Where(scene=scene, cars=cars, n_worlds=0).name]
-            }
-            left = [100.0 * (1.0 - values[_key(found[budget])][0]) for budget in study.budgets]
+            plan = Where(scene=scene, cars=cars, n_worlds=0)
+            keys = [_key(_one(records, plan, budget).found) for budget in study.budgets]
+            left = [100.0 * (1.0 - values[key][0]) for key in keys]
             axes.plot(
                 *(study.budgets, left),
                 color=BLUE if cars == BLIND else "black",
@@ -403,12 +426,13 @@ def plot_layouts(study: Study, records: Records, compute: Compute) -> Figure:
     assembly = _assembly(replace(study.question, budget=budget), plan, compute)
     fresh = records.fresh[plan.name]
     shown = {
-        f"{'greedy, ' if which == 'greedy' else ''}"
-        f"{f'{n_worlds} worlds' if n_worlds else 'plan'}": getattr(one, which)
-        for n_worlds, which in ((0, "found"), (0, "greedy"), (study.samples[-1], "found"))
-        for one in records.chosen[replace(plan, n_worlds=n_worlds).name]
-        if (one.budget, one.tail) == (budget, TAILS[0])
+        place_name(0, GIVE_UP): _one(records, plan, budget, GIVE_UP).found,
+        place_name(0, 0.0): _one(records, plan, budget).found,
+        "plan, greedy": _one(records, plan, budget).greedy,
     }
+    for n_worlds in study.samples[-1:]:
+        in_worlds = replace(plan, n_worlds=n_worlds)
+        shown[place_name(n_worlds, 0.0)] = _one(records, in_worlds, budget).found
     figure = new_figure(len(shown) * WIDTH_IN, 1.3 * WIDTH_IN)
     for (name, rows), axes in zip(shown.items(), figure.subplots(1, len(shown)), strict=True):
         layout = pick_layout(assembly.candidates, rows, name)
@@ -433,7 +457,8 @@ def describe(study: Study, records: Records, pictures: Sequence[str]) -> str:
         "",
         f"In {study.n_judged} fresh worlds the layout found is behind greedy choice, beyond "
         f"chance, in {len(behind)} of {len(told)} settings ({len(in_worlds)} of them chosen in "
-        f"worlds), and ahead in {len(before)}. Where both are the same, nothing is compared.",
+        f"worlds), and ahead in {len(before)}. Where both are the same, nothing is compared. "
+        f"{_of_default(rows)}",
         "",
         f"Detector `{study.question.detector}`, seed 0. Each fresh world has four draws of "
         "detections. `value there` is the mean APR, or that of the worst quarter, in the worlds "
@@ -459,12 +484,26 @@ def describe(study: Study, records: Records, pictures: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
-def _numbers(text: str) -> tuple[int, ...]:
+def _of_default(rows: dict[tuple[str, str], list[Row]]) -> str:
+    """How the default does against greedy choice."""
+    ours = [row for some in rows.values() for row in some if row.chosen.given and not row.is_same]
+    ahead = [100.0 * float((row.found - row.greedy).mean()) for row in ours]
+    n_behind = sum(row.ahead[1] < 0.0 for row in ours)
+    n_before = sum(row.ahead[0] > 0.0 for row in ours)
+    if not ours:
+        return "The default chooses as greedy choice does."
+    return (
+        f"The default of `place-rsus` is behind in {n_behind} of its {len(ours)}, ahead in "
+        f"{n_before}: {np.mean(ahead):+.2f} points in the mean, {min(ahead):+.2f} at worst."
+    )
+
+
+def _numbers(text: str, *, least: int = 1) -> tuple[int, ...]:
     try:
-        numbers = tuple(int(part) for part in text.split(","))
+        numbers = tuple(int(part) for part in text.split(",") if text or least)
     except ValueError:
         numbers = ()
-    if not numbers or min(numbers) < 1:
+    if len(numbers) < least or min(numbers, default=1) < 1:
         raise click.UsageError(f"got {text!r}; expected whole numbers from 1 on, such as 1,2,3")
     return numbers
 
@@ -474,7 +513,9 @@ def _numbers(text: str) -> tuple[int, ...]:
 @click.option("--map", "maps", multiple=True, help="A map beside the study's junction; repeatable.")
 @click.option("--detector", default="response", show_default=True, help="Of cameras.")
 @click.option("--units", default="1,2,3", show_default=True, help="Budgets.")
-@click.option("--samples", default="4,8,16", show_default=True, help="Worlds to choose in.")
+@click.option(
+    "--samples", default="4,8,16", show_default=True, help="Worlds to choose in; may be empty."
+)
 @click.option("--blocks", type=click.IntRange(1), default=5, show_default=True)
 @click.option("--judge", "n_judged", type=click.IntRange(2), default=60, show_default=True)
 @click.option("--speeds", default="", help="VUT speeds; default: those of the question.")
@@ -502,7 +543,7 @@ def main(
         question=Question(detector=detector, speeds=speeds, time_limit_s=time_limit),
         scenes=("", *maps),
         budgets=_numbers(units),
-        samples=_numbers(samples),
+        samples=_numbers(samples, least=0),
         n_blocks=blocks,
         n_judged=-(-n_judged // N_AT_ONCE) * N_AT_ONCE,
     )

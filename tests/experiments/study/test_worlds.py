@@ -1,5 +1,6 @@
 """The study of worlds: what it computes, resumes and tells."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -62,6 +63,15 @@ def test_records_of_another_question_are_refused_and_left_alone(tmp_path: Path) 
     assert path.read_text() == "{"
 
 
+def test_the_default_is_counted_by_itself() -> None:
+    default = msgspec.structs.replace(CHOSEN, given=0.01)
+    worse = replace(row([0.90, 0.90] * 30, [0.94, 0.96] * 30), chosen=default)
+    better = replace(row([0.98, 0.98] * 30, [0.96, 0.98] * 30), chosen=default)
+    other = row([0.0, 0.0, 0.1], [1.0, 1.0, 1.0])
+    told = worlds._of_default({("", "blind"): [worse, other], ("", "see"): [better]})
+    assert "behind in 1 of its 2, ahead in 1: -2.00 points in the mean, -5.00 at worst" in told
+
+
 @pytest.mark.parametrize("text", ["", "0", "1,x", "-1", "1.5"])
 def test_numbers_of_units_are_whole(text: str, tmp_path: Path) -> None:
     answer = CliRunner().invoke(main, [str(tmp_path / "f"), f"--units={text}"])
@@ -79,10 +89,13 @@ def test_a_map_that_is_not_there_is_refused_before_anything_is_computed(tmp_path
 
 def _here(monkeypatch: pytest.MonkeyPatch, asked: list[str]) -> None:
     def choose(
-        question: Question, where: Where, wanted: list[tuple[int, float]], compute: object
+        question: Question, where: Where, wanted: list[worlds.Wanted], compute: object
     ) -> list[Chosen]:
         asked.append(where.name)
-        return [msgspec.structs.replace(CHOSEN, budget=k, tail=tail) for k, tail in wanted]
+        return [
+            msgspec.structs.replace(CHOSEN, budget=k, tail=tail, given=given)
+            for k, tail, given in wanted
+        ]
 
     monkeypatch.setattr(worlds, "choose", choose)
     monkeypatch.setattr(
