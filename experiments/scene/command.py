@@ -181,7 +181,8 @@ def import_(
 ) -> None:
     """Make a scene of map files, around one junction.
 
-    Roads come from OpenDRIVE (.xodr) or OpenStreetMap (.osm, .osm.pbf); buildings and other things
+    Roads come from OpenDRIVE (.xodr), OpenStreetMap (.osm, .osm.pbf), Lanelet2 (.osm) or CommonRoad
+    (.xml); buildings and other things
     from these, GeoJSON, GeoPackage, Shapefile, CityJSON, CityGML, meshes (glTF, OBJ, PLY, STL) and
     point clouds (LAS, LAZ, PCD). Where several junctions are in the map and none is named, the one
     with the most arms is taken; `scene show FILE` lists them.

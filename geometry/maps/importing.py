@@ -334,6 +334,8 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
 # By the ending of a file: module, function, and options that it asks for.
 _READERS = {
     ".xodr": ("opendrive", "read_opendrive", ()),
+    "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
+    "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
     **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
     **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
     ".city.json": ("city_models", "read_cityjson", ()),
@@ -353,6 +355,8 @@ def _read(path: Path, options: ReadingOptions) -> SourceMap:
         kind = ".geojson"
     elif kind in (".xml", ".gml", ".citygml"):
         kind = _kind_of_xml(path)
+    if kind == ".osm" and _has_lanelets(path):
+        kind = "lanelets"
     if kind not in _READERS:
         raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
     module, function, fields = _READERS[kind]
@@ -391,10 +395,27 @@ def _is_city_json(path: Path) -> bool:
 
 def _kind_of_xml(path: Path) -> str:
     root = local_name(read_xml_root(path))
-    kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml"}
+    kinds = {
+        "OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml", "commonRoad": "commonroad"
+    }  # fmt: skip
     if root not in kinds:
-        raise InputError(str(path), Unquoted(f"<{root}>"), "OpenDRIVE, OpenStreetMap or CityGML")
+        expected = "OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad or CityGML"
+        raise InputError(str(path), Unquoted(f"<{root}>"), expected)
     return kinds[root]
+
+
+def _has_lanelets(path: Path) -> bool:
+    """True if a file of OpenStreetMap's elements is a Lanelet2 map."""
+    with open_file(path) as file:
+        before = b""
+        while chunk := file.read(1 << 20):
+            if _LANELET.search(before + chunk):
+                return True
+            before = chunk[-100:]
+    return False
+
+
+_LANELET = re.compile(rb"""k=["']type["']\s+v=["']lanelet["']""")
 
 
 def _projected(crs: str) -> str:

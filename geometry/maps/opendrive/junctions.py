@@ -197,7 +197,7 @@ def build_junctions(
             apart |= {(record.id, lane.id) for lane, _ in tips.get(record.id, [])}
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
-            surface, far = _fit(surface, tips.get(record.id, []))
+            surface, far = fit_outline(surface, tips.get(record.id, []))
         for lane in far:
             why = f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there"
             name = f"lane {lane.id} at junction {record.id}"
@@ -257,10 +257,10 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
     # Strips that only touch in rounded numbers would stay apart.
     wide = shapely.buffer(strips, _CLOSE_GAPS_M, join_style="mitre", cap_style="flat")
     union = shapely.union_all(wide, grid_size=_GRID_M)
-    return _largest(union.buffer(-_CLOSE_GAPS_M, join_style="mitre"))
+    return largest_polygon(union.buffer(-_CLOSE_GAPS_M, join_style="mitre"))
 
 
-def _largest(shape: Any) -> Any:
+def largest_polygon(shape: Any) -> Any:
     """Largest polygon of a shape with its holes filled, or None if it is tiny."""
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
@@ -268,7 +268,9 @@ def _largest(shape: Any) -> Any:
     return largest if largest is not None and largest.area > _MIN_AREA_M2 else None
 
 
-def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any, list[MapLane]]:
+def fit_outline(
+    surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]
+) -> tuple[Any, list[MapLane]]:
     """Move an outline to the ends of the lanes that lead to it.
 
     The mouths of lanes that end inside are cut off, and narrow ways lead to those that end outside.
@@ -282,7 +284,7 @@ def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any,
             inside.append(mouth.buffer(0.5 * lane.width_m, cap_style="flat"))
     if inside:
         mouths = shapely.union_all(inside, grid_size=_GRID_M)
-        rest = _largest(shapely.difference(surface, mouths, grid_size=_GRID_M))
+        rest = largest_polygon(shapely.difference(surface, mouths, grid_size=_GRID_M))
         surface = surface if rest is None else rest
     far, ways = [], []
     for lane, line in tips:
@@ -295,7 +297,7 @@ def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any,
             way[1] += (way[1] - way[0]) / np.hypot(*(way[1] - way[0])) * _WAY_WIDTH_M
             ways.append(shapely.LineString(way).buffer(0.5 * _WAY_WIDTH_M, cap_style="flat"))
     if ways:
-        surface = _largest(shapely.union_all([surface, *ways], grid_size=_GRID_M))
+        surface = largest_polygon(shapely.union_all([surface, *ways], grid_size=_GRID_M))
     return surface, far
 
 

@@ -1,0 +1,177 @@
+"""Maps of lanelets: a crossing drawn here, as Lanelet2 and as CommonRoad."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geometry.errors import InputError
+from geometry.maps.importing import ImportOptions, import_scene, read_map, survey_junctions
+
+WIDTH_M, HALF_M, REACH_M = 3.0, 8.0, 60.0  # of a lane; half the junction; to the ends of the roads
+
+
+def turned(points: list[tuple[float, float]], quarter: int) -> list[tuple[float, float]]:
+    for _ in range(quarter):
+        points = [(-y, x) for x, y in points]
+    return points
+
+
+def crossing(*, keeps_left: bool = False) -> dict[str, tuple[list, list]]:
+    """Left and right bound of each lanelet, by name: four arms, ways in, out and through."""
+    side = 1.0 if keeps_left else -1.0  # a way in on the west arm lies south of the axis, or north
+    lanes = {}
+    for quarter in range(4):
+        for name, x, is_in in (("in", -REACH_M, True), ("out", -HALF_M, False)):
+            lane = side if is_in else -side
+            axis, edge = 0.0, lane * WIDTH_M
+            ends = (x, -HALF_M) if is_in else (x, -REACH_M)
+            inner, outer = ([(end, y) for end in ends] for y in (axis, edge))
+            is_outer_left = (edge > 0.0) == is_in
+            bounds = (outer, inner) if is_outer_left else (inner, outer)
+            lanes[f"{name}{quarter}"] = tuple(turned(bound, quarter) for bound in bounds)
+        inner, outer = ([(-HALF_M, y), (HALF_M, y)] for y in (0.0, side * WIDTH_M))
+        bounds = (outer, inner) if side > 0.0 else (inner, outer)
+        lanes[f"through{quarter}"] = tuple(turned(bound, quarter) for bound in bounds)
+    return lanes
+
+
+def lanelet2(lanes: dict, tags: dict[str, str] | None = None, more: str = "") -> str:
+    """The map as OpenStreetMap XML, each bound a way of its own, in local metres."""
+    nodes, ways, relations = [], [], []
+    for number, (name, bounds) in enumerate(lanes.items(), 1):
+        members = ""
+        for at, (role, bound) in enumerate(zip(("left", "right"), bounds, strict=True)):
+            refs = ""
+            for x, y in bound:
+                nodes.append(
+                    f"<node id='{len(nodes) + 1}' lat='50' lon='8'>"
+                    f"<tag k='local_x' v='{x}'/><tag k='local_y' v='{y}'/></node>"
+                )
+                refs += f"<nd ref='{len(nodes)}'/>"
+            ways.append(f"<way id='{10 * number + at}'>{refs}</way>")
+            members += f"<member type='way' ref='{10 * number + at}' role='{role}'/>"
+        subtype = "crosswalk" if name.startswith("zebra") else "road"
+        known = {"type": "lanelet", "subtype": subtype} | (tags or {})
+        told = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in known.items())
+        relations.append(f"<relation id='{number}'>{members}{told}</relation>")
+    return f"<osm version='0.6'>{''.join(nodes + ways + relations)}{more}</osm>"
+
+
+def commonroad(lanes: dict) -> str:
+    def bound(points: list[tuple[float, float]]) -> str:
+        return "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in points)
+
+    told = "".join(
+        f"<lanelet id='{number}'><leftBound>{bound(left)}</leftBound>"
+        f"<rightBound>{bound(right)}</rightBound><laneletType>urban</laneletType></lanelet>"
+        for number, (left, right) in enumerate(lanes.values(), 1)
+    )
+    return f"<commonRoad commonRoadVersion='2020a'>{told}</commonRoad>"
+
+
+def read(tmp_path: Path, text: str, name: str = "map.osm"):
+    path = tmp_path / name
+    path.write_text(text)
+    return read_map(path)
+
+
+def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path: Path) -> None:
+    source = read(tmp_path, lanelet2(crossing(), {"speed_limit": "30 mph"}))
+    (one,) = survey_junctions(source)
+    assert set(one.arms) == {"north", "east", "south", "west"}
+    assert (one.n_lanes, one.n_driven, len(source.connections)) == (8, 4, 4)
+    assert not source.keeps_left
+    # The union of two strips, 16 m long and 6 m wide, reaches 8 m from the middle each way.
+    assert np.abs(one.junction.outline_m).max() == pytest.approx(HALF_M, abs=0.1)
+    assert one.junction.position_m == pytest.approx([0.0, 0.0], abs=0.1)
+    for lane in source.lanes:
+        assert lane.width_m == pytest.approx(WIDTH_M)
+        assert lane.speed_limit_kmh == pytest.approx(30 * 1.609344)
+        (along,) = np.flatnonzero(np.ptp(lane.centreline_m[:, :2], axis=0) > 1.0)
+        assert np.abs(lane.centreline_m[:, 1 - along]) == pytest.approx(WIDTH_M / 2.0)
+
+
+def test_commonroad_says_the_same(tmp_path: Path) -> None:
+    ours, theirs = (
+        read(tmp_path, text, name)
+        for text, name in ((lanelet2(crossing()), "a.osm"), (commonroad(crossing()), "a.xml"))
+    )
+    for one, other in zip(ours.lanes, theirs.lanes, strict=True):
+        assert np.array_equal(one.centreline_m, other.centreline_m)
+        assert (one.from_junction, one.to_junction) == (other.from_junction, other.to_junction)
+    assert np.array_equal(ours.junctions[0].outline_m, theirs.junctions[0].outline_m)
+
+
+def test_the_side_of_the_road_is_seen(tmp_path: Path) -> None:
+    assert read(tmp_path, lanelet2(crossing(keeps_left=True))).keeps_left
+
+
+def test_a_lanelet_with_exchanged_sides_is_turned_and_told(tmp_path: Path) -> None:
+    lanes = crossing()
+    lanes["in2"] = lanes["in2"][::-1]
+    source = read(tmp_path, lanelet2(lanes))
+    right = read(tmp_path, lanelet2(crossing()))
+    assert len(source.lanes) == 8
+    for one, other in zip(source.lanes, right.lanes, strict=True):
+        assert np.allclose(one.centreline_m, other.centreline_m)
+    assert any("exchanged" in note.why for note in source.skipped)
+
+
+def test_both_ways_of_a_lanelet_are_lanes(tmp_path: Path) -> None:
+    lanes = {"road": ([(0.0, 2.0), (50.0, 2.0)], [(0.0, -2.0), (50.0, -2.0)])}
+    assert len(read(tmp_path, lanelet2(lanes)).lanes) == 1
+    ways = read(tmp_path, lanelet2(lanes, {"one_way": "no"})).lanes
+    assert np.allclose(ways[0].centreline_m, ways[1].centreline_m[::-1])
+
+
+def test_crosswalks_lights_and_houses_are_there(tmp_path: Path) -> None:
+    lanes = crossing() | {
+        "zebra": ([(-12.0, -5.0), (-12.0, 5.0)], [(-9.0, -5.0), (-9.0, 5.0)]),
+    }
+    corners = [(20, 20), (30, 20), (30, 35), (20, 35), (20, 20)]
+    more = "".join(
+        f"<node id='{900 + at}' lat='50' lon='8'><tag k='local_x' v='{x}'/>"
+        f"<tag k='local_y' v='{y}'/></node>"
+        for at, (x, y) in enumerate(corners)
+    )
+    refs = "".join(f"<nd ref='{900 + at}'/>" for at in range(5))
+    more += (
+        f"<way id='900'>{refs}</way><way id='901'><nd ref='900'/><nd ref='901'/>"
+        "<tag k='type' v='traffic_light'/></way><relation id='900'>"
+        "<member type='way' ref='900' role='outer'/><tag k='type' v='multipolygon'/>"
+        "<tag k='subtype' v='building'/></relation>"
+    )
+    source = read(tmp_path, lanelet2(lanes, more=more))
+    assert np.sort(source.crosswalks_m[0], axis=0).tolist() == [[-10.5, -5.0], [-10.5, 5.0]]
+    (pole,) = source.poles
+    assert (pole.kind, pole.position_m.tolist()) == ("traffic light", [25.0, 20.0, 0.0])
+    (house,) = source.things
+    assert np.ptp(house.vertices_m[:, :2], axis=0).tolist() == [10.0, 15.0]
+    assert house.is_height_assumed
+
+
+def test_a_crossing_becomes_a_scene(tmp_path: Path) -> None:
+    path = tmp_path / "map.osm"
+    path.write_text(lanelet2(crossing()))
+    scene = import_scene([path], ImportOptions(sites="kerb:20")).scene
+    assert scene.crs == ""
+    assert len(scene.sites) >= 4
+    assert sum(lane.kind == "driving" for lane in scene.lanes) == 8
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "told"),
+    [
+        ("<osm version='0.6'><relation id='1'><tag k='type' v='lanelet'/></relation></osm>",
+         "a.osm", "no nodes"),
+        (lanelet2({"zebra": ([(0, 1), (9, 1)], [(0, 0), (9, 0)])}), "a.osm", "no lanelet for cars"),
+        (lanelet2({"road": ([(0, 1)], [(0, 0), (9, 0)])}), "a.osm", "no lanelet for cars"),
+        ("<commonRoad/>", "a.xml", "no lanelet for cars"),
+        (commonroad({"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}), "a.xml",
+         "no lanelet for cars"),
+    ],
+)  # fmt: skip
+def test_what_is_no_map_is_refused(tmp_path: Path, text: str, name: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        read(tmp_path, text, name)
