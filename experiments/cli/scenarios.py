@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -391,17 +392,27 @@ Examples:
 @option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @click.pass_obj
 def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
-    """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""
+    """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file.
+
+    Where the scene names no such file, its roads are written beside --out, as .xodr.
+    """
     from geometry.files import write_atomically
 
+    from ..export.opendrive import to_opendrive
     from ..export.openscenario import to_openscenario
 
     scene, run = _drive_one(progress, question, position, quiet=True)
-    text = to_openscenario(run, road_network=scene.road_network)
     if out is None:
-        write_out(text)
-    else:
-        _write(out, lambda: write_atomically(out, text))
+        write_out(to_openscenario(run, road_network=scene.road_network))
+        return
+    files = {}
+    roads = scene.road_network
+    if not roads:
+        roads = out.with_suffix(".xodr").name
+        files[out.with_suffix(".xodr")] = to_opendrive(None, scene)
+    files[out] = to_openscenario(run, road_network=roads)
+    for path, text in files.items():
+        _write(path, partial(write_atomically, path, text))
 
 
 def _drive_one(

@@ -19,5 +19,6 @@ FORMAT_NAMES = (
     "cpm-uper",
     "mcap",
     "usd",
+    "opendrive",
 )
 """In the order of the help; each is the name of a module of this package, with _ for -."""

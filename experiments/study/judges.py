@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,6 +34,7 @@ from ..results.tables import markdown_table
 
 APART = {
     "xosc": ("asam-qc-openscenarioxml==1.0.0", "lxml<6"),
+    "xodr": ("asam-qc-opendrive==1.0.0", "lxml<6"),
     "carla": ("carla==0.9.16",),
     "touch": ("commonroad-drivability-checker==2025.4.0",),
 }
@@ -41,7 +42,6 @@ APART = {
 STEP_S = 0.01  # within which a judge has to find the impact
 _AFTER_S = 0.1  # how long bodies drive on behind the impact
 _EPSILON = 1.0e-6  # s, of times of frames
-_BARE_ROADS = '<OpenDRIVE><header revMajor="1" revMinor="7" name="bare"/></OpenDRIVE>'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,12 +98,14 @@ def lay_all_cases() -> list[Run]:
 
 def judge_openscenario(runs: Sequence[Run]) -> Judgement:
     """ASAM's checker on one run of every case."""
+    from ..export.opendrive import to_opendrive
     from ..export.openscenario import to_openscenario
 
     firsts = {run.case.name: run for run in reversed(runs)}
     with TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "roads.xodr").write_text(_BARE_ROADS, encoding="utf-8")
+        roads = to_opendrive(None, load_study_scene())
+        (folder / "roads.xodr").write_text(roads, encoding="utf-8")
         for case, run in firsts.items():
             text = to_openscenario(run, road_network="roads.xodr")
             (folder / f"{case}.xosc").write_text(text, encoding="utf-8")
@@ -112,9 +114,32 @@ def judge_openscenario(runs: Sequence[Run]) -> Judgement:
     return Judgement(
         what="OpenSCENARIO 1.3",
         judge=f"asam-qc-openscenarioxml {said['version']} (ASAM)",
-        checked=f"one run of each of {said['n']} cases beside a bare road network; {statuses}",
+        checked=f"one run of each of {said['n']} cases, with the exported roads; {statuses}",
         result=_issues(said["issues"]),
         is_passed=not said["issues"] and set(said["checks"]) == {"completed"},
+    )
+
+
+def judge_opendrive() -> Judgement:
+    """ASAM's checker on roads: the study's, and the same in traffic that keeps left."""
+    from ..export.opendrive import to_opendrive
+
+    scene = load_study_scene()
+    flip = np.array([1.0, -1.0])
+    lanes = tuple(replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes)
+    left = replace(scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True)
+    with TemporaryDirectory() as name:
+        for side, one in (("right", scene), ("left", left)):
+            text = to_opendrive(load_carlancap_layout(), one)
+            (Path(name) / f"{side}.xodr").write_text(text, encoding="utf-8")
+        said = judge_apart("xodr", Path(name))
+    statuses = ", ".join(f"{n} {status}" for status, n in sorted(said["checks"].items()))
+    return Judgement(
+        what="OpenDRIVE 1.7",
+        judge=f"asam-qc-opendrive {said['version']} (ASAM)",
+        checked=f"the study's junction with 12 units, and its mirror image; {statuses}",
+        result=_issues(said["issues"]),
+        is_passed=not said["issues"] and said["checks"].get("completed", 0) > 0,
     )
 
 
@@ -398,6 +423,7 @@ def main(out: Path, folders: tuple[Path, ...]) -> None:
     runs = lay_all_cases()
     asked: list[Callable[[], Judgement]] = [
         lambda: judge_openscenario(runs),
+        judge_opendrive,
         lambda: judge_impacts(runs),
         judge_openlabel,
         judge_carla,

@@ -175,7 +175,7 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
             meets[before] |= after < n_roads
             meets[after] |= before < n_roads
     is_wrong = meets[n_roads:] & ~meets[:n_roads]
-    for index in np.flatnonzero(is_wrong):
+    for index in np.flatnonzero(is_wrong).tolist():
         why = "its left and right are exchanged: only so it leads from others, or to others"
         omissions.add("lanelets with exchanged sides", f"lanelet {roads[index].id}", why)
     return [

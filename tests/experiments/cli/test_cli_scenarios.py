@@ -2,11 +2,14 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from experiments.export.openscenario import load_xosc
+from geometry.scene_files import save_scene
+from geometry.study_scene import load_study_scene
 
 FEW = ("--cases", "CBLA", "--approaches", "east", "--along-arms", "0")
 KEYS = {
@@ -79,6 +82,17 @@ def test_a_run_is_exported_as_openscenario(run):
     assert '<LogicFile filepath="Town05.xodr"' in text
     assert run(*arguments, "--out", "turn.xosc") == (0, "", "")
     assert Path("turn.xosc").read_text(encoding="utf-8") == text
+
+
+def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
+    pytest.importorskip("scenariogeneration")
+    save_scene(Path("bare"), replace(load_study_scene(), road_network=""))
+    run_id = ("CPTAns-50", "--approach", "east", "--speed", "10", "--scene", "bare")
+    line = refusal(run("scenarios", "export", *run_id))
+    assert "road_network" in line
+    assert run("scenarios", "export", *run_id, "--out", "turn.xosc") == (0, "", "")
+    assert '<LogicFile filepath="turn.xodr"' in Path("turn.xosc").read_text(encoding="utf-8")
+    assert "<OpenDRIVE>" in Path("turn.xodr").read_text(encoding="utf-8")
 
 
 def test_an_export_without_the_library_names_the_extra(run, monkeypatch):

@@ -244,7 +244,11 @@ def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
         ("empty.osm", "", "empty.osm"),
         ("a.txt", "hello", "got another kind of file; expected .xodr"),
         ("bomb.xodr", '<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE>&a;</OpenDRIVE>', "entities"),
-        ("house.xml", "<house/>", "got <house>; expected OpenDRIVE, OpenStreetMap or CityGML"),
+        (
+            "house.xml",
+            "<house/>",
+            "got <house>; expected OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad or CityGML",
+        ),
         ("list.json", "[1, 2", "list.json"),
     ):
         (tmp_path / name).write_text(content)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.export import carla, openlabel, openscenario
+from experiments.export import carla, opendrive, openlabel, openscenario
 from experiments.study import judges
 from geometry.errors import MissingExtraError
 
@@ -46,6 +46,20 @@ def test_asams_checker_finds_an_actor_that_is_nobody(all_runs, monkeypatch):
     found = ask(judges.judge_openscenario, all_runs[:1])
     assert not found.is_passed
     assert "Entity not declared" in found.result
+
+
+def test_asams_checker_finds_no_issue_in_roads_but_those_made(monkeypatch):
+    found = ask(judges.judge_opendrive)
+    assert found.is_passed, found
+    write = opendrive.to_opendrive
+    monkeypatch.setattr(
+        opendrive,
+        "to_opendrive",
+        lambda *given: write(*given).replace('contactPoint="end"', 'contactPoint="start"'),
+    )
+    found = judges.judge_opendrive()
+    assert not found.is_passed
+    assert "gaps" in found.result
 
 
 def test_commonroad_finds_the_impacts_within_a_hundredth_of_a_second(all_runs):

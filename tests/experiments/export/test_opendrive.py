@@ -1,0 +1,127 @@
+"""Roads as OpenDRIVE: read back by our own reader, which knows nothing of the writer."""
+
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.export.opendrive import to_opendrive
+from geometry.junction import CONNECTING, build_junction
+from geometry.maps.importing import read_map, survey_junctions
+from geometry.scene import Lane
+from geometry.study_scene import load_study_scene
+from placement.layout import load_carlancap_layout
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_study_scene()
+
+
+def written(tmp_path: Path, scene) -> Path:
+    path = tmp_path / "roads.xodr"
+    path.write_text(to_opendrive(load_carlancap_layout(), scene), encoding="utf-8")
+    return path
+
+
+def driving(lanes) -> list[np.ndarray]:
+    return [np.asarray(lane.centreline_m)[:, :2] for lane in lanes if lane.kind == "driving"]
+
+
+def off_m(line: np.ndarray, others: list[np.ndarray]) -> float:
+    """Largest distance of a line's points from the nearest of others."""
+    from shapely import LineString, Point
+
+    return min(max(LineString(one).distance(Point(p)) for p in line) for one in others)
+
+
+def with_ways(scene, source):
+    """A scene whose map has the ways through the junction that another map has."""
+    ways = [
+        Lane(id=way.id, kind=CONNECTING, width_m=way.width_m, centreline_m=way.centreline_m[:, :2])
+        for way in source.connections
+    ]
+    return replace(scene, lanes=(*scene.lanes, *ways))
+
+
+def test_lanes_are_read_back_where_they_are(tmp_path, scene):
+    source = read_map(written(tmp_path, scene))
+    ours, theirs = driving(scene.lanes), driving(source.lanes)
+    assert len(ours) == len(theirs)
+    assert max(off_m(line, theirs) for line in ours) < 0.01
+    (one,) = survey_junctions(source)
+    assert set(one.arms) == set(build_junction(scene).arms)
+
+
+def test_ways_of_the_map_are_read_back_and_none_is_assumed(tmp_path, scene):
+    source = read_map(written(tmp_path, scene))
+    some = with_ways(scene, replace(source, connections=source.connections[:5]))
+    again = read_map(written(tmp_path, some))
+    ways = [lane.centreline_m for lane in some.lanes if lane.kind == CONNECTING]
+    read = [lane.centreline_m[:, :2] for lane in again.connections]
+    assert len(read) == len(ways) == 5
+    assert max(off_m(line, read) for line in ways) < 0.05
+
+
+def test_a_mirrored_scene_keeps_left(tmp_path, scene):
+    flip = np.array([1.0, -1.0])
+    lanes = tuple(replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes)
+    turned = replace(scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True)
+    source = read_map(written(tmp_path, turned))
+    assert source.keeps_left
+    theirs = driving(source.lanes)
+    assert max(off_m(line, theirs) for line in driving(turned.lanes)) < 0.01
+
+
+def test_from_each_lane_a_way_to_each_other_arm_is_assumed(tmp_path, scene):
+    arms = build_junction(scene).arms.values()
+    source = read_map(written(tmp_path, scene))
+    assert len(source.connections) == sum(len(arm.entry_lanes) for arm in arms) * (len(arms) - 1)
+
+
+def test_poles_stand_where_the_units_hang(tmp_path, scene):
+    source = read_map(written(tmp_path, scene))
+    read = {tuple(pole.position_m[:2].round(1)) for pole in source.poles}
+    read |= {tuple(thing.vertices_m[:, :2].mean(axis=0).round(1)) for thing in source.things}
+    for unit in load_carlancap_layout().units:
+        place = np.asarray(unit.pose.position_m)[:2]
+        assert min(np.hypot(*(np.array(one) - place)) for one in read) < 0.3
+
+
+def test_a_lane_that_widens_has_no_step(tmp_path, scene):
+    """A way through begins as wide as the lane before it, and ends as wide as the one after it."""
+    first = next(lane for lane in scene.lanes if lane.kind == "driving")
+    lanes = tuple(replace(lane, width_m=5.0) if lane is first else lane for lane in scene.lanes)
+    text = to_opendrive(load_carlancap_layout(), replace(scene, lanes=lanes))
+    ways = re.findall(r'<width sOffset="0.0" a="([\d.]+)" b="(-?[\d.e-]+)"', text)
+    assert any(float(a) == 5.0 and float(b) < 0.0 for a, b in ways) or any(
+        float(b) > 0.0 for _, b in ways
+    )
+
+
+def test_a_single_straight_lane_is_a_road(tmp_path):
+    lane = Lane(id="a", kind="driving", width_m=3.0, centreline_m=np.array([[-50.0, 0], [-9, 0]]))
+    scene = load_study_scene()
+    square = np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]])
+    text = to_opendrive(load_carlancap_layout(), replace(scene, lanes=(lane,), outline_m=square))
+    assert text.count("<road ") == 1
+    assert 'length="41.0"' in text
+
+
+def test_netconvert_accepts_it(tmp_path, scene):
+    netconvert = shutil.which("netconvert", path=str(Path(sys.executable).parent))
+    if netconvert is None:
+        pytest.skip("SUMO (extra traffic) is not installed")
+    path = written(tmp_path, scene)
+    done = subprocess.run(
+        [netconvert, "--opendrive-files", path, "-o", tmp_path / "net.xml"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Error" not in done.stderr
+    assert (tmp_path / "net.xml").read_text().count("<connection ") > 0
