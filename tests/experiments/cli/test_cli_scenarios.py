@@ -86,6 +86,7 @@ def test_a_run_is_exported_as_openscenario(run):
 
 def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
     pytest.importorskip("scenariogeneration")
+    Path("bare").mkdir()
     save_scene(Path("bare"), replace(load_study_scene(), road_network=""))
     run_id = ("CPTAns-50", "--approach", "east", "--speed", "10", "--scene", "bare")
     line = refusal(run("scenarios", "export", *run_id))
