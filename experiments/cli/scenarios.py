@@ -1,6 +1,7 @@
 """``place-rsus scenarios``: look at what is driven, without placing anything."""
 
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -413,6 +414,64 @@ def export(progress: StageProgress, *, question: Question, position: str, out: P
     files[out] = to_openscenario(run, road_network=roads)
     for path, text in files.items():
         _write(path, partial(write_atomically, path, text))
+
+
+@scenarios.command(
+    "check-esmini",
+    cls=SectionedCommand,
+    epilog="""\b
+Examples:
+  place-rsus scenarios check-esmini --cases study
+  place-rsus scenarios check-esmini --cases all --esmini ~/esmini/bin/esmini""",
+)
+@question_options(*ONLY_DRIVEN, defaults={"cases": "study"})
+@option("--esmini", "program", default="", metavar="PROGRAM", help="Default: esmini on the path.")
+@json_option
+@quiet_option
+@click.pass_obj
+def check_esmini(
+    progress: StageProgress, *, question: Question, program: str, as_json: bool, quiet: bool
+) -> None:
+    """Drive runs in esmini, and compare when the bodies touch with the impact of each run.
+
+    Exit code 1 where they touch more than 0.02 s from it, or never. Without esmini, which is no
+    part of this program, nothing is checked: a line says so.
+    """
+    from geometry.scene_files import load_scene
+    from placement.compute import Compute
+    from placement.setting import drive
+
+    from ..export.esmini import MOST_S, drive_in_esmini, find_esmini, worst_first
+
+    question = begin(progress, question, quiet=quiet)
+    found = find_esmini(program)
+    if found is None:
+        progress.stop()
+        tell("Nothing was checked: no esmini on the path; --esmini names the program.")
+        return
+    scene = load_scene(question.scene)
+    progress("lay the cases", 0, 0)
+    runs = drive(question, scene).runs
+    driven = drive_in_esmini(runs, scene, found, compute=Compute(progress=progress))
+    n_good = sum(one.agrees for one in driven)
+
+    def words() -> str:
+        lines = [
+            f"In {n_good} of {len(driven)} runs the bodies touch in esmini within {MOST_S:g} s of "
+            "the impact."
+        ]
+        for one in worst_first(driven)[:_MOST_TOLD]:
+            off = "never" if one.touch_s is None else f"{one.touch_s:+.3f} s"
+            lines.append(f"  {one.run_id}: {off}")
+        return "\n".join(lines) + "\n"
+
+    rows = [{"run": one.run_id, "touch_s": one.touch_s} for one in driven]
+    print_result(rows, progress, as_json, words)
+    if n_good < len(driven):
+        sys.exit(1)
+
+
+_MOST_TOLD = 10  # runs
 
 
 def _drive_one(

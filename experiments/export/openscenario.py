@@ -166,8 +166,8 @@ class _Track:
     speed_mps: float
 
 
-def to_openscenario(run: Run, *, road_network: str) -> str:
-    """Run as an OpenSCENARIO 1.3 file: nobody brakes, and the file ends at the impact.
+def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str:
+    """Run as an OpenSCENARIO 1.3 file: nobody brakes; it ends at the impact, or `after_s` later.
 
     XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow the run's
     frames; "obstruction-1" .. stand. The header's properties say what the run is; the parameters
@@ -190,7 +190,7 @@ def to_openscenario(run: Run, *, road_network: str) -> str:
     minor_before = version.version_minor
     version.setVersion(minor=_MINOR)  # of the whole library: others may write another one
     try:
-        element = _build_element(run, road_network)
+        element = _build_element(run, road_network, after_s)
     finally:
         version.setVersion(minor=minor_before)
     for action in element.iter("LightStateAction"):
@@ -232,7 +232,7 @@ def _schema() -> Any:
     )
 
 
-def _build_element(run: Run, road_network: str) -> ET.Element:
+def _build_element(run: Run, road_network: str, after_s: float) -> ET.Element:
     xosc = load_xosc()
     bodies = {VUT: run.encounter.vut, VRU: run.encounter.vru} | {
         f"obstruction-{index}": placed.actor for index, placed in enumerate(run.obstruction, 1)
@@ -246,7 +246,7 @@ def _build_element(run: Run, road_network: str) -> ET.Element:
         "place-rsus",
         _build_parameters(run, impact_s),
         entities,
-        _build_storyboard(run, impact_s),
+        _build_storyboard(run, impact_s + after_s, after_s),
         xosc.RoadNetwork(roadfile=road_network),
         xosc.Catalog(),
         osc_minor_version=_MINOR,
@@ -290,16 +290,16 @@ def _build_properties(run: Run) -> Any:
     return properties
 
 
-def _build_storyboard(run: Run, impact_s: float) -> Any:
+def _build_storyboard(run: Run, end_s: float, after_s: float) -> Any:
     xosc = load_xosc()
-    tracks = (_build_track(VUT, run), _build_track(VRU, run))
+    tracks = (_build_track(VUT, run, after_s), _build_track(VRU, run, after_s))
     storyboard = xosc.StoryBoard(
         _build_init(run, tracks),
         xosc.ValueTrigger(
             "after the impact",
             0.0,
             xosc.ConditionEdge.none,
-            xosc.SimulationTimeCondition(impact_s, xosc.Rule.greaterThan),
+            xosc.SimulationTimeCondition(end_s, xosc.Rule.greaterThan),
             triggeringpoint="stop",
         ),
     )
@@ -379,18 +379,20 @@ def _build_environment(weather: str) -> Any:
     )
 
 
-def _build_track(name: str, run: Run) -> _Track:
+def _build_track(name: str, run: Run, after_s: float) -> _Track:
     actor, motion, position_m, yaw_deg = {
         VUT: (run.encounter.vut, run.encounter.vut_motion, run.vut_position_m, run.vut_yaw_deg),
         VRU: (run.encounter.vru, run.encounter.vru_motion, run.vru_position_m, run.vru_yaw_deg),
     }[name]
     first_s, last_s = run.time_s[[0, -1]]
     time_s = run.time_s
-    if last_s < 0.0:  # between two frames lies the impact: the last frame is before it
-        impact_m, impact_deg = motion.path.at(motion.distance_m(0.0))
-        time_s = np.append(time_s, 0.0)
-        position_m = np.concatenate([position_m, impact_m[None]])
-        yaw_deg = np.append(yaw_deg, impact_deg)
+    # Between two frames lies the impact: the last frame may be before it.
+    for end_s in sorted({0.0, after_s}):
+        if last_s < end_s:
+            end_m, end_deg = motion.path.at(motion.distance_m(end_s))
+            time_s = np.append(time_s, end_s)
+            position_m = np.concatenate([position_m, end_m[None]])
+            yaw_deg = np.append(yaw_deg, end_deg)
     way_m = np.diff(motion.distance_m(first_s + np.array([0.0, _SPEED_STEP_S])))[0]
     return _Track(
         name=name,
