@@ -63,8 +63,7 @@ def is_compiled(function: Callable[..., Any]) -> bool:
 def compiled_folder() -> Path:
     """Where machine code is cached: NUMBA_CACHE_DIR, or the user's cache, or a temporary folder.
 
-    Code of others would run as ours: a folder into which they may write is not used. Processes
-    that this one starts use the same folder.
+    Code of others would run as ours: a folder into which they may write is not used.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(chosen) if chosen else user_cache_folder() / "compiled"

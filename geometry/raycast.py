@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, IntArray
-from .errors import InputError, Unquoted, check_one_of
+from .errors import InputError, check_one_of, refuse
 
 FloatRays = NDArray[np.float32]
 
@@ -25,10 +25,7 @@ class RayCaster(Protocol):
         """True if a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """How far along each vector, of any length, the first triangle is, (n, 3) -> (n,).
-
-        The hit is at origin + share * vector; infinite where nothing is hit.
-        """
+        """How far along vectors (n, 3), of any length, the first triangle is, (n,), or inf."""
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
@@ -37,10 +34,7 @@ class RayCaster(Protocol):
 
 
 class Open3dCaster:
-    """Rays by Open3D's RaycastingScene, on all processors.
-
-    Open3D holds Python's lock while it casts, so that it has to spread the rays itself.
-    """
+    """Rays by Open3D's RaycastingScene on all processors; it holds Python's lock while it casts."""
 
     name = "open3d"
     n_threads = 0  # all processors
@@ -59,10 +53,9 @@ class Open3dCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
         rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
-        blocked: BoolArray = self._scene.test_occlusions(
-            rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads
-        ).numpy()
-        return blocked
+        return np.asarray(
+            self._scene.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads).numpy()
+        )
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`RayCaster`."""
@@ -106,8 +99,7 @@ class EmbreexCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
         hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=1.0, query="OCCLUDED")
-        blocked: BoolArray = hits != -1
-        return blocked
+        return np.asarray(hits != -1)
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`RayCaster`."""
@@ -145,20 +137,18 @@ RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
 
 
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
-    """Name of the library that casts rays.
+    """Name of the library that casts rays, one of ``RAYS`` but "auto".
 
-    `rays`: one of ``RAYS``. By "auto" it is "embree", or "open3d" where embreex cannot load.
-    `where`: what asked for it, for error messages. Raises InputError: the name is unknown, or the
-    library cannot load; the message says why.
+    By "auto" it is "embree", or "open3d" where embreex cannot load. Raises InputError: the name is
+    unknown, or the library cannot load; `where` is what asked for it.
     """
     check_one_of(where, rays, RAYS)
     problems: dict[str, Callable[[], str | None]] = {
         EmbreexCaster.name: embreex_problem,
         Open3dCaster.name: open3d_problem,
     }
-    asked = (rays,) if rays in CASTERS else tuple(problems)
     reasons = []
-    for name in asked:
+    for name in (rays,) if rays in CASTERS else tuple(problems):
         reason = problems[name]()
         if reason is None:
             return name
@@ -188,9 +178,8 @@ def build_caster(
     """Prepare triangles for rays, which may be cast from any thread.
 
     `vertices_m` (n, 3): world or body frame, near the origin: rays are cast in single precision.
-    `triangles` (m, 3): vertex indices; none at all is allowed. `library`: one of ``RAYS``; by
-    default "auto". Raises InputError: a vertex is not finite, a triangle points outside the
-    vertices, or the library cannot load.
+    `triangles` (m, 3): vertex indices; none at all is allowed. `library`: one of ``RAYS``. Raises
+    InputError: a vertex is not finite, a triangle points outside, or the library cannot load.
     """
     return CASTERS[caster_name(library or "auto", where="library")](vertices_m, triangles)
 
@@ -198,8 +187,7 @@ def build_caster(
 def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
     """Lengths of vectors, (n, 3) -> (n,): column by column, four times as fast as row by row."""
     x, y, z = vectors_m.T
-    lengths: FloatRays = np.sqrt(x * x + y * y + z * z)
-    return lengths
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def _checked(
@@ -208,14 +196,10 @@ def _checked(
     vertices = np.ascontiguousarray(vertices_m, dtype=np.float32).reshape(-1, 3)
     faces = np.ascontiguousarray(triangles, dtype=np.int32).reshape(-1, 3)
     if not np.isfinite(vertices).all():
-        raise InputError(
-            "vertices_m", Unquoted("a vertex that is not finite"), "finite coordinates"
-        )
+        refuse("vertices_m", "a vertex that is not finite", "finite coordinates")
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        outside = faces[(faces < 0) | (faces >= len(vertices))]
-        raise InputError(
-            "triangles", int(outside[0]), f"vertex indices from 0 to {len(vertices) - 1}"
-        )
+        outside = int(faces[(faces < 0) | (faces >= len(vertices))][0])
+        raise InputError("triangles", outside, f"vertex indices from 0 to {len(vertices) - 1}")
     return vertices, faces
 
 

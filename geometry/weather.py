@@ -57,19 +57,12 @@ class Weather:
 
     @property
     def extinction_per_m(self) -> float:
-        """Share of visible light lost per metre, by Beer and Lambert.
-
-        References
-        ----------
-        .. [1] H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924: -ln(0.05) / visibility.
-        """
+        """Share of visible light lost per metre: -ln(0.05) / visibility (Koschmieder), and rain."""
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:
         """Share of light, and of contrast, that remains after a distance through the air.
 
-        Examples
-        --------
         >>> fog = load_weathers()["fog"]
         >>> float(fog.transmission(fog.visibility_m).round(12))
         0.05
@@ -77,12 +70,10 @@ class Weather:
         return np.exp(-self.extinction_per_m * np.asarray(distance_m, dtype=np.float64))
 
     def lidar_extinction_per_m(self, wavelength_nm: float) -> float:
-        """Share of a laser pulse that rain and haze (Kim's exponent) take per metre, one way.
+        """Share of a laser pulse that rain and haze take per metre, one way.
 
-        References
-        ----------
-        .. [1] I. Kim et al., "Comparison of laser beam propagation at 785 nm and 1550 nm in fog and
-           haze for optical wireless communications", 2001.
+        With the exponent of I. Kim et al., "Comparison of laser beam propagation at 785 nm and 1550
+        nm in fog and haze for optical wireless communications", 2001.
         """
         scale = (wavelength_nm / 550.0) ** -_kim_exponent(self.visibility_m)
         haze_per_m = -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m

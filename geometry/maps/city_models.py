@@ -14,10 +14,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import read_text
 from ..notes import Note
-from ..untrusted_files import local_name, parse_json, read_xml
+from ..untrusted_files import local_name, parse_object, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
 from .source_map import (
     MAX_TRIANGLES,
@@ -73,16 +73,13 @@ class CityObject:
 def read_cityjson(path: Path) -> SourceMap:
     """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
 
-    Each object is read in its highest level of detail below 3, or else in level 3; if there is only
-    level 0, its footprint is raised by the measured height. Buildings and their parts become
-    buildings, plants become vegetation, other constructions walls; furniture becomes a wall too,
-    unless its name says lamp or tree. Bridges are left out with tunnels and ground: the scene's
-    road is one plane, and a bridge deck would lie on it. Heights are absolute. Raises InputError if
-    the file cannot be read, is no CityJSON, or has nothing solid.
+    Each object is read in its highest level of detail below 3, or else in level 3; a footprint of
+    level 0 is raised by the measured height. Bridges are left out with tunnels and ground: the
+    scene's road is one plane. Heights are absolute. Raises InputError if it is damaged, or has
+    nothing solid.
     """
     where = str(path)
-    text = read_text(path, "CityJSON")
-    documents = list(_documents(text, where))
+    documents = list(_documents(read_text(path, "CityJSON"), where))
     head = documents[0]
     if head.get("type") != "CityJSON":
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
@@ -120,9 +117,9 @@ def _documents(text: str, where: str) -> Iterator[_Table]:
     for number, line in enumerate(lines, start=1):
         if line.strip():
             here = f"{where}: line {number}" if len(lines) > 1 else where
-            yield parse_json(line, here, "CityJSON")
+            yield parse_object(line, here, "CityJSON")
     if not text.strip():
-        raise InputError(where, Unquoted("an empty file"), "CityJSON")
+        refuse(where, "an empty file", "CityJSON")
 
 
 def _transform(table: Any, where: str) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +142,7 @@ def _vectors(values: Any, where: str) -> FloatArray:
         got = Unquoted("something other than a list of points")
         raise InputError(where, got, "x, y, z each") from None
     if not np.isfinite(array).all():
-        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+        refuse(where, "a coordinate that is not finite", "finite numbers")
     return array
 
 
@@ -180,7 +177,7 @@ class _Templates:
         matrix = _vectors([[value, 0.0, 0.0] for value in values], where)[:, 0].reshape(4, 4)
         template = self.templates[index]
         if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
-            raise InputError(f"{self.where}.templates[{index}]", Unquoted("no geometry"), "one")
+            refuse(f"{self.where}.templates[{index}]", "no geometry", "one")
         here = f"{self.where}.templates[{index}]"
         return [
             [ring @ matrix[:3, :3].T + matrix[:3, 3] + vertices[anchor[0]] for ring in polygon]
@@ -316,24 +313,19 @@ def city_map(
     follows_authority: bool,
     skipped: Sequence[Note],
 ) -> SourceMap:
-    """Build a map from the objects of a city model; `skipped` is what the reader has left out.
-
-    Raises InputError if there is no surface, there are more than five million triangles, or
-    coordinates are impossible.
-    """
+    """Build a map from the objects of a city model; InputError: nothing solid, or too much."""
     if not any(city_object.polygons for city_object in objects):
-        got = Unquoted("no building, plant or furniture with surfaces")
-        raise InputError(where, got, "objects of level of detail 0 to 3" + _said(skipped))
+        got = "no building, plant or furniture with surfaces"
+        refuse(where, got, "objects of level of detail 0 to 3" + _said(skipped))
     rings = [ring for item in objects for polygon in item.polygons for ring in polygon]
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
-        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+        refuse(where, "a coordinate that is not finite", "finite numbers")
     place = georeference(
         points[:, :2], declared_crs, where=where, follows_authority=follows_authority
     )
     points = place.to_metres(points, where)
-    starts = np.cumsum([len(ring) for ring in rings])[:-1]
-    in_metres = iter(np.split(points, starts))
+    in_metres = iter(np.split(points, np.cumsum([len(ring) for ring in rings])[:-1]))
     things: list[Thing] = []
     flat: list[Note] = []
     ids: Counter[str] = Counter()
@@ -350,10 +342,9 @@ def city_map(
         things.append(thing)
         n_triangles += len(thing.triangles)
         if n_triangles > MAX_TRIANGLES:
-            got = Unquoted(f"more than {MAX_TRIANGLES:,} triangles")
-            raise InputError(where, got, "a part of the city")
+            refuse(where, f"more than {MAX_TRIANGLES:,} triangles", "a part of the city")
     if not things:
-        raise InputError(where, Unquoted("no surface with an area"), "buildings" + _said(flat))
+        refuse(where, "no surface with an area", "buildings" + _said(flat))
     return SourceMap(
         name=name,
         crs=place.crs,
@@ -373,7 +364,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
     if not item.is_footprint:
         mesh = surface_mesh(item.polygons)
         if not len(mesh[1]):
-            raise InputError(item.id, Unquoted("surfaces without area"), "polygons")
+            refuse(item.id, "surfaces without area", "polygons")
         return Thing.of(thing_id, class_name, mesh)
     height = item.height_m
     is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
@@ -416,13 +407,7 @@ _HREF = "{http://www.w3.org/1999/xlink}href"
 
 
 def read_citygml(path: Path) -> SourceMap:
-    """Read a CityGML file.
-
-    Types and levels of detail: see :func:`geometry.maps.city_models.read_cityjson`, which reads the
-    same model in its other encoding. Of one level of detail a solid counts more than surfaces;
-    references to polygons of the same file are followed, others are not. Heights are absolute.
-    Raises InputError if the file cannot be read, is no CityGML, or has nothing solid.
-    """
+    """Read a CityGML file as :func:`read_cityjson` does; a solid counts more than surfaces."""
     where = str(path)
     root = read_xml(path, expected=_GML)
     namespace = root.tag.rpartition("}")[0]
@@ -511,7 +496,7 @@ class _Document:
     def _shapes(self, element: Element, depth: int) -> Iterator[_Shape]:
         """Geometries of an object and of the surfaces that bound it."""
         if depth > _MAX_DEPTH:
-            raise InputError(self.where, Unquoted("elements nested too deeply"), _GML)
+            refuse(self.where, "elements nested too deeply", _GML)
         for child in element:
             name = local_name(child)
             match = _GEOMETRY.fullmatch(name)
@@ -529,7 +514,7 @@ class _Document:
         """Polygons of a geometry, following references; of solids only those of the outer shell."""
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
-            raise InputError(self.where, Unquoted("elements or references nested too deeply"), _GML)
+            refuse(self.where, "elements or references nested too deeply", _GML)
         n_dimensions = _n_dimensions(element) or n_dimensions
         reference = element.attrib.get(_HREF, "")
         if reference.startswith("#") and reference[1:] in self.by_id:
@@ -578,8 +563,7 @@ class _Document:
             raise InputError(where, Unquoted(error), "numbers") from None
         n_dimensions = n_dimensions or 3
         if len(numbers) % n_dimensions:
-            got = Unquoted(f"{len(numbers)} numbers")
-            raise InputError(where, got, f"{n_dimensions} for every point")
+            refuse(where, f"{len(numbers)} numbers", f"{n_dimensions} for every point")
         points = numbers.reshape(-1, n_dimensions)
         if n_dimensions == 2:
             points = np.column_stack([points, np.zeros(len(points))])
@@ -616,10 +600,7 @@ def _measured_height_m(feature: Element) -> float | None:
 
 
 def _reference_system(root: Element, where: str) -> tuple[str, bool]:
-    """The declared reference system, and whether coordinates follow its order of axes.
-
-    Raises InputError if a file declares several.
-    """
+    """The one declared reference system, and whether coordinates follow its order of axes."""
     from pyproj.exceptions import ProjError
 
     declared: dict[str, None] = {}
@@ -636,7 +617,7 @@ def _reference_system(root: Element, where: str) -> tuple[str, bool]:
         if crs is not None:
             planes.setdefault(crs_name(crs), text)
     if len(planes) > 1:
-        got = Unquoted("several coordinate reference systems: " + ", ".join(list(planes)[:5]))
-        raise InputError(where, got, "one in a file")
+        got = "several coordinate reference systems: " + ", ".join(list(planes)[:5])
+        refuse(where, got, "one in a file")
     text = next(iter(planes.values()), next(iter(declared), ""))
     return text, text.lower().startswith(("urn:", "http")) and "epsg.xml#" not in text

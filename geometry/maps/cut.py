@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from ..arrays import BoolArray, FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import refuse
 from ..junction import (
     ASSUMED,
     CONNECTING,
@@ -24,14 +24,7 @@ from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Elevation, find_relief
-from .source_map import (
-    MapJunction,
-    Pole,
-    SourceMap,
-    Thing,
-    build_pole_body,
-    plain_id,
-)
+from .source_map import MapJunction, Pole, SourceMap, Thing, build_pole_body, plain_id
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
@@ -80,12 +73,10 @@ def cut_out(
 ) -> Surroundings:
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
-    Lanes are followed 70 m beyond `radius_m`. The ground is that of `elevation`, or else of the
-    maps, see :func:`geometry.maps.relief.find_relief`; where they have no heights, or all within a
-    few centimetres, it is a plane. `ground_m` is the height of the road in the middle of the
-    junction in the other maps; by default 0 if a map counts heights above the ground, or else that
-    of its lowest thing within the radius. Raises InputError if the coordinates of the maps do not
-    fit together.
+    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in the
+    junction's middle in the other maps; by default 0 if a map counts heights above the ground, or
+    else that of its lowest thing. Raises InputError if the coordinates of the maps do not fit
+    together.
     """
     roads, frame = maps[0], frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
@@ -181,10 +172,7 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground.
-
-    `source_crs` is the reference system for results; empty: unknown.
-    """
+    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground."""
     terrain = surroundings.terrain
     half = radius_m + LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -224,8 +212,7 @@ def build_scene(
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     """Lanes to the starts of entry lanes where the map has nothing that leads there.
 
-    They lead straight on, or where a building stands there round the gentlest bend past it, the
-    same for all lanes of an arm; where none does, straight up to it.
+    Straight on, or round the gentlest bend past buildings, the same for all lanes of an arm.
     """
     arms = [  # the lanes behind which the map does not go on
         [lane for lane in arm.entry_lanes if np.hypot(*lane.centreline_m[0]) < reach_m - 1.0]
@@ -260,8 +247,7 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
     """Points (n, 2) of a circle away from a lane's start, to the left of its direction there."""
-    ahead = lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction
-    away = -complex(*ahead)
+    away = -complex(*lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction)
     along = np.array([0.0, _ASSUMED_M])
     if bend_per_m == 0.0:
         places = along * away
@@ -288,10 +274,7 @@ def _lanes(
     outline_m: FloatArray,
     reach_m: float,
 ) -> tuple[list[Lane], list[Lane]]:
-    """Lanes around a junction and through it; and those assumed through others around it.
-
-    Through the others lead only those of the map's lanes that lead about straight on.
-    """
+    """Lanes around a junction and through it; and those assumed through others around it."""
     found: list[Lane] = []
     ends: dict[str, list[Lane]] = defaultdict(list)  # by the junction into which they lead
     begins: dict[str, list[Lane]] = defaultdict(list)
@@ -347,10 +330,7 @@ def _leads_straight_on(points_m: FloatArray) -> bool:
 
 
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:
-    """Lanes through a junction, from each one that leads into it and to each one out of it.
-
-    They lead as straight on as there is a lane; lanes that only turn there have none.
-    """
+    """Lanes through a junction, as straight on as there is a lane; none for those that turn."""
     bends: dict[tuple[int, int], float] = {}
     mouths = [
         [lane_line(lane, is_in=is_in, length_m=_MOUTH_M)[0] for lane in lanes]
@@ -384,8 +364,7 @@ def _apart(points_m: FloatArray) -> FloatArray:
     is_new = np.append(True, np.hypot(*np.diff(points_m, axis=0).T) > _DIGITS_M)
     if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
         is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
-    apart: FloatArray = points_m[is_new]
-    return apart
+    return np.asarray(points_m[is_new])
 
 
 def _is_elsewhere(
@@ -484,7 +463,7 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
         if candidate not in taken and candidate != "ground":
             taken.add(candidate)
             return candidate
-    raise InputError(source.name, Unquoted(f"{name} too often"), "unique ids")
+    refuse(source.name, f"{name} too often", "unique ids")
 
 
 # ---------- many junctions out of maps that are read once
@@ -523,11 +502,7 @@ class Neighbourhoods:
         self._maps = [(source, _boxes(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
-        """Parts of the maps around a junction of the first one.
-
-        The scene that is cut out of these is the one that is cut out of the whole maps; what was
-        left out when the maps were read is not repeated. A map that has nothing there is left out.
-        """
+        """Parts of the maps around a junction, which make the same scene as the whole ones."""
         roads = self._maps[0][0]
         middle = junction.position_m
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])

@@ -17,11 +17,11 @@ from shapely.errors import ShapelyError
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import check_file, open_file, read_text
 from ..notes import Note
 from ..scene import CLASS_NAMES
-from ..untrusted_files import parse_json, unpacked
+from ..untrusted_files import parse_object, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .source_map import (
     SourceMap,
@@ -74,8 +74,7 @@ class Features:
 def read_features(path: Path, layer: str = "") -> Features:
     """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
 
-    Raises InputError if the file cannot be read, does not have the format of its suffix, has
-    several layers and none is chosen, or has more than 200,000 features.
+    Raises InputError if it is damaged, has several layers and none is chosen, or too many features.
     """
     suffix = path.suffix.lower()
     if suffix == ".zip":
@@ -91,7 +90,7 @@ def read_features(path: Path, layer: str = "") -> Features:
 def _read_geojson(path: Path) -> Features:
     """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
     where = str(path)
-    document = parse_json(read_text(path, "GeoJSON"), where, "GeoJSON")
+    document = parse_object(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
     rows = document.get("features") if kind == "FeatureCollection" else [document]
     if kind not in ("FeatureCollection", "Feature") or not isinstance(rows, list):
@@ -144,7 +143,7 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
     try:
         with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
-                raise InputError(where, Unquoted("something else"), name)
+                refuse(where, "something else", name)
         for other in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # .dbf, .gpkg-wal, ..
             check_file(other)
         if path.suffix.lower() == ".gpkg":
@@ -154,15 +153,15 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
             named = "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
             if not layer and len(layers) != 1:
-                raise InputError(where, Unquoted(f"{len(layers)} layers"), named)
+                refuse(where, f"{len(layers)} layers", named)
             if layer and layer not in layers:
                 raise InputError(f"{where}: layer", layer, named)
             layer = layer or layers[0]
             info = pyogrio.read_info(path, layer=layer)
             if info["driver"] != _DRIVERS[path.suffix.lower()]:
-                raise InputError(where, Unquoted(f"a file for {info['driver']}"), name)
+                refuse(where, f"a file for {info['driver']}", name)
             if info["geometry_type"] is None:
-                raise InputError(where, Unquoted("a table without geometries"), name)
+                refuse(where, "a table without geometries", name)
             table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
     except InputError:
         raise
@@ -208,14 +207,13 @@ def _check_tables(path: Path) -> None:
     except sqlite3.Error as error:
         raise InputError(str(path), Unquoted(error), "a GeoPackage") from None
     if computed:
-        got = Unquoted(f"{computed[0]}, a view or a table with computed columns")
-        raise InputError(str(path), got, "plain tables alone")
+        got = f"{computed[0]}, a view or a table with computed columns"
+        refuse(str(path), got, "plain tables alone")
 
 
 def _refuse_many(n_features: int, where: str) -> None:
     if n_features > MAX_FEATURES:
-        got = Unquoted(f"more than {MAX_FEATURES:,} features")
-        raise InputError(where, got, "a part of it; cut it out first")
+        refuse(where, f"more than {MAX_FEATURES:,} features", "a part of it; cut it out first")
 
 
 # ---------- footprints
@@ -240,17 +238,15 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres
-    unless the column (``height_ft``) or the value ("40 ft") says otherwise; missing or impossible
-    ones are replaced by the defaults of ``data/things.toml``. Lines become walls if `class_name` is
-    "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says wall, fence or hedge.
-    Third coordinates are ignored; heights are above ground. Raises InputError if the file cannot be
-    read, has no area, or has coordinates that are not finite or do not fit its reference system.
+    unless the column (``height_ft``) or the value ("40 ft") says otherwise, or else from
+    ``data/things.toml``. Lines are walls if `class_name` or a column says so. Third coordinates are
+    ignored. Raises InputError if it is damaged, has no area, or does not fit its reference system.
     """
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
     where = str(path)
     if not table.features:
-        raise InputError(where, Unquoted("an empty layer"), "footprints")
+        refuse(where, "an empty layer", "footprints")
     left_out: Counter[str] = Counter()
     solid = [
         (feature, kind)
@@ -258,8 +254,8 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
         if (kind := _kind(feature, class_name, left_out)) is not None
     ]
     if not solid:
-        got = Unquoted("no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items()))
-        raise InputError(where, got, "polygons")
+        got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
+        refuse(where, got, "polygons")
     points = np.concatenate([shapely.get_coordinates(feature.geometry) for feature, _ in solid])
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []
@@ -273,7 +269,7 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
         except InputError as error:
             failed.append(Note(what=f"{kind.kind} {thing_id}", why=str(error)))
     if not things:
-        raise InputError(where, Unquoted(f"no footprint with an area; {failed[0].why}"), "polygons")
+        refuse(where, f"no footprint with an area; {failed[0].why}", "polygons")
     return SourceMap(
         name=path.name,
         crs=place.crs,
@@ -332,7 +328,7 @@ def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeferenc
         if not polygon.is_empty
     ]
     if not pieces:
-        raise InputError(thing_id, Unquoted("no area"), "a footprint")
+        refuse(thing_id, "no area", "a footprint")
     return Thing.of(thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed)
 
 

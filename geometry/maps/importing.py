@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, check_one_of, refuse
 from ..files import check_file, load_toml, open_file, read_text
 from ..frames import parse_crs
 from ..junction import build_junction
@@ -51,10 +51,7 @@ class Surveyed:
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
-    """All junctions of a map, the largest first: by arms, driven arms, then lanes.
-
-    Of equally large ones the one nearest to the middle of the map comes first.
-    """
+    """All junctions of a map by arms, driven arms, lanes, and nearness to the middle of the map."""
     by_junction: dict[str, list[MapLane]] = defaultdict(list)
     for lane in source.lanes:
         for name in {lane.from_junction, lane.to_junction}:
@@ -92,11 +89,7 @@ SORTS = ("arms", "lanes", "signals", "crossings", "name")
 
 
 def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
-    """Junctions in another order: the most first, or names by the alphabet.
-
-    `surveyed`: as :func:`survey_junctions` returns them; equal ones stay in this order. `sort`: one
-    of ``SORTS``; "arms" is the order that they come in. Raises InputError: `sort` is none of them.
-    """
+    """Surveyed junctions in an order of ``SORTS``: the most first, or names by the alphabet."""
     check_one_of("sort", sort, SORTS)
     if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
@@ -114,14 +107,12 @@ def choose_junction(
 ) -> Surveyed:
     """Choose a junction by name or point; by default the first.
 
-    `surveyed`: as :func:`survey_junctions` returns them. `name`: id; or name, streets in any order:
-    "Mannerheimintie / Kaivokatu", or some of them, also shortened (St, Ave, Str.); or a part of the
-    name that no other junction has; or "latitude, longitude" within 100 m in degrees; empty: any.
-    `at`: a point within 100 m, in the file's coordinate reference system: longitude and latitude,
-    or metres. Raises InputError: the map has no junction, or none or several match.
+    `name`: id; or streets in any order, also shortened (St, Ave, Str.), or some of them; or a part
+    of the name that no other has; or "latitude, longitude". `at`: in the file's own coordinates;
+    points lie within 100 m. Raises InputError: none or several match.
     """
     if not surveyed:
-        raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
+        refuse(source.name, "no junction", "a map in which roads meet")
     where = "at"
     if name:
         place = _LAT_LON.fullmatch(name)
@@ -132,7 +123,7 @@ def choose_junction(
         return surveyed[0]
     point = _in_map(source, at)
     if not np.isfinite(point).all():
-        raise InputError(where, Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}")
+        refuse(where, f"{at[0]:g},{at[1]:g}", f"a point in {source.source_crs}")
     distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
     nearest = int(np.argmin(distance))
     if not distance[nearest] <= _NEAR_M:
@@ -141,11 +132,11 @@ def choose_junction(
         if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
             order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
             order = "latitude,longitude" if name else order
-            raise InputError(where, Unquoted(got), f"{order}: it is the other way round")
+            refuse(where, got, f"{order}: it is the other way round")
         found = surveyed[nearest]
         place_of = ", ".join(f"{value:.8g}" for value in found.position)
         expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
-        raise InputError(where, Unquoted(got), f"{expected}{found.junction.id}, is at {place_of}")
+        refuse(where, got, f"{expected}{found.junction.id}, is at {place_of}")
     return surveyed[nearest]
 
 
@@ -306,18 +297,16 @@ class ReadingOptions:
 
 
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
-    """Read a map file of any known format.
+    """Read a map file of any known format; .json, .gml and .xml are told apart by content.
 
-    `path`: the suffix gives the format; .json, .gml and .xml are told apart by content, .zip is
-    opened. `options`: answers to what the file leaves open. Raises InputError: the file does not
-    exist, is of no known format, or is damaged.
+    Raises InputError: the file does not exist, is of no known format, or is damaged.
     """
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
     if not path.exists():
-        raise InputError(str(path), Unquoted("no such file"), "a map file")
+        refuse(str(path), "no such file", "a map file")
     if path.is_dir():
-        raise InputError(str(path), Unquoted("a folder"), "a map file")
+        refuse(str(path), "a folder", "a map file")
     check_file(path)
     with ExitStack() as stack:
         inside = path
@@ -354,7 +343,7 @@ def _read(path: Path, options: ReadingOptions) -> SourceMap:
     elif kind in (".xml", ".gml", ".citygml"):
         kind = _kind_of_xml(path)
     if kind not in _READERS:
-        raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
+        refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
     module, function, fields = _READERS[kind]
     read = getattr(import_module(f"{__package__}.{module}"), function)
     source: SourceMap = read(path, **{field: getattr(options, field) for field in fields})
@@ -393,7 +382,7 @@ def _kind_of_xml(path: Path) -> str:
     root = local_name(read_xml_root(path))
     kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml"}
     if root not in kinds:
-        raise InputError(str(path), Unquoted(f"<{root}>"), "OpenDRIVE, OpenStreetMap or CityGML")
+        refuse(str(path), f"<{root}>", "OpenDRIVE, OpenStreetMap or CityGML")
     return kinds[root]
 
 
@@ -439,7 +428,7 @@ class ImportOptions:
         if not low <= self.radius_m <= high:
             raise InputError("radius_m", self.radius_m, f"metres, {low:g} to {high:g}")
         if self.junction and self.at is not None:
-            raise InputError("at", Unquoted("it beside `junction`"), "one of them")
+            refuse("at", "it beside `junction`", "one of them")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -455,21 +444,15 @@ class ImportedScene:
 def read_maps(
     paths: Sequence[Path], reading: ReadingOptions
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
-    """Read map files and list the junctions of the one with roads.
-
-    `paths`: exactly one has roads; the others have buildings and more. `reading`: answers to what
-    the files leave open. Returns `maps`: the map with the roads first, then the others in the given
-    order. `junctions`: see :func:`geometry.maps.importing.survey_junctions`. Raises InputError: a
-    file cannot be read, or none or several have roads.
-    """
+    """Map files, that with roads first, and its junctions; InputError: none or several have any."""
     if not paths:
-        raise InputError("FILE", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
+        refuse("FILE", "nothing", "a map: OpenDRIVE or OpenStreetMap")
     maps = [read_map(path, reading) for path in paths]
     with_roads = [source for source in maps if source.lanes]
     if len(with_roads) != 1:
         names = " and ".join(source.name for source in with_roads) or "none"
         where = ", ".join(source.name for source in maps)
-        raise InputError(where, Unquoted(f"roads in {names}"), "roads in one of the files")
+        refuse(where, f"roads in {names}", "roads in one of the files")
     roads = with_roads[0]
     return [roads, *(s for s in maps if s is not roads)], survey_junctions(roads)
 
@@ -477,8 +460,6 @@ def read_maps(
 def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
     """Make a scene from map files.
 
-    `paths`: see :func:`read_maps`. `options`: which junction, how far around it, and which sites.
-    Returns `imported`: at least one arm leads into its junction, and it has at least one site.
     Raises InputError: a file cannot be read, there is no such junction, no lane leads into it, or
     there is no place for a sensor.
     """
@@ -497,17 +478,12 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
 
 
 def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
-    """Make a scene of one junction of maps that are read already.
-
-    `maps`: the one with the roads first. `chosen`: a junction of it. `options`: how far around it,
-    and which sites. Returns `imported`: of the junctions of the map, it knows the chosen one.
-    Raises InputError: no lane leads into the junction, or there is no place for a sensor.
-    """
+    """Make a scene of one junction of maps that are read; raises as :func:`import_scene` does."""
     roads = maps[0]
     if not chosen.n_driven:
-        got = Unquoted("no lane that leads into it")
+        got = "no lane that leads into it"
         expected = "a junction that cars drive into"
-        raise InputError(f"{roads.name}: junction {chosen.junction.id}", got, expected)
+        refuse(f"{roads.name}: junction {chosen.junction.id}", got, expected)
     elevation = None
     if options.terrain is not None:
         elevation = read_elevation(

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, refuse
 from ..files import read_text
 from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
@@ -91,13 +91,10 @@ _YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
 
-    Columns: id; x and y in `crs`, or lat and lon (in GeoJSON: the points); and as far as known z,
-    height of the pole, up to which sensors are mounted, min_height_m, max_height_m, kind, cost_eur,
-    power, fibre, capacity and forbidden (yes or no). Case does not matter, nor do units at the end
-    of a column's name, "height [m]". A comma may stand for the decimal point. Other columns are not
-    read; a warning names them. `crs` is the projected coordinate reference system of the scene;
-    empty: it has none. Raises InputError if the file cannot be read, or a field is missing or not
-    of its kind.
+    Columns are those of ``docs/formats.md``; case does not matter, nor do units at the end of a
+    name, "height [m]"; a comma may stand for the decimal point. `crs` is the projected one of the
+    scene; empty: it has none. Raises InputError if the file cannot be read, or a field is missing
+    or wrong.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
@@ -107,7 +104,7 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     else:
         raise InputError(str(path), suffix, "one of " + ", ".join(SUFFIXES))
     if not rows:
-        raise InputError(str(path), Unquoted("no sites"), "one per line")
+        refuse(str(path), "no sites", "one per line")
     sites = []
     seen: set[str] = set()
     for where, values in rows:
@@ -122,10 +119,7 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
 def known_columns(
     names: Sequence[str], where: str, fields: Mapping[str, Sequence[str]] = _FIELDS
 ) -> dict[str, str]:
-    """Field of every column that is known, by the column; `fields` are names by the field.
-
-    Raises InputError where two columns are the same field, or one has a unit that is not read.
-    """
+    """Field of every known column; InputError: two are one field, or one has another unit."""
     found: dict[str, str] = {}
     field_of = {alias: field for field, aliases in fields.items() for alias in aliases}
     for name in names:
@@ -140,7 +134,7 @@ def known_columns(
         if field is None:
             continue
         if field in found.values():
-            raise InputError(f"{where}: column {name!r:.60}", Unquoted(f"a second {field}"), "one")
+            refuse(f"{where}: column {name!r:.60}", f"a second {field}", "one")
         found[name] = field
     return found
 
@@ -149,14 +143,10 @@ _Row = tuple[str, dict[str, Any]]
 
 
 def read_csv_rows(path: Path) -> Iterator[_Row]:
-    """Rows of a CSV file with a header: where each is, and its cells by the names of the columns.
-
-    Comma, semicolon or tab; empty lines are left out. Raises InputError for what is no CSV.
-    """
+    """Rows of a CSV file (comma, semicolon or tab): where each is, and its cells by column."""
     where = str(path)
     text = read_text(path, "CSV")
-    head = text.partition("\n")[0]
-    separator = max(";\t,", key=head.count)
+    separator = max(";\t,", key=text.partition("\n")[0].count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     try:
         names = next(reader, [])
@@ -165,9 +155,9 @@ def read_csv_rows(path: Path) -> Iterator[_Row]:
             if not any(cell.strip() for cell in cells):
                 continue
             if len(cells) != len(names):
-                raise InputError(here, Unquoted(f"{len(cells)} fields"), f"{len(names)}")
+                refuse(here, f"{len(cells)} fields", f"{len(names)}")
             if reader.line_num > _MAX_SITES:
-                raise InputError(where, Unquoted(f"more than {_MAX_SITES:,} lines"), "fewer")
+                refuse(where, f"more than {_MAX_SITES:,} lines", "fewer")
             yield here, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}
     except csv.Error as error:
         raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "CSV") from None
@@ -193,7 +183,7 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
     table = read_features(path)
     declared = _declared_crs(table, str(path))
     if len(table.features) > _MAX_SITES:
-        raise InputError(str(path), Unquoted(f"{len(table.features):,} features"), "fewer")
+        refuse(str(path), f"{len(table.features):,} features", "fewer")
     known: dict[str, str] = {}
     for feature in table.features:
         fields = known_columns(list(feature.values), feature.where)
@@ -209,8 +199,8 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
                 values |= {"lon": x, "lat": y}
             else:
                 if not crs:
-                    got = Unquoted(f"coordinates in {table.crs[:80]}")
-                    raise InputError(feature.where, got, "x and y of the scene")
+                    got = f"coordinates in {table.crs[:80]}"
+                    refuse(feature.where, got, "x and y of the scene")
                 values["x"], values["y"] = transform([x, y], table.crs, crs).tolist()
             if feature.geometry.has_z:
                 values.setdefault("z", feature.geometry.z)
@@ -233,7 +223,7 @@ def _declared_crs(table: Features, where: str) -> "CRS":
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     site_id = str(values.get("id", "")).strip()
     if not site_id:
-        raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
+        refuse(f"{where}: id", "nothing", "a name")
     low = read_number(values, "min_height", where, least=0.0)
     high = read_number(values, "max_height", where, least=0.0)
     if high is None:
@@ -259,10 +249,7 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
 
 
 def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    """Position by x and y, or lat and lon, in a scene's reference system, (2,). [m].
-
-    Raises InputError if there is none, or it lies nowhere.
-    """
+    """Position (2,) by x and y, or lat and lon, in a scene's system, in metres; or InputError."""
     x, y = read_number(values, "x", where), read_number(values, "y", where)
     if x is not None and y is not None:
         return np.array([x, y])
@@ -270,7 +257,7 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     if lat is None or lon is None:
         given = {"x": x, "y": y} if (x is None) != (y is None) else {"lat": lat, "lon": lon}
         missing = " and ".join(name for name, value in given.items() if value is None)
-        raise InputError(f"{where}: {missing}", Unquoted("nothing"), "x and y, or lat and lon")
+        refuse(f"{where}: {missing}", "nothing", "x and y, or lat and lon")
     if not crs:
         expected = "x and y in metres: the scene does not say where on earth it lies"
         raise InputError(f"{where}: lat", lat, expected)
@@ -362,11 +349,7 @@ class Counts:
 
 
 def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
-    """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates.
-
-    Raises InputError if the file cannot be read, has no geometry, or the map does not say where on
-    earth it lies.
-    """
+    """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates; or InputError."""
     table = read_features(path)
     areas = [
         Area(
@@ -379,17 +362,16 @@ def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
         if feature.geometry is not None and not feature.geometry.is_empty
     ]
     if not areas:
-        raise InputError(str(path), Unquoted("no geometry"), "polygons")
+        refuse(str(path), "no geometry", "polygons")
     return tuple(areas)
 
 
 def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     """Read counts: CSV with x and y, lat and lon, or junction; or points of a GIS file.
 
-    `path`: CSV, GeoJSON, GeoPackage or Shapefile. `crs`: of the map; columns x and y are in it.
-    `column`: of the counts; empty: "weight", "count" or the like, and where there is none, each
-    place counts 1. Raises InputError: the file cannot be read; there is no such column, or no
-    place; a count is no number of at least 0.
+    `crs` is that of the map and of x and y. `column`: of the counts; empty: "weight", "count" or
+    the like, or else each place counts 1. Raises InputError: no such column or place, or a wrong
+    count.
     """
     if path.suffix.lower() == ".csv":
         rows = list(read_csv_rows(path))
@@ -400,11 +382,11 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
         places = []
         for feature in table.features:
             if feature.geometry is None or feature.geometry.is_empty:
-                raise InputError(f"{feature.where}.geometry", Unquoted("nothing"), "a Point")
+                refuse(f"{feature.where}.geometry", "nothing", "a Point")
             middle = _in_crs(feature, table, crs).centroid
             places.append(np.array([middle.x, middle.y]))
     if not rows:
-        raise InputError(str(path), Unquoted("nothing"), "a row for each place")
+        refuse(str(path), "nothing", "a row for each place")
     names = {str(name): str(name).strip().lower() for _, values in rows for name in values}
     found = _column(names, column, path)
     values = np.array([_count(row, found, where) for where, row in rows])
@@ -449,15 +431,14 @@ def _count(row: Mapping[str, Any], column: str, where: str) -> float:
 def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
     assert feature.geometry is not None
     if not crs:
-        got = Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}")
-        raise InputError(feature.where, got, "a map that says where on earth it lies: `crs`")
+        got = f"coordinates in {table.crs[:80] or 'an unknown system'}"
+        refuse(feature.where, got, "a map that says where on earth it lies: `crs`")
     declared = _declared_crs(table, feature.where)
     moved: BaseGeometry = shapely.transform(
-        shapely.force_2d(feature.geometry),
-        lambda points: transform(points, declared.to_wkt(), crs),
+        shapely.force_2d(feature.geometry), lambda points: transform(points, declared.to_wkt(), crs)
     )
     if not np.isfinite(shapely.get_coordinates(moved)).all():
-        raise InputError(feature.where, Unquoted("a place that is nowhere"), f"places in {crs}")
+        refuse(feature.where, "a place that is nowhere", f"places in {crs}")
     return moved
 
 
@@ -480,8 +461,7 @@ def areas_of(
 ) -> list[list[int]]:
     """Indices of the areas that each point lies in, or no farther from than some metres."""
     tree = shapely.STRtree([area.geometry for area in areas])
-    points = shapely.points(points_m)
-    point, area = tree.query(points, predicate="dwithin", distance=within_m)
+    point, area = tree.query(shapely.points(points_m), predicate="dwithin", distance=within_m)
     found: list[list[int]] = [[] for _ in points_m]
     for index, one in sorted(zip(point.tolist(), area.tolist(), strict=True)):
         found[index].append(one)

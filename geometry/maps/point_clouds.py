@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import open_file
 from ..notes import Note
 from ..scene import CLASS_NAMES
@@ -44,8 +44,7 @@ Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS clas
 def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
     """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
 
-    Raises InputError if it cannot be read, claims more than 50 million points or more than it has
-    bytes for, or is damaged (also while its points are read).
+    Raises InputError if it claims too many points or more than it has bytes for, or is damaged.
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -89,7 +88,7 @@ def _check_header(path: Path) -> None:
     with open_file(path) as file:
         head = file.read(375)
     if len(head) < 227 or head[:4] != b"LASF":
-        raise InputError(where, Unquoted("something else"), "a LAS file")
+        refuse(where, "something else", "a LAS file")
     minor = head[25]
     header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
     point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
@@ -97,29 +96,25 @@ def _check_header(path: Path) -> None:
         first_extended, n_extended, n_points_14 = struct.unpack_from("<QIQ", head, 235)
         n_points = n_points_14 or n_points
         if n_extended and first_extended + 60 * n_extended > n_bytes:
-            raise InputError(where, Unquoted(f"{n_extended:,} extended records"), "as many as fit")
+            refuse(where, f"{n_extended:,} extended records", "as many as fit")
     if n_points > MAX_POINTS:
-        got = Unquoted(f"{n_points:,} points")
-        raise InputError(where, got, f"at most {MAX_POINTS:,}; thin it out first")
+        refuse(where, f"{n_points:,} points", f"at most {MAX_POINTS:,}; thin it out first")
     if not n_points:
-        raise InputError(where, Unquoted("no points"), "points")
+        refuse(where, "no points", "points")
     if not header_bytes <= first_point <= n_bytes or header_bytes + 54 * n_records > first_point:
-        raise InputError(where, Unquoted(f"{n_records:,} records in its header"), "as many as fit")
+        refuse(where, f"{n_records:,} records in its header", "as many as fit")
     is_packed = bool(point_format & 0xC0)
     if is_packed:
         n_layers = _n_layers(path, header_bytes, n_records, point_bytes)
         _check_chunks(path, first_point, point_bytes, n_layers)
     if not is_packed and first_point + n_points * point_bytes > n_bytes:
-        got = Unquoted(f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off")
-        raise InputError(where, got, f"{first_point + n_points * point_bytes:,} bytes")
+        got = f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off"
+        refuse(where, got, f"{first_point + n_points * point_bytes:,} bytes")
     check_unpacked(n_points * max(point_bytes, 20), where)
 
 
 def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:
-    """Number of layers in which chunks of points are packed; 0: they are not layered.
-
-    Raises InputError if the parts of a packed point do not make up a point.
-    """
+    """Number of layers in which chunks of points are packed, 0: none; InputError: no known kind."""
     where = str(path)
     with open_file(path) as file:
         file.seek(header_bytes)
@@ -135,11 +130,11 @@ def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -
             items = [struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)]
             sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
             if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
-                raise InputError(where, Unquoted("packed points of no known kind"), "LASzip")
+                refuse(where, "packed points of no known kind", "LASzip")
             if items[0][0] not in _LAYERS:
                 return 0
             return sum(_LAYERS.get(kind, 0) or size for kind, size, _ in items)
-    raise InputError(where, Unquoted("packed points without a LASzip record"), "a LAZ file")
+    refuse(where, "packed points without a LASzip record", "a LAZ file")
 
 
 def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int) -> None:
@@ -153,7 +148,7 @@ def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int)
             file.seek(-8, 2)
             at = struct.unpack("<q", file.read(8))[0]
         if not first_point < at <= n_bytes - 8:
-            raise InputError(str(path), Unquoted("a table of chunks outside the file"), "all of it")
+            refuse(str(path), "a table of chunks outside the file", "all of it")
         file.seek(at)
         _, n_chunks = struct.unpack("<2I", file.read(8))
         claimed = n_chunks * point_bytes  # the first point of a chunk is not packed
@@ -166,8 +161,7 @@ def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int)
                 struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
             )
     if claimed > n_bytes or begin > at:
-        got = Unquoted(f"{n_chunks:,} chunks of points that claim more bytes")
-        raise InputError(str(path), got, f"{at:,}")
+        refuse(str(path), f"{n_chunks:,} chunks of points that claim more bytes", f"{at:,}")
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
@@ -176,7 +170,7 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
         for points in reader.chunk_iterator(CHUNK_POINTS):
             n_points += len(points)
             if n_points > MAX_POINTS:
-                raise InputError(where, Unquoted(f"more than {MAX_POINTS:,} points"), "fewer")
+                refuse(where, f"more than {MAX_POINTS:,} points", "fewer")
             xyz = np.stack([np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1)
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -199,11 +193,7 @@ _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 
 
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
-
-    Points without coordinates (NaN) are left out. Raises InputError, while points are read, if the
-    file claims more than 50 million or more than it contains, or is damaged.
-    """
+    """Points with coordinates of an open PCD file, version 0.7, all of class 0; or InputError."""
     header = _pcd_header(file, where)
     names = header.get("FIELDS", [])
     if not {"x", "y", "z"} <= set(names):
@@ -239,7 +229,7 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
         n_found += len(xyz)
         yield xyz, np.zeros(len(xyz), dtype=np.uint8)
     if not n_found:
-        raise InputError(where, Unquoted("only points without coordinates"), "points")
+        refuse(where, "only points without coordinates", "points")
 
 
 def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
@@ -255,7 +245,7 @@ def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
             header[words[0]] = words[1:]
         if words and words[0] == "DATA":
             return header
-    raise InputError(where, Unquoted("no header with FIELDS to DATA"), "a PCD file")
+    refuse(where, "no header with FIELDS to DATA", "a PCD file")
 
 
 def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> list[int]:
@@ -274,8 +264,8 @@ def _pcd_binary(
     n_bytes = file.seek(0, 2) - here
     file.seek(here)
     if n_points * record.itemsize > n_bytes:
-        got = Unquoted(f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off")
-        raise InputError(where, got, f"{n_points * record.itemsize:,} bytes")
+        got = f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off"
+        refuse(where, got, f"{n_points * record.itemsize:,} bytes")
     chunk = max(1, min(CHUNK_POINTS, 64_000_000 // record.itemsize))
     for first in range(0, n_points, chunk):
         n = min(chunk, n_points - first)
@@ -300,8 +290,7 @@ def _pcd_ascii(
         if len(lines):
             yield numbers.reshape(-1, 3)
     if n_found < n_points:
-        got = Unquoted(f"{n_found:,} of {n_points:,} points: cut off")
-        raise InputError(where, got, "all of them")
+        refuse(where, f"{n_found:,} of {n_points:,} points: cut off", "all of them")
 
 
 def _pcd_compressed(
@@ -312,10 +301,10 @@ def _pcd_compressed(
     n_packed, n_bytes = struct.unpack("<2I", head) if len(head) == 8 else (0, 0)
     if n_bytes != n_points * record.itemsize or n_bytes > _MAX_LZF_BYTES:
         expected = f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}"
-        raise InputError(where, Unquoted(f"{n_bytes:,} bytes of unpacked points"), expected)
+        refuse(where, f"{n_bytes:,} bytes of unpacked points", expected)
     data = _unpack_lzf(file.read(n_packed), n_bytes)
     if data is None:
-        raise InputError(where, Unquoted("damaged compressed points"), f"{n_bytes:,} bytes")
+        refuse(where, "damaged compressed points", f"{n_bytes:,} bytes")
     xyz = []
     for column in columns:
         offset = sum(record[before].itemsize for before in range(column)) * n_points
@@ -389,16 +378,12 @@ class LowestPoints:
         return len(self._z_m)
 
     def grid(self, where: str) -> tuple[IntArray, FloatArray]:
-        """First cell (2,), and heights of all cells of the box, (n, m); NaN: no points. [m].
-
-        Raises InputError if the box is too large.
-        """
+        """First cell (2,), and heights of cells, (n, m), NaN: none; InputError: too large."""
         low = self._cells.min(axis=0)
         shape = self._cells.max(axis=0) - low + 1
         if np.prod(shape.astype(np.float64)) > _MAX_CELLS:
             size = " x ".join(f"{length * CELL_M / 1000.0:.1f} km" for length in shape)
-            got = Unquoted(f"points over {size}")
-            raise InputError(where, got, "at most 16 km2; cut them out first")
+            refuse(where, f"points over {size}", "at most 16 km2; cut them out first")
         heights = np.full(tuple(shape), np.nan)
         heights[tuple((self._cells - low).T)] = self._z_m
         return low, heights
@@ -409,21 +394,15 @@ def fill_gaps(heights_m: FloatArray) -> FloatArray:
     if not np.isnan(heights_m).any():
         return heights_m
     _, nearest = distance_transform_edt(np.isnan(heights_m), return_indices=True)
-    filled: FloatArray = heights_m[tuple(nearest)]
-    return filled
+    return np.asarray(heights_m[tuple(nearest)])
 
 
 def filter_ground(heights_m: FloatArray) -> FloatArray:
-    """Ground (n, m) under the lowest points of cells (NaN: none). [m].
+    """Ground (n, m) under the lowest points of cells (NaN: none), in metres.
 
-    A surface is opened with growing windows. A cell that an opening lowers by more than the ground
-    could rise within half the window carries something, and gets the height of the nearest ground.
-    Part of a house that is lower than the ground behind it is taken for ground.
-
-    References
-    ----------
-    .. [1] K. Zhang et al., "A progressive morphological filter for removing nonground measurements
-       from airborne lidar data", 2003.
+    A cell that an opening lowers by more than the ground could rise within half the window carries
+    something, and gets the height of the nearest ground. K. Zhang et al., "A progressive
+    morphological filter for removing nonground measurements from airborne lidar data", 2003.
     """
     surface = fill_gaps(heights_m)
     if min(surface.shape) >= 5:
@@ -467,21 +446,12 @@ _LEFT_OUT = {
 def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
 
-    Ground is removed: class 2 where a LAS file has it, or else by a progressive morphological
-    filter. The other points become voxels; voxels that touch become one thing with their outer
-    faces as its surface. Heights are above ground; PCD is taken as metres with z up.
-
-    Why voxels, and not a Poisson, ball-pivoting or alpha surface: a surface fitted through points
-    closes gateways and passages where there is no point, or stays open where a scan is thin, and a
-    sensor's rays would find both. A voxel hides exactly where there is a point, to half its edge;
-    gaps of one voxel are bridged; enclosed voids are filled, so that nothing is hollow. Roofs seen
-    only from the air (class 6, or even patches of 10 m2 with nothing below) are filled to the
-    ground, for the walls that must carry them.
-
-    `class_name` is for points without a class of their own (LAS: 3 to 5 vegetation, 6 building).
-    The edge length, 0.25 m, is doubled until voxels of a thin scan touch, up to 2 m. Raises
-    InputError if the file cannot be read or claims too much; points are not finite, or spread over
-    more than 16 km2; only ground is left; or there are more than five million triangles.
+    Ground is removed: class 2, or else by a filter. The other points become voxels of 0.25 m,
+    doubled up to 2 m until those of a thin scan touch; voxels that touch become one thing. A voxel
+    hides exactly where there is a point, while a fitted surface closes gateways or stays open where
+    a scan is thin. Gaps of one voxel are bridged, enclosed voids filled, and roofs seen only from
+    the air filled to the ground. `class_name` is for points without a class. PCD is in metres, z
+    up. Raises InputError if it is damaged or too large, or only ground is left.
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
@@ -489,7 +459,7 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     with open_points(path) as (crs, chunks):
         for points, classes in chunks:
             if not np.isfinite(points).all():
-                raise InputError(where, Unquoted("a coordinate that is not finite"), "numbers")
+                refuse(where, "a coordinate that is not finite", "numbers")
             if not len(points):
                 continue
             if scan.place is None:
@@ -497,11 +467,11 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
                 scan.place = georeference(corners, crs, where=where)
             scan.add(scan.place.to_metres(points, where), classes, class_name)
     if scan.place is None:
-        raise InputError(where, Unquoted("no points"), "points")
+        refuse(where, "no points", "points")
     heights, voxel_m, notes = _above_ground(scan)
     things, small = _things(heights, voxel_m, scan, class_name)
     if not things and not len(scan.lowest_ground):
-        raise InputError(where, Unquoted("only ground"), "points on something above the ground")
+        refuse(where, "only ground", "points on something above the ground")
     notes += counted(scan.left_out, "points of a class that hides nothing here")
     if small:
         why = f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m"
@@ -553,8 +523,7 @@ class _Scan:
         local = points_m - self.origin_m
         reach = MAX_VOXELS_PER_AXIS // 2 * VOXEL_M
         if (np.abs(local) > reach).any():
-            got = Unquoted(f"points {np.abs(local).max():.3g} m apart")
-            raise InputError(self.where, got, "one place")
+            refuse(self.where, f"points {np.abs(local).max():.3g} m apart", "one place")
         self.lowest.add(local)
         self.lowest_ground.add(local[np.isin(classes, _GROUND)])
         keys = to_keys(np.floor(local / VOXEL_M).astype(np.int64) + _MIDDLE)
@@ -568,8 +537,8 @@ class _Scan:
             self.keys[kind] = np.unique(np.concatenate([before, keys[is_kind]]))
         n_voxels = sum(len(known) for known in self.keys.values())
         if n_voxels > _MAX_VOXELS:
-            got = Unquoted(f"more than {_MAX_VOXELS:,} voxels of {VOXEL_M} m")
-            raise InputError(self.where, got, "a larger voxel, or fewer points")
+            got = f"more than {_MAX_VOXELS:,} voxels of {VOXEL_M} m"
+            refuse(self.where, got, "a larger voxel, or fewer points")
 
 
 def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
@@ -635,8 +604,7 @@ def _things(
                 continue
             found.append((kind, part))
     if len(found) > _MAX_THINGS:
-        got = Unquoted(f"{len(found):,} things")
-        raise InputError(scan.where, got, f"at most {_MAX_THINGS:,}; cut it out")
+        refuse(scan.where, f"{len(found):,} things", f"at most {_MAX_THINGS:,}; cut it out")
     things: list[Thing] = []
     names: Counter[str] = Counter()
     assert scan.origin_m is not None
@@ -678,8 +646,7 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
     if len(columns) * voxel_m**2 < _MIN_ROOF_M2:
         return False
     top = np.maximum.reduceat(cells[:, 2], start) - _MIDDLE
-    lowest = np.minimum.reduceat(cells[:, 2], start) - _MIDDLE
-    hangs = lowest > 0.5 * top
+    hangs = (np.minimum.reduceat(cells[:, 2], start) - _MIDDLE) > 0.5 * top
     is_next = (np.diff(columns[:, 0]) == 0) & (np.diff(columns[:, 1]) == 1)
     is_even = np.abs(np.diff(top)[is_next]) <= 1
     return bool(
@@ -716,15 +683,11 @@ def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
     if not len(sorted_keys):
         return np.zeros(len(keys), dtype=np.bool_)
     places = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
-    found: BoolArray = sorted_keys[places] == keys
-    return found
+    return np.asarray(sorted_keys[places] == keys)
 
 
 def clusters(keys: IntArray) -> IntArray:
-    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
-
-    `keys` are sorted and unique; numbers follow the order of the clusters' first voxels.
-    """
+    """Cluster number of every sorted voxel, by first voxel: those that touch, if at a corner."""
     n = len(keys)
     pairs = []
     for step in _HALF_OF_NEIGHBOURS:
@@ -752,10 +715,7 @@ def mean_neighbours(keys: IntArray) -> float:
 
 
 def filled(keys: IntArray, floor: int) -> IntArray:
-    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
-
-    `floor` is the lowest z above ground. A cluster whose box is too large stays as it is.
-    """
+    """Voxels of one cluster and the voids they enclose with the ground at z `floor`, sorted."""
     cells = to_cells(keys)
     low = cells.min(axis=0)
     low[2] = min(low[2], floor)
@@ -773,22 +733,16 @@ def filled(keys: IntArray, floor: int) -> IntArray:
 def columns_to(
     keys: IntArray, floor: int, where: str, *, n_left: int = MAX_WALL_VOXELS
 ) -> IntArray:
-    """Voxels from the floor to the highest of every column, sorted.
-
-    Raises InputError if they are more than any building has, or than `n_left` of what all buildings
-    of a file may have: heights in another unit, or damaged.
-    """
+    """Voxels from the floor to the highest of every column, sorted; InputError: too many."""
     columns, start = np.unique(keys >> _BITS, return_index=True)
-    top = np.maximum.reduceat(keys & _MASK, start)
-    counts = np.maximum(top - floor + 1, 0)
+    counts = np.maximum(np.maximum.reduceat(keys & _MASK, start) - floor + 1, 0)
     total = int(counts.sum())
     for n_voxels, most, whose in (
         (total, MAX_COLUMN_VOXELS, "a thing"),
         (MAX_WALL_VOXELS - n_left + total, MAX_WALL_VOXELS, "a file"),
     ):
         if n_voxels > most:
-            got = Unquoted(f"walls of {n_voxels:,} voxels")
-            raise InputError(where, got, f"at most {most:,} of {whose}")
+            refuse(where, f"walls of {n_voxels:,} voxels", f"at most {most:,} of {whose}")
     # Ascending, for columns are: one array, and no sorting.
     walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
     walls += np.arange(total)
@@ -799,16 +753,14 @@ def columns_to(
 def faces(
     keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
+    """The closed surface of sorted voxels: rectangles as large as possible, of two triangles each.
 
-    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m` (3,) is the
-    lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from outside. Raises
-    InputError if there are more than `max_triangles`.
+    `origin_m` (3,) is the lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from
+    outside. Raises InputError if there are more than `max_triangles`.
     """
     quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
     if 2 * len(quads) > max_triangles:
-        got = Unquoted(f"{2 * len(quads):,} triangles")
-        raise InputError(where, got, "a larger voxel, or fewer points")
+        refuse(where, f"{2 * len(quads):,} triangles", "a larger voxel, or fewer points")
     unique, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     index = inverse.reshape(-1, 4)
     triangles = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(np.int32)

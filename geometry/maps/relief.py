@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
-from ..errors import InputError, MissingExtraError, Unquoted
+from ..errors import InputError, MissingExtraError, Unquoted, refuse
 from ..files import open_file
 from ..notes import Note
 from ..terrain import Terrain, fit_terrain
@@ -59,7 +59,7 @@ class Relief:
 
         `given_m` is the height in the map of the road in the junction's middle. Where a map counts
         heights above the ground, walls follow it, and other things stand on the lowest ground below
-        them. Buildings that would float are set down, unless a plane's height was given.
+        them.
         """
         if source.heights == "above ground" and given_m is None:
             for thing in things:
@@ -112,10 +112,9 @@ def find_relief(
 ) -> Relief:
     """The ground within a square around a junction of the first map.
 
-    Heights are those of `elevation`, or else of the first of the other maps that has some near the
-    junction, or else of the roads themselves. Ground between points is interpolated, ground beyond
-    them as high as the nearest one; roads on bridges, more than 2 m and 8 % off those of the
-    junction's arms, have no say.
+    Heights are those of `elevation`, or of the first of the other maps that has some near the
+    junction, or of the roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have
+    no say.
     """
     roads = maps[0]
     own = _near(frame.take(roads.ground_m, roads), half_m)
@@ -164,8 +163,7 @@ def _on_level(
     level = frame.take(np.concatenate([middle[None], *arms]), roads)
     away_m, nearest = cKDTree(level[:, :2]).query(points_m[:, :2])
     most_m = _SAME_LEVEL_M + _STEEPEST * away_m
-    kept: FloatArray = points_m[np.abs(points_m[:, 2] - level[nearest, 2]) <= most_m]
-    return kept
+    return np.asarray(points_m[np.abs(points_m[:, 2] - level[nearest, 2]) <= most_m])
 
 
 # ---------- heights of the ground from GeoTIFF rasters
@@ -183,11 +181,9 @@ _EXPECTED = "a GeoTIFF of heights"
 def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:
     """Read the heights of a raster in the square around a place, `half_m` to each side.
 
-    `path`: one band of heights in metres, with a coordinate reference system. `crs`: that of
-    `middle_m` and of what is returned; projected, in metres. Returns the middles of the pixels that
-    have a height. Raises InputError: the raster is no GeoTIFF, has no reference system or several
-    bands, lies elsewhere, is too coarse, too fine or packed in blocks that are too large, or has no
-    height near the place. MissingExtraError: rasterio is not installed.
+    `path`: one band of heights in metres, with a reference system. `crs`: that of `middle_m` and of
+    the points returned. Raises InputError: it is no such GeoTIFF, lies elsewhere, is too coarse,
+    too fine or in too large blocks. MissingExtraError: rasterio is not installed.
     """
     try:
         import rasterio
@@ -199,7 +195,7 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
         ) from None
     with open_file(path) as file:
         if not file.read(4).startswith(_MAGIC):  # GDAL goes by content: a text may name an address
-            raise InputError(str(path), Unquoted("something else"), _EXPECTED)
+            refuse(str(path), "something else", _EXPECTED)
     if not crs:
         expected = "a map that says where on earth it lies: `crs` says it for one that does not"
         raise InputError("terrain", str(path), expected)
@@ -207,31 +203,29 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
         with rasterio.Env(**_ALONE), rasterio.open(path, driver="GTiff") as raster:
             points = _read(raster, str(path), crs, middle_m, half_m)
     except (rasterio.errors.RasterioError, ProjError) as error:
-        why = " ".join(str(error).split())
-        raise InputError(str(path), Unquoted(why), _EXPECTED) from None
+        raise InputError(str(path), Unquoted(" ".join(str(error).split())), _EXPECTED) from None
     return Elevation(name=path.name, points_m=points)
 
 
 def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float) -> FloatArray:
     """Points (n, 3) of an open data set within a square."""
     if raster.count != 1:
-        raise InputError(where, Unquoted(f"{raster.count} bands"), "one band, of heights in metres")
+        refuse(where, f"{raster.count} bands", "one band, of heights in metres")
     if raster.crs is None:
-        raise InputError(where, Unquoted("no coordinate reference system"), "a raster with one")
+        refuse(where, "no coordinate reference system", "a raster with one")
     own_crs = raster.crs.to_wkt()
     grid = raster.transform
     if not np.linalg.det([[grid.a, grid.b], [grid.d, grid.e]]):
-        raise InputError(where, Unquoted("pixels without area"), "a raster that lies on the map")
+        refuse(where, "pixels without area", "a raster that lies on the map")
     sides = np.linspace(-half_m, half_m, 9)
     lattice = middle_m + np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
     columns, rows = ~grid @ tuple(transform(lattice, crs, own_crs).T)
     if not (np.isfinite(columns).all() and np.isfinite(rows).all()):
-        raise InputError(where, Unquoted("another part of the earth"), "heights of the junction")
+        refuse(where, "another part of the earth", "heights of the junction")
     left, right = _span(columns, raster.width)
     top, bottom = _span(rows, raster.height)
     if left >= right or top >= bottom:
-        got = Unquoted("a raster that lies elsewhere")
-        raise InputError(where, got, "one that covers the junction")
+        refuse(where, "a raster that lies elsewhere", "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
     column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
     places = transform(np.stack(grid @ (column, row), axis=-1), own_crs, crs)
@@ -239,8 +233,7 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     corners = transform(np.stack(grid @ tuple(middle), axis=-1), own_crs, crs)
     size_m = np.hypot(*(corners[1:] - corners[0]).T).max()
     if size_m > _COARSEST_M * 1.2:
-        got = Unquoted(f"pixels of {size_m:.0f} m")
-        raise InputError(where, got, f"at most {_COARSEST_M:g} m: finer heights")
+        refuse(where, f"pixels of {size_m:.0f} m", f"at most {_COARSEST_M:g} m: finer heights")
     band = np.ma.masked_invalid(raster.read(1, window=((top, bottom), (left, right)), masked=True))
     low_m, high_m = _LIMITS_M
     heights = np.ma.filled(band.astype(np.float64), np.nan)
@@ -248,33 +241,29 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     if is_known.any() and not (
         low_m <= heights[is_known].min() <= heights[is_known].max() <= high_m
     ):
-        got = Unquoted(f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}")
-        raise InputError(where, got, f"metres above the sea, {low_m:g} to {high_m:g}")
+        got = f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}"
+        refuse(where, got, f"metres above the sea, {low_m:g} to {high_m:g}")
     points = np.column_stack([places[is_known], heights[is_known]])
     away_m = np.hypot(*(points[:, :2] - middle_m).T)
     if not (away_m <= _MIDDLE_M).any():
-        got = Unquoted("no heights at the junction")
-        raise InputError(where, got, f"some within {_MIDDLE_M:g} m of it")
+        refuse(where, "no heights at the junction", f"some within {_MIDDLE_M:g} m of it")
     return points
 
 
 def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
     """Raise InputError for more pixels around the place, or larger blocks, than rasters have."""
     if n_pixels > _MAX_PIXELS:
-        got = Unquoted(f"{n_pixels:,} pixels around the junction")
-        raise InputError(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
+        got = f"{n_pixels:,} pixels around the junction"
+        refuse(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
     rows, columns = raster.block_shapes[0]
     n_bytes = rows * columns * np.dtype(raster.dtypes[0]).itemsize
     if any(flag.name == "per_dataset" for flag in raster.mask_flag_enums[0]):
         n_bytes = max(n_bytes, raster.width * raster.height)
     if n_bytes > _MAX_BLOCK_BYTES:
-        got = Unquoted(f"blocks of {n_bytes:,} bytes")
-        raise InputError(where, got, f"at most {_MAX_BLOCK_BYTES:,}: a tiled GeoTIFF")
+        got = f"blocks of {n_bytes:,} bytes"
+        refuse(where, got, f"at most {_MAX_BLOCK_BYTES:,}: a tiled GeoTIFF")
 
 
 def _span(values: FloatArray, size: int) -> tuple[int, int]:
     """First and last but one of the pixels that values lie in, one more on each side, inside."""
-    return (
-        max(int(np.floor(values.min())) - 1, 0),
-        min(int(np.ceil(values.max())) + 1, size),
-    )
+    return (max(int(np.floor(values.min())) - 1, 0), min(int(np.ceil(values.max())) + 1, size))

@@ -16,7 +16,7 @@ from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, float_array, freeze, set_arrays
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, check_one_of, refuse
 from ..files import load_toml, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Turn
@@ -33,16 +33,10 @@ _NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 def triangulate(rings_m: Polygon3D) -> Mesh:
     """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
 
-    The polygon is projected onto the plane across Newell's normal, cut by ear clipping there, and
-    keeps its own corners, so that a polygon that is not quite flat still meets its neighbours. The
-    outer ring runs counter-clockwise seen from the polygon's front; holes run in either direction.
-    Returns vertices and triangles that face as the polygon does, none if it has no area.
-
-    References
-    ----------
-    .. [1] I. E. Sutherland, R. F. Sproull, R. A. Schumacker, "A characterization of ten
-       hidden-surface algorithms", 1974: Newell's normal, the sum of the cross products of
-       neighbouring corners.
+    It is projected across Newell's normal (Sutherland, Sproull, Schumacker, 1974), cut by ear
+    clipping there, and keeps its own corners, so that one that is not quite flat still meets its
+    neighbours. The outer ring runs counter-clockwise seen from the front. Returns none if it has no
+    area.
     """
     rings = [ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3]
     if not rings or len(_without_repeats(rings_m[0])) < 3:
@@ -75,11 +69,7 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
 
 
 def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
-    """One mesh of many polygons with shared corners; a closed mesh faces outwards.
-
-    Vertices closer than about a millimetre along every axis are merged. The mesh is empty if no
-    polygon has an area.
-    """
+    """One mesh of polygons with corners shared to a millimetre; a closed one faces outwards."""
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
@@ -121,8 +111,7 @@ def _without_repeats(ring: FloatArray) -> FloatArray:
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
-    kept: FloatArray = points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
-    return kept
+    return np.asarray(points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)])
 
 
 def extrude(
@@ -133,11 +122,10 @@ def extrude(
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
 ) -> Mesh:
-    """A closed solid over a footprint: an outline (n, 2) and holes.
+    """A closed solid over a footprint: an outline (n, 2) and holes, in any direction.
 
-    Rings are open or closed, in either direction. Returns vertices (k, 3) and triangles that run
-    counter-clockwise seen from outside. Outlines that cross themselves are mended first. Raises
-    InputError, with `where` in its message, if no area is left or the roof is not above the floor.
+    Outlines that cross themselves are mended first. Raises InputError, with `where` in its message,
+    if no area is left or the roof is not above the floor.
     """
     import trimesh
 
@@ -145,11 +133,11 @@ def extrude(
         raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
     outer = float_array(outer_m, (-1, 2), where)
     if len(np.unique(outer, axis=0)) < 3:
-        raise InputError(where, Unquoted(f"{len(outer)} points"), "at least three different points")
+        refuse(where, f"{len(outer)} points", "at least three different points")
     shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
     parts = polygons_of(shape, above_m2=_MIN_FOOTPRINT_M2)
     if not parts:
-        raise InputError(where, Unquoted("an outline without area"), "a footprint")
+        refuse(where, "an outline without area", "a footprint")
     solids = [
         trimesh.creation.extrude_polygon(part, top_m - bottom_m, engine="earcut") for part in parts
     ]
@@ -260,8 +248,7 @@ class MapJunction:
     @property
     def position_m(self) -> FloatArray:
         """Its middle, (2,): that of the box around the outline."""
-        middle: FloatArray = 0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0))
-        return middle
+        return np.asarray(0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -315,19 +302,12 @@ class Pole:
 
 @dataclass(frozen=True, slots=True)
 class Omissions:
-    """Parts of a file that are left out, by kind and reason so that the list stays short.
-
-    ``found`` has the names by kind and reason.
-    """
+    """Names of parts of a file that are left out, by kind and reason: a short list."""
 
     found: dict[tuple[str, str], list[str]] = field(default_factory=dict)
 
     def add(self, kind: str, name: str, why: str) -> None:
-        """Note that a thing was left out, or changed.
-
-        `kind` is in the plural, "signals of other kinds", `name` the thing at hand: "road 5 signal
-        12". Repetitions in a row count once.
-        """
+        """Note a thing, "road 5 signal 12", of a kind in the plural; once if repeated."""
         names = self.found.setdefault((kind, why), [])
         if name not in names[-1:]:
             names.append(name)
@@ -443,15 +423,12 @@ class ThingDefaults:
 @cache
 def thing_defaults() -> ThingDefaults:
     """Read ``data/things.toml``."""
-    table = load_toml(files(__package__) / "data" / "things.toml")
-    return msgspec.convert(table, ThingDefaults)
+    return msgspec.convert(load_toml(files(__package__) / "data" / "things.toml"), ThingDefaults)
 
 
 def kind_from_name(name: str) -> ThingKind | None:
     """The first kind in ``data/things.toml`` one of whose words is in a name; None: no kind.
 
-    Examples
-    --------
     >>> kind_from_name("StreetLamp.003").class_name
     'lamp post'
     >>> kind_from_name("Wallace") is None

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from ...untrusted_files import local_name, read_xml
 from ..source_map import MapJunction, MapLane, Omissions, SourceMap
 from .attributes import Offset, numbered, read_crs, read_offset, take_id, take_number
@@ -30,24 +30,17 @@ __all__ = ["read_opendrive"]
 def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Roads outside junctions become lanes in driving direction, connecting roads lanes through their
-    junctions, whose outlines are those of these roads' surface; objects and signals become things,
-    poles, crosswalks and parking lanes. Heights are absolute; across, roads have their
-    superelevation and shape.
-
-    Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
-    has one out of range, or needs too many points.
-
-    References
-    ----------
-    .. [1] ASAM OpenDRIVE 1.8.1, and 1.4 to 1.7 for features that were dropped.
+    Roads outside junctions become lanes, connecting roads lanes through their junctions, whose
+    outlines are those of these roads' surface; objects and signals things, poles, crosswalks and
+    parking lanes. Heights are absolute. Raises InputError if it is damaged, has no roads, or needs
+    too many points.
     """
     where = path.name
     root = read_xml(path, expected="OpenDRIVE")
     for element in root.iter():
         element.tag = local_name(element)
     if root.tag != "OpenDRIVE":
-        raise InputError(where, Unquoted(f"a document <{root.tag[:40]}>"), "<OpenDRIVE>")
+        refuse(where, f"a document <{root.tag[:40]}>", "<OpenDRIVE>")
     omissions = Omissions()
     crs, source_crs = read_crs(root, omissions)
     offset = read_offset(root, where)
@@ -115,7 +108,7 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
         else:
             roads[road_id] = read_road(element, where, offset)
     if not roads:
-        raise InputError(where, Unquoted("no road"), "a document with roads")
+        refuse(where, "no road", "a document with roads")
     return {
         road_id: replace(
             road, before=_beyond(road.before, joints), after=_beyond(road.after, joints)
@@ -141,8 +134,8 @@ def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
         sampled[road.id] = sample_road(road)
         n_points += sum(len(section.s_m) * (1 + len(section.lanes)) for section in sampled[road.id])
         if n_points > MAX_POINTS:
-            got = Unquoted(f"more than {MAX_POINTS:,} points up to here")
-            raise InputError(road.where, got, "a smaller file: cut it out first")
+            got = f"more than {MAX_POINTS:,} points up to here"
+            refuse(road.where, got, "a smaller file: cut it out first")
     return sampled
 
 
@@ -157,8 +150,8 @@ def _connections(
             here = connecting_lanes(road)
             n_points += sum(len(lane.centreline_m) for lane in here)
             if n_points > MAX_POINTS:
-                got = Unquoted(f"more than {n_points:,} points of lanes through junctions")
-                raise InputError(where, got, f"at most {MAX_POINTS:,}")
+                got = f"more than {n_points:,} points of lanes through junctions"
+                refuse(where, got, f"at most {MAX_POINTS:,}")
             found += here
     return tuple(found)
 

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from ...files import load_toml
 from ...frames import parse_crs
 from ..source_map import Omissions
@@ -23,14 +23,10 @@ _UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown va
 
 
 def take_number(element: Element, key: str, where: str) -> float:
-    """Finite number of an attribute that must be there, at most ``MAX_MAGNITUDE`` in size.
-
-    `where` is file and element, for messages: "Town.xodr: road 5 geometry[2]". Raises InputError if
-    the attribute is missing, no number, or not finite.
-    """
+    """Finite number of an attribute that must be there; `where` is file and element."""
     text = element.get(key)
     if text is None:
-        raise InputError(f"{where}.{key}", Unquoted("nothing"), "a number")
+        refuse(f"{where}.{key}", "nothing", "a number")
     try:
         value = float(text)
     except ValueError:
@@ -55,10 +51,7 @@ def take_number_if_any(element: Element, key: str, where: str) -> float | None:
 
 
 def take_size(element: Element, key: str, where: str) -> float | None:
-    """A length, width, height or radius; None if it is missing, left open or not above 0.
-
-    Raises InputError if it is not finite, or larger than anything next to a road.
-    """
+    """A length above 0, or None; InputError: not finite, or larger than anything near a road."""
     value = take_number_if_any(element, key, where)
     if value is not None and value > MAX_SIZE_M:
         raise InputError(f"{where}.{key}", value, f"metres, at most {MAX_SIZE_M:g}")
@@ -69,7 +62,7 @@ def take_id(element: Element, where: str) -> str:
     """Attribute id; raises InputError if it is missing or empty."""
     text = element.get("id", "").strip()
     if not text:
-        raise InputError(f"{where}.id", Unquoted("nothing"), "an id")
+        refuse(f"{where}.id", "nothing", "an id")
     return text
 
 
@@ -87,13 +80,7 @@ _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs="
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """Offset from the coordinates of a file to those of its projection; rotation is applied first.
-
-    References
-    ----------
-    .. [1] ASAM OpenDRIVE 1.8, "Georeferencing": x' = x cos(hdg) - y sin(hdg) + xOffset,
-       y' = x sin(hdg) + y cos(hdg) + yOffset, z' = z + zOffset.
-    """
+    """Offset from a file's coordinates to those of its projection; rotation is applied first."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -103,8 +90,7 @@ class Offset:
     def apply(self, points_m: FloatArray) -> FloatArray:
         """Points (n, 2) in the projection."""
         cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        moved: FloatArray = points_m @ np.array([[cos, sin], [-sin, cos]]) + [self.x_m, self.y_m]
-        return moved
+        return np.asarray(points_m @ np.array([[cos, sin], [-sin, cos]]) + [self.x_m, self.y_m])
 
 
 def read_offset(root: Element, where: str) -> Offset:
@@ -120,11 +106,7 @@ def read_offset(root: Element, where: str) -> Offset:
 
 
 def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
-    """Coordinate reference system of a document: one for pyproj, and the declared one.
-
-    The first is projected, in metres and without parameters of heights; it is empty if the file
-    names none, or one that does not fit (noted in `omissions`).
-    """
+    """Coordinate reference system for pyproj, in metres without heights, and the declared one."""
     element = root.find("header/geoReference")
     source = "" if element is None else " ".join("".join(element.itertext()).split())
     if not source:

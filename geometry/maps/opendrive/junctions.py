@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from ...scene import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
 from .attributes import numbered, take_id
@@ -64,8 +64,7 @@ def find_road_ends(
 ) -> dict[str, RoadEnds]:
     """Junctions at both ends of the roads outside junctions, by id of the road.
 
-    They come from the roads' own links, or else from the connecting roads that lead to them. Links
-    to missing roads and junctions are noted in `omissions`.
+    They come from the roads' own links, or else from the connecting roads that lead to them.
     """
     led_to: dict[tuple[str, str], str] = {}
     for road in roads.values():
@@ -171,9 +170,7 @@ def build_junctions(
     """Junctions with their outlines, and lanes without links to missing junctions.
 
     An outline is that of the union of the driving lanes of the connecting roads, without holes; the
-    ends of driving and parking lanes that lead there lie on it. Junctions without surface, and
-    lanes that end far from theirs, are noted. Raises InputError if a junction needs too many
-    points.
+    ends of driving and parking lanes that lead there lie on it.
     """
     members: dict[str, list[str]] = {}
     for road in roads.values():
@@ -187,8 +184,8 @@ def build_junctions(
         pieces = [section for road in members.get(record.id, []) for section in sampled[road]]
         n_points = sum(len(section.s_m) * len(section.lanes) for section in pieces)
         if n_points > _MAX_POINTS:
-            got = Unquoted(f"roads of {n_points:,} points")
-            raise InputError(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
+            got = f"roads of {n_points:,} points"
+            refuse(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
             surface = _surface(pieces)
         if surface is None:
@@ -269,11 +266,7 @@ def _largest(shape: Any) -> Any:
 
 
 def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any, list[MapLane]]:
-    """Move an outline to the ends of the lanes that lead to it.
-
-    The mouths of lanes that end inside are cut off, and narrow ways lead to those that end outside.
-    Returns also the lanes whose ends are too far outside.
-    """
+    """Move an outline to the ends of the lanes that lead to it; and the lanes too far outside."""
     inside = []
     for lane, line in tips:
         tip = shapely.Point(line[0])
@@ -300,7 +293,6 @@ def _fit(surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]) -> tuple[Any,
 
 
 def _first_metres(line: FloatArray, length_m: float) -> FloatArray:
-    steps = np.hypot(*np.diff(line, axis=0).T)
-    reached = np.append(0.0, np.cumsum(steps))
+    reached = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
     n_points = max(int(np.searchsorted(reached, length_m, side="right")), 2)
     return line[:n_points]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from ..source_map import MapLane
 from .attributes import lane_kinds
 from .roads import (
@@ -74,11 +74,7 @@ class SampledSection:
 
 
 def sample_road(road: Road, *, chord_error_m: float = _CHORD_ERROR_M) -> tuple[SampledSection, ...]:
-    """Sample all lane sections of a road.
-
-    Stations are at most 5 m apart along any lane, and chords by default at most 3 cm from the
-    curve. Raises InputError if that needs too many points.
-    """
+    """Sample the lane sections of a road, every 5 m along any lane and 3 cm off it at most."""
     bends = road.line.bends()
     return tuple(_sample_section(road, section, bends, chord_error_m) for section in road.sections)
 
@@ -139,8 +135,7 @@ def _sample_section(
 
 def _check_count(road: Road, n_points: float) -> None:
     if n_points > MAX_POINTS:
-        got = Unquoted(f"{n_points:,.0f} points to draw it")
-        raise InputError(road.where, got, f"at most {MAX_POINTS:,}")
+        refuse(road.where, f"{n_points:,.0f} points to draw it", f"at most {MAX_POINTS:,}")
 
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
@@ -194,10 +189,8 @@ def _count_steps(
     turn = curvature * stride * lengths
     if turn.max() > _MAX_TURN_RAD:
         where = road.line.wheres[piece[int(turn.argmax())]]
-        raise InputError(
-            where,
-            Unquoted(f"a curve that turns by {turn.max():.3g} rad"),
-            f"at most {_MAX_TURN_RAD:g} rad",
+        refuse(
+            where, f"a curve that turns by {turn.max():.3g} rad", f"at most {_MAX_TURN_RAD:g} rad"
         )
     if t.max() > _MAX_EDGE_M:
         raise InputError(
@@ -210,9 +203,9 @@ def _count_steps(
     n_steps = np.ceil(np.maximum(np.maximum(by_chord, by_step), 1.0) - 1.0e-9)
     if n_steps.max() > _MAX_PIECE_POINTS:
         where = road.line.wheres[piece[int(n_steps.argmax())]]
-        raise InputError(
+        refuse(
             where,
-            Unquoted(f"bends that take {n_steps.max():.3g} points to follow"),
+            f"bends that take {n_steps.max():.3g} points to follow",
             f"a curve, or widths along it, that at most {_MAX_PIECE_POINTS:,} follow",
         )
     counts: NDArray[np.int64] = n_steps.astype(np.int64)
@@ -376,11 +369,7 @@ _MAX_IN_A_ROW = 8
 
 
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Join very short lanes that lead to a junction at one end to the lanes at their other end.
-
-    A stub's points and junction go to the lane of its kind that continues within half a metre and
-    keeps its id.
-    """
+    """Join very short lanes at a junction to those of their kind that go on within half a metre."""
     joined = list(lanes)
     for _ in range(_MAX_IN_A_ROW):
         n_before = len(joined)

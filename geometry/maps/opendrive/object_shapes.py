@@ -243,8 +243,8 @@ def build_prism(
 ) -> Mesh:
     """A closed solid over an open outline (n, 2) with floor and roof heights (n,) at its corners.
 
-    With holes, or if the outline crosses itself, floor and roof are level at the lowest and highest
-    corner. Raises InputError if the outline has no area, or the solid no height.
+    With holes, or if the outline crosses itself, floor and roof are level. InputError: no area or
+    height.
     """
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
@@ -300,8 +300,7 @@ def build_band(
     sides = np.moveaxis(sides, 1, -1).reshape(-1, 3)
     end = 4 * (n - 1)
     caps = np.array([[0, 2, 1], [0, 3, 2], [end, end + 1, end + 2], [end, end + 2, end + 3]])
-    triangles = np.concatenate([sides, caps])
-    return ring.reshape(-1, 3), triangles.astype(np.int32)
+    return ring.reshape(-1, 3), np.concatenate([sides, caps]).astype(np.int32)
 
 
 def build_box(
@@ -343,19 +342,12 @@ def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) ->
 
 # ---------- bodies of objects
 def build_body(
-    road: Road,
-    kind: str,
-    spot: Spot,
-    outlines: Sequence[Outline],
-    *,
-    turn_rad: float,
-    where: str,
+    road: Road, kind: str, spot: Spot, outlines: Sequence[Outline], *, turn_rad: float, where: str
 ) -> tuple[Mesh, bool] | None:
     """Body of an object at one of its places, and whether its height is assumed; None: no extent.
 
-    `kind` is "building", "wall", "vegetation", "tree", "parked vehicle" or "obstacle", which is a
-    wall if the file gives its height. `turn_rad` is the heading against the road. Raises InputError
-    if an outline surrounds nothing, or there is no height.
+    `kind` "obstacle" is a wall if the file gives its height. `turn_rad` is the heading against the
+    road. Raises InputError if an outline surrounds nothing, or there is no height.
     """
     height_m = spot.height_m
     has_outline = any(outline.is_outer for outline in outlines)

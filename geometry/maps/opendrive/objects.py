@@ -16,15 +16,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
-from .attributes import (
-    Offset,
-    load_facts,
-    take_number,
-    take_number_or,
-    take_size,
-)
+from .attributes import Offset, load_facts, take_number, take_number_or, take_size
 from .junctions import JunctionRecord
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
@@ -71,10 +65,7 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint.
-
-    What the file calls static is no traffic light, whatever its name.
-    """
+    """Signal as "sign", "crosswalk" (painted), unless static "traffic light"; None: paint."""
     facts = load_facts()["signals"]
     texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
     number = element.get("type", "").strip()
@@ -123,8 +114,7 @@ def crosswalk_line(
     """Line (2, 2) on which pedestrians cross, or None if the object has no extent.
 
     It runs through the middle of the smallest box the long way; if that is nearly a square, across
-    the road. Two corners are the line itself. `turn_rad` is the heading of the object against the
-    road.
+    the road. Two corners are the line itself.
     """
     found = _corners(road, spot, outlines, turn_rad)
     if found is None:
@@ -175,9 +165,7 @@ def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | No
         longer = int(np.abs(sides @ across_road / lengths).argmax())
     if lengths[longer] < _MIN_LENGTH_M:
         return None
-    middle = ring.mean(axis=0)
-    line: FloatArray = middle + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
-    return line
+    return np.asarray(ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer])
 
 
 # ---------- parking spaces
@@ -225,10 +213,7 @@ def read_space(
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
-    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane.
-
-    It is as wide as the spaces are on average, and runs in the direction of traffic on its side.
-    """
+    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane."""
     rows: list[list[Space]] = []
     open_rows: list[list[Space]] = []  # those that may still go on
     for space in sorted(spaces, key=lambda space: space.first_m):
@@ -287,18 +272,14 @@ class Found:
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
-    """Objects of all roads; what is left out is noted in `omissions`.
-
-    Raises InputError if a number is missing or not finite, or there are too many objects or
-    corners.
-    """
+    """Objects of all roads; InputError: a number is missing, or there are too many of them."""
     found = Found()
     n_places = n_vertices = n_counted = 0
 
     def refuse_many(n: int, most: int, noun: str, where: str) -> None:
         if n > most:
-            got = Unquoted(f"more than {most:,} {noun} up to here")
-            raise InputError(where, got, "a smaller file: cut it out first")
+            got = f"more than {most:,} {noun} up to here"
+            refuse(where, got, "a smaller file: cut it out first")
 
     for kind, one in list(_taken_objects(roads, omissions)):
         places = list(islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1))
@@ -381,11 +362,7 @@ def read_signals(
     offset: Offset,
     omissions: Omissions,
 ) -> tuple[list[Pole], list[FloatArray]]:
-    """Poles, one per signal, and crosswalk lines (2, 2) that are written as signals.
-
-    A signal that hangs over a driving lane has no pole there. Raises InputError if a number is
-    missing or not finite.
-    """
+    """Poles, one per signal not over a driving lane, and crosswalks written as signals (2, 2)."""
     facts = load_facts()["signals"]
     poles: list[Pole] = []
     crosswalks: list[FloatArray] = []
@@ -430,10 +407,7 @@ def read_signals(
 def _find_position(
     one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
 ) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
-    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown).
-
-    The place may be given apart from that where it applies.
-    """
+    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown)."""
     height_m = take_size(one.element, "height", one.where) or 0.0
     road = one.road
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
@@ -473,11 +447,7 @@ _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
-    """Join poles within half a metre of one another.
-
-    A joined pole is as high as the highest and of the most telling kind; it stands where the file
-    has the pole itself, or else where the first signal hangs.
-    """
+    """Join poles within half a metre: as high as the highest, of the most telling kind."""
     if len(poles) < 2:
         return list(poles)
     positions = np.array([pole.position_m[:2] for pole in poles])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from .attributes import Offset, lane_kinds, numbered, take_id, take_number, take_number_or
 
 _ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
@@ -19,10 +19,7 @@ _N_ARC_LENGTH = 2049
 
 
 def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of circular arcs at arc lengths.
-
-    Positive curvature, in 1/m, turns to the left; 0 is a straight line.
-    """
+    """Points (n, 2) and headings (n,) of circular arcs; curvatures, in 1/m, turn to the left."""
     half = 0.5 * curvature * s_m
     chord = s_m * np.sinc(half / np.pi)
     return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1), 2.0 * half
@@ -33,10 +30,8 @@ def spiral(
 ) -> tuple[FloatArray, FloatArray]:
     """Points (n, 2) and headings (n,) of clothoids; the slope is the change of curvature per metre.
 
-    References
-    ----------
-    .. [1] Abramowitz, Stegun, section 7.3: completing the square in the heading
-       k0 s + k' s^2 / 2 leaves the Fresnel integrals C and S.
+    Abramowitz, Stegun, section 7.3: completing the square in the heading k0 s + k' s^2 / 2 leaves
+    the Fresnel integrals C and S.
     """
     points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
     bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
@@ -113,10 +108,7 @@ class ReferenceLine:
     def at(
         self, s_m: FloatArray, inside_m: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Points (k, 2) and headings (k,) at arc lengths, which are clipped to the line.
-
-        `inside_m` (k,) are stations that select the piece where two meet.
-        """
+        """Points (k, 2) and headings (k,) at arc lengths; `inside_m` selects where two meet."""
         lookup = s_m if inside_m is None else inside_m
         piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
         ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
@@ -148,11 +140,7 @@ class ReferenceLine:
         return points, turns
 
     def bends(self) -> FloatArray:
-        """How fast each piece turns, (n, 3).
-
-        The largest curvature [1/m], its largest change per metre [1/m^2], and the largest distance
-        that the line takes per metre of s (1 except for parametric polynomials).
-        """
+        """Largest curvature of each piece, of its change per metre, and of metres per s, (n, 3)."""
         rows = np.zeros((len(self.starts_m), 3))
         rows[:, 2] = 1.0
         for index, shape in enumerate(self.shapes):
@@ -181,11 +169,7 @@ def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, flo
 def read_reference_line(
     road: Element, where: str, *, length_m: float, offset: Offset
 ) -> ReferenceLine:
-    """Read a road's planView.
-
-    Raises InputError if there is no piece of a length above 0, a number is missing or not finite, a
-    piece begins outside the road or far from its start, or has an unknown shape.
-    """
+    """Read a road's planView; InputError: a number is missing or wrong, or a shape unknown."""
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
         row = _read_piece(element, here)
@@ -194,7 +178,7 @@ def read_reference_line(
         if row[4] > _ROUNDED_M:
             rows.append((row, here))
     if not rows:
-        raise InputError(f"{where} planView", Unquoted("no geometry"), "pieces of a length above 0")
+        refuse(f"{where} planView", "no geometry", "pieces of a length above 0")
     rows.sort(key=lambda pair: pair[0][0])
     table = np.array([row for row, _ in rows])
     starts_m = table[:, 0].copy()
@@ -225,8 +209,7 @@ def _read_piece(element: Element, where: str) -> tuple[float, ...]:
     shape = next((child for child in element if child.tag in SHAPES), None)
     if shape is None:
         tags = [str(child.tag) for child in element]
-        got = Unquoted(", ".join(tags)[:80] or "no shape")
-        raise InputError(where, got, "one of " + ", ".join(SHAPES))
+        refuse(where, ", ".join(tags)[:80] or "no shape", "one of " + ", ".join(SHAPES))
     return (
         *(s, x, y, heading, length_m, SHAPES.index(str(shape.tag))),
         *_read_shape(shape, f"{where} {shape.tag}", length_m),
@@ -261,10 +244,7 @@ class PiecewiseCubic:
     coefficients: FloatArray  # (n, 4): a, b, c, d
 
     def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
-        """Coefficients (k, 4) of the same polynomials counted from other stations (Taylor's shift).
-
-        `inside_m` (k,) are stations that select the piece where two meet.
-        """
+        """Coefficients (k, 4) from other stations on; `inside_m` selects where two meet."""
         if not len(self.starts_m):
             return np.zeros((len(starts_m), 4))
         piece = np.searchsorted(self.starts_m, inside_m, side="right") - 1
@@ -289,11 +269,7 @@ def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:
 def read_cubics(
     parent: Element | None, tag: str, where: str, *, start_key: str = "s", first_m: float = 0.0
 ) -> PiecewiseCubic:
-    """Read the children of `parent` with a tag and attributes a, b, c, d, sorted by begin.
-
-    `first_m` is the zero of the attribute `start_key`. Of several that begin at one station the
-    last one holds.
-    """
+    """Children of `parent` with a, b, c, d, by begin; of several that begin there the last one."""
     rows = [
         (
             first_m + take_number(element, start_key, here),
@@ -355,14 +331,7 @@ class CrossSections:
 
 
 def read_cross_sections(lateral: Element | None, where: str) -> CrossSections:
-    """The shapes of a road's lateral profile; none if all of them are flat.
-
-    Raises InputError if a number is missing or out of range.
-
-    References
-    ----------
-    .. [1] ASAM OpenDRIVE 1.8, section on lateral profiles: road shape.
-    """
+    """The shapes of a road's lateral profile; none if all of them are flat."""
     rows: dict[float, list[tuple[float, ...]]] = defaultdict(list)
     for piece, here in numbered(lateral, "shape", where):
         row = tuple(take_number(piece, key, here) for key in ("t", *"abcd"))
@@ -550,10 +519,10 @@ def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[
         if not -_MAX_SECTION_GAP_M <= start_m <= length_m + _MAX_SECTION_GAP_M:
             raise InputError(f"{here}.s", start_m, f"0 .. {length_m:g}, the road's length")
         if element.find("center/lane") is None:
-            raise InputError(f"{here} center", Unquoted("no lane"), "a lane section's lane 0")
+            refuse(f"{here} center", "no lane", "a lane section's lane 0")
         found.append((start_m, element, here))
     if not found:
-        raise InputError(f"{where} lanes", Unquoted("no laneSection"), "at least one")
+        refuse(f"{where} lanes", "no laneSection", "at least one")
     found.sort(key=lambda item: item[0])
     ends_m = [start_m for start_m, _, _ in found[1:]] + [length_m]
     sections = tuple(

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -15,15 +15,15 @@ from ..source_map import Omissions, Thing, extrude, extrude_polygon, polygons_of
 from .elements import (
     DEFAULTS,
     Area,
-    Elements,
     Tags,
     find_areas,
     is_yes,
+    numbered,
     parse_length_m,
     parse_number,
 )
 from .junctions import Reach
-from .network import Network, known_runs, level
+from .network import Network, level, lines_of
 
 _NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
 _COVERED = ("yes", "arcade", "colonnade")
@@ -31,24 +31,19 @@ _LEAST_M2 = 1.0  # of what is left of a building
 _GATES = ("gate", "gatehouse", "city_gate")
 
 
-def find_buildings(network: Network, elements: Elements, omissions: Omissions) -> Iterator[Thing]:
+def find_buildings(network: Network) -> Iterator[Thing]:
     """Buildings as prisms from the ground, or from their tagged bottom.
 
-    A building with parts is its parts, and the rest of it unless they cover it. Roofs on stilts,
-    and what is mapped above the ground, begin above those who pass below; over ways that lead
-    through it a building begins at the clear height of its passage. Buildings that are left out are
-    noted.
+    A building with parts is its parts, and the rest of it unless they cover it. Roofs on stilts
+    begin above those who pass below, buildings over ways that lead through them above the passage.
     """
-    positions_m = network.positions_m
-    areas = [
-        area
-        for area in find_areas(elements, positions_m, ("building", "building:part"), omissions)
-        if _stands(area, omissions)
-    ]
+    omissions = network.elements.omissions
+    every = find_areas(network.elements, ("building", "building:part"))
+    areas = [area for area in every if _stands(area, omissions)]
     parts = [area for area in areas if is_yes(area.tags.get("building:part"))]
     part_ids = {area.id for area in parts}
     outlines = [area for area in areas if area.id not in part_ids]
-    passages = _Passages(network, elements)
+    passages = _Passages(network)
     for area in parts:
         yield from _solid(area, passages, omissions)
     for area, rest in zip(outlines, _without_parts(outlines, parts), strict=True):
@@ -101,12 +96,9 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
     for number, shape in enumerate(shapes):
-        yield replace(
-            area,
-            id=name + (f" {number}" if number else ""),
-            outer_m=np.asarray(shape.exterior.coords),
-            holes_m=tuple(np.asarray(hole.coords) for hole in shape.interiors),
-        )
+        outer_m, *holes_m = (np.asarray(r.coords) for r in (shape.exterior, *shape.interiors))
+        piece_id = numbered(name, number, " ")
+        yield replace(area, id=piece_id, outer_m=outer_m, holes_m=tuple(holes_m))
 
 
 def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[Thing]:
@@ -114,41 +106,32 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
     if span is None:
         return
     ways, clear_m = passages.through(area)
-    if ways is None or clear_m <= span.bottom_m:
+    bottom_m, top_m, _ = span
+    if ways is None or clear_m <= bottom_m:
         yield from _prism(area, span, omissions)
         return
     whole = make_valid(area.polygon)
     beside = polygons_of(whole.difference(ways), above_m2=_LEAST_M2)
-    over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2) if clear_m < span.top_m else []
+    over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2) if clear_m < top_m else []
     for piece in _pieces(area, beside, area.id):
         yield from _prism(piece, span, omissions)
     for piece in _pieces(area, over, f"{area.id} over a passage"):
-        yield from _prism(piece, replace(span, bottom_m=clear_m), omissions)
+        yield from _prism(piece, (clear_m, *span[1:]), omissions)
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
+    bottom_m, top_m, is_assumed = span
+    heights, where = {"bottom_m": bottom_m, "top_m": top_m}, _element(area)
     try:
-        mesh = extrude(
-            area.outer_m,
-            bottom_m=span.bottom_m,
-            top_m=span.top_m,
-            holes_m=area.holes_m,
-            where=_element(area),
-        )
+        mesh = extrude(area.outer_m, **heights, holes_m=area.holes_m, where=where)
     except InputError as error:
-        omissions.add("buildings", _element(area), f"its outline has {error.got}")
+        omissions.add("buildings", where, f"its outline has {error.got}")
         return
-    yield Thing.of(area.id, "building", mesh, is_height_assumed=span.is_assumed)
+    yield Thing.of(area.id, "building", mesh, is_height_assumed=is_assumed)
 
 
 # ---------- heights
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Span:
-    """Where a building begins and ends above the ground."""
-
-    bottom_m: float
-    top_m: float
-    is_assumed: bool
+_Span = tuple[float, float, bool]  # bottom and top above the ground [m], whether they are assumed
 
 
 def _span(area: Area, omissions: Omissions) -> _Span | None:
@@ -169,7 +152,7 @@ def _span(area: Area, omissions: Omissions) -> _Span | None:
     if bottom_m >= top_m:
         omissions.add("buildings", _element(area), "its roof is not above its floor")
         return None
-    return _Span(bottom_m=bottom_m, top_m=top_m, is_assumed=is_assumed)
+    return bottom_m, top_m, is_assumed
 
 
 def _kind(tags: Tags) -> str:
@@ -221,7 +204,7 @@ def _levels(tags: Tags, key: str) -> float | None:
 class _Passages:
     """Ways on the ground that lead through buildings."""
 
-    def __init__(self, network: Network, elements: Elements) -> None:
+    def __init__(self, network: Network) -> None:
         usual = DEFAULTS["building"]
         self._strips: list[BaseGeometry] = []
         self._clear_m: list[float] = []
@@ -229,10 +212,10 @@ class _Passages:
         for edge in network.edges:
             if edge.level == 0:
                 self._add(edge.points_m, edge.section.width_m, edge.tags, usual["clear_height_m"])
-        for way in elements.ways:
+        for way in network.elements.ways:
             if way.tags.get("highway") in usual["foot_ways"] and _leads_through(way.tags):
-                for rows in known_runs(way.rows, network.positions_m):
-                    line_m, width_m = network.positions_m[rows], usual["foot_way_width_m"]
+                for line_m in lines_of(way, network.elements):
+                    width_m = usual["foot_way_width_m"]
                     self._add(line_m, width_m, way.tags, usual["foot_clear_height_m"])
         self._tree = STRtree(self._strips)
 
@@ -263,15 +246,13 @@ def _leads_through(tags: Tags) -> bool:
 
 
 # ---------- bridges over roads
-def find_bridges(
-    network: Network, reaches: Sequence[Reach], elements: Elements, omissions: Omissions
-) -> Iterator[Thing]:
+def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
     """Decks of roads, footways and railways over roads on the ground.
 
-    Road users on a bridge are not lifted to its deck: where a road on a bridge leads to a junction
-    nearby, its deck would be above them, and is left out, which is noted.
+    Where a road on a bridge leads to a junction nearby, its deck would be above its road users, and
+    is left out, which is noted.
     """
-    usual = DEFAULTS["bridge"]
+    usual, elements = DEFAULTS["bridge"], network.elements
     below = STRtree([LineString(edge.points_m) for edge in network.edges if edge.level == 0])
 
     def is_over_road(line_m: FloatArray, tags: Tags) -> bool:
@@ -288,19 +269,17 @@ def find_bridges(
                 reach.to_junction and to_m < usual["junction_m"]
             ):
                 why = "a junction is near on it: its deck is left out"
-                omissions.add("bridges", f"way {edge.way_id}", why)
+                elements.omissions.add("bridges", f"way {edge.way_id}", why)
             else:
                 yield from _deck(edge.id, edge.points_m, edge.section.width_m, edge.level)
     for way in elements.ways:
         is_rail = way.tags.get("railway") in usual["railways"]
-        if not is_rail and way.tags.get("highway") not in DEFAULTS["building"]["foot_ways"]:
-            continue
-        width_m = usual["track_width_m" if is_rail else "foot_width_m"]
-        for number, rows in enumerate(known_runs(way.rows, network.positions_m)):
-            line_m = network.positions_m[rows]
-            if is_over_road(line_m, way.tags):
-                name = f"w{way.id}.{number}" if number else f"w{way.id}"
-                yield from _deck(name, line_m, width_m, level(way.tags))
+        if is_rail or way.tags.get("highway") in DEFAULTS["building"]["foot_ways"]:
+            width_m = usual["track_width_m" if is_rail else "foot_width_m"]
+            for number, line_m in enumerate(lines_of(way, elements)):
+                if is_over_road(line_m, way.tags):
+                    name = numbered(f"w{way.id}", number)
+                    yield from _deck(name, line_m, width_m, level(way.tags))
 
 
 def _deck(name: str, line_m: FloatArray, width_m: float, layer: int) -> Iterator[Thing]:
@@ -309,5 +288,5 @@ def _deck(name: str, line_m: FloatArray, width_m: float, layer: int) -> Iterator
     top_m = bottom_m + DEFAULTS["bridge"]["thickness_m"]
     for number, part in enumerate(polygons_of(area)):
         mesh = extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=name)
-        deck_id = f"{name} bridge" + (f" {number}" if number else "")
+        deck_id = numbered(f"{name} bridge", number, " ")
         yield Thing.of(deck_id, "building", mesh, is_height_assumed=True)

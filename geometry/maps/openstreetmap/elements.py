@@ -7,7 +7,7 @@ import zlib
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import osmium
 from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, Unquoted, refuse
 from ...files import load_toml, open_file
 from ...untrusted_files import MAX_FILE_BYTES, check_pbf
 from ..source_map import Omissions
@@ -30,6 +30,7 @@ Tags = dict[str, str]
 
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
+_BROKEN = "its outline is not closed, or misses nodes"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,21 +58,23 @@ class Relation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Elements:
-    """The elements of a file."""
+    """The elements of a file, where its nodes lie, and what is left out of them."""
 
     node_ids: IntArray  # (n,), ascending
     lon_lat_deg: FloatArray  # (n, 2), WGS 84
     node_tags: dict[int, Tags]  # by row, for nodes with tags
     ways: tuple[Way, ...]
     relations: tuple[Relation, ...]
+    # (n, 2), of the nodes, around the middle of the roads
+    positions_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    omissions: Omissions = field(default_factory=Omissions)
 
 
 def read_elements(path: Path) -> Elements:
-    """Read a file of OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF.
+    """Read OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF, by first bytes.
 
-    The first bytes show the format. Deleted elements are left out; of several versions the last one
-    counts. Raises InputError if the file cannot be read, has another format, is damaged or too
-    large, or a node lies nowhere on earth.
+    Deleted elements are left out; of several versions the last one counts. Raises InputError if it
+    is damaged or too large, or a node lies nowhere on earth.
     """
     try:
         return _collect(path, _file_format(path))
@@ -92,7 +95,7 @@ def _file_format(path: Path) -> str:
         return "pbf"
     if begin.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
         return "osm"
-    raise InputError(str(path), Unquoted("something else"), _EXPECTED)
+    refuse(str(path), "something else", _EXPECTED)
 
 
 def _check_unpacked_size(path: Path, unpack: Any) -> None:
@@ -104,8 +107,8 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
             while chunk := file.read(1 << 20):
                 n_bytes += len(chunk)
                 if n_bytes > limit:
-                    got = Unquoted(f"more than {limit:,} bytes when unpacked")
-                    raise InputError(str(path), got, "fewer; cut it out first")
+                    got = f"more than {limit:,} bytes when unpacked"
+                    refuse(str(path), got, "fewer; cut it out first")
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(str(path), Unquoted(error), f"{_EXPECTED}: a whole archive") from None
 
@@ -129,22 +132,20 @@ def _collect(path: Path, file_format: str) -> Elements:
             if element.is_node():
                 location = element.location
                 ids.append(element.id)
-                places.append(location.lon_without_check())
-                places.append(location.lat_without_check())
+                lon_deg, lat_deg = location.lon_without_check(), location.lat_without_check()
+                places.extend((lon_deg, lat_deg))
                 if not location.valid():
-                    lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
                     is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
                     words = f"latitude {lat_deg}, longitude {lon_deg}"
-                    got = Unquoted("no coordinates" if is_missing else words)
+                    got = "no coordinates" if is_missing else words
                     expected = "latitude -90..90 and longitude -180..180"
-                    raise InputError(f"{path}: node {element.id}", got, expected)
+                    refuse(f"{path}: node {element.id}", got, expected)
                 if tags:
                     tags_by_id[element.id] = tags
                 n_left -= 1
             elif element.is_way():
-                references = [node.ref for node in element.nodes]
-                ways[element.id] = (references, tags)
-                n_left -= 1 + len(references) // 10
+                ways[element.id] = ([node.ref for node in element.nodes], tags)
+                n_left -= 1 + len(element.nodes) // 10
             else:
                 members = tuple(
                     (member.ref, member.role) for member in element.members if member.type == "w"
@@ -152,8 +153,8 @@ def _collect(path: Path, file_format: str) -> Elements:
                 relations[element.id] = Relation(id=element.id, members=members, tags=tags)
                 n_left -= 1 + len(members) // 10
             if n_left < 0:
-                got = Unquoted(f"more than {DEFAULTS['reading']['max_nodes']:,} elements")
-                raise InputError(str(path), got, "fewer; cut it out first")
+                got = f"more than {DEFAULTS['reading']['max_nodes']:,} elements"
+                refuse(str(path), got, "fewer; cut it out first")
     except InputError:
         raise
     except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
@@ -175,9 +176,8 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
         bool(((point >= low) & (point <= high)).all()) for point in (middle, middle[::-1])
     )
     if is_inside_exchanged and not is_inside:
-        got = Unquoted(f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}")
         expected = "nodes within the file's bounds: latitude and longitude are exchanged"
-        raise InputError(str(path), got, expected)
+        refuse(str(path), f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}", expected)
 
 
 def _assemble(
@@ -233,66 +233,64 @@ class Area:
         return Polygon(self.outer_m, self.holes_m)
 
 
-def find_areas(
-    elements: Elements, positions_m: FloatArray, keys: Sequence[str], omissions: Omissions
-) -> Iterator[Area]:
+def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
     """Closed ways and rings of multipolygons with one of the tags `keys`; broken ones are noted."""
     by_id = {way.id: way for way in elements.ways}
     used: set[int] = set()
+
+    def is_meant(tags: Tags) -> bool:
+        return any(key in tags for key in keys)
+
     for relation in elements.relations:
         if relation.tags.get("type") != "multipolygon":
             continue
         outers = [by_id[ref] for ref, role in relation.members if role != "inner" and ref in by_id]
         tags = relation.tags
-        if not any(key in tags for key in keys):
-            # As it used to be: the outer way has the tags.
-            tags = next((way.tags for way in outers if any(k in way.tags for k in keys)), {})
+        if not is_meant(tags):  # as it used to be: the outer way has the tags
+            tags = next((way.tags for way in outers if is_meant(way.tags)), {})
         if tags:
-            used.update(way.id for way in outers if any(key in way.tags for key in keys))
-            yield from _multipolygon(relation, tags, by_id, positions_m, omissions)
+            used.update(way.id for way in outers if is_meant(way.tags))
+            yield from _multipolygon(elements, relation, tags, by_id)
     for way in elements.ways:
-        if way.id in used or not any(key in way.tags for key in keys):
+        if way.id in used or not is_meant(way.tags):
             continue
         if not way.is_closed or (way.rows < 0).any():
-            omissions.add("outlines", f"way {way.id}", "its outline is not closed, or misses nodes")
-            continue
-        yield Area(id=f"w{way.id}", tags=way.tags, outer_m=positions_m[way.rows])
+            elements.omissions.add("outlines", f"way {way.id}", _BROKEN)
+        else:
+            yield Area(id=f"w{way.id}", tags=way.tags, outer_m=elements.positions_m[way.rows])
 
 
 def _multipolygon(
-    relation: Relation,
-    tags: Tags,
-    by_id: Mapping[int, Way],
-    positions_m: FloatArray,
-    omissions: Omissions,
+    elements: Elements, relation: Relation, tags: Tags, by_id: Mapping[int, Way]
 ) -> Iterator[Area]:
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):
         refs = [ref for ref, role in relation.members if (role == "inner") == is_inner]
         ways = [by_id[ref] for ref in refs if ref in by_id]
         found, is_whole = join_rings(ways)
-        rings[is_inner] = [positions_m[ring] for ring in found]
+        rings[is_inner] = [elements.positions_m[ring] for ring in found]
         if len(ways) < len(refs) or not is_whole:
-            why = "its outline is not closed, or misses nodes"
-            omissions.add("outlines", f"relation {relation.id}", why)
+            elements.omissions.add("outlines", f"relation {relation.id}", _BROKEN)
     holes: dict[int, list[FloatArray]] = defaultdict(list)
     outers = [make_valid(Polygon(ring)) for ring in rings[False]]
     if outers and rings[True]:
         tree = STRtree(outers)
         for ring in rings[True]:
-            found = tree.query(Polygon(ring).representative_point(), predicate="within")
-            if len(found):
-                holes[int(found[0])].append(ring)
+            inside = tree.query(Polygon(ring).representative_point(), predicate="within")
+            if len(inside):
+                holes[int(inside[0])].append(ring)
     for number, ring in enumerate(rings[False]):
-        name = f"r{relation.id}.{number}" if number else f"r{relation.id}"
+        name = numbered(f"r{relation.id}", number)
         yield Area(id=name, tags=tags, outer_m=ring, holes_m=tuple(holes[number]))
 
 
-def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
-    """Closed rings of node rows from ways in any order and direction.
+def numbered(name: str, number: int, between: str = ".") -> str:
+    """Name of one of several parts; the first, 0, has no number."""
+    return f"{name}{between}{number}" if number else name
 
-    Returns also whether every way is part of a ring.
-    """
+
+def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
+    """Closed rings of node rows from ways in any order, and whether every way is part of one."""
     rings, is_whole = [], True
     open_ways: dict[int, Way] = {}
     at_end: dict[int, list[int]] = defaultdict(list)
@@ -344,8 +342,6 @@ OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward":
 def parse_length_m(text: str) -> float | None:
     r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
 
-    Examples
-    --------
     >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
     [3.5, 3.6576000000000004, 3.5, None]
     >>> round(parse_length_m("6'7\""), 4)
@@ -393,8 +389,6 @@ def side_value(tags: Tags, key: str, side: str) -> str | None:
 def reversed_tags(tags: Tags) -> Tags:
     """Tags of the same line with its nodes in the opposite order.
 
-    Examples
-    --------
     >>> reversed_tags({"sidewalk": "left", "lanes:forward": "2"})
     {'sidewalk': 'right', 'lanes:backward': '2'}
     """

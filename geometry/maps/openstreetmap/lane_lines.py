@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
+from ...lines import along_m, unit
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
@@ -36,11 +37,7 @@ class _Piece:
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
-    """One lane per strip of each street and stretch between junctions.
-
-    If the number of lanes of a direction changes, all of them end, and the following ones begin at
-    the same points.
-    """
+    """One lane per strip of each street and stretch between junctions with as many lanes."""
     found = [lane for reach in reaches for lane in _street_lanes(reach)]
     two_way = {lane.id for lane, is_two_way in found if is_two_way}
     return tuple(_lead_on([lane for lane, _ in found], two_way))
@@ -66,10 +63,10 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
         for strip in strips:
             begin_m, is_continued = _at_break(strip, strips, before)
             end_m, _ = _at_break(strip, strips, after)
-            piece = open_pieces.pop(_key(strip), None) if is_continued else None
+            key = strip.kind, strip.place, strip.number
+            piece = open_pieces.pop(key, None) if is_continued else None
             if piece is None:
-                name = f"{edge.id} {strip.kind} {strip.place} {strip.number}"
-                piece = _Piece(name)
+                piece = _Piece(f"{edge.id} {strip.kind} {strip.place} {strip.number}")
             piece.strips.append(strip)
             piece.spans_m.append(spans[index])
             piece.ends_left_m.append((begin_m, end_m))
@@ -77,7 +74,7 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
             is_forward = strip.is_forward == is_along
             piece.limits_kmh.append(speed_limit_kmh(edge.tags, is_forward=is_forward))
             piece.is_two_way = len(street.sections[index].directions) > 1
-            following[_key(strip)] = piece
+            following[key] = piece
         done += open_pieces.values()
         open_pieces = following
     done += open_pieces.values()
@@ -92,8 +89,8 @@ def _without_stubs(
 ) -> tuple[list[int], list[tuple[float, float]]]:
     """Parts of a street that have lanes of their own, and their stations.
 
-    A way that is cut in two just outside a junction, as at a crosswalk, leaves a stub there: the
-    lanes of the part beyond it run on to the junction, unless that is driven in other directions.
+    A way that is cut in two just outside a junction leaves a stub there: the lanes of the part
+    beyond run on to the junction, unless it is driven in other directions.
     """
     least_m = DEFAULTS["cross_section"]["stub_m"]
     kept, whole = list(parts), list(spans)
@@ -108,10 +105,6 @@ def _without_stubs(
             pair = [whole[kept.pop(tip)], whole[kept[tip]]]
             whole[kept[tip]] = min(low for low, _ in pair), max(high for _, high in pair)
     return kept, whole
-
-
-def _key(strip: Strip) -> tuple[str, str, int]:
-    return strip.kind, strip.place, strip.number
 
 
 def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
@@ -130,8 +123,7 @@ def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tu
         same = match[0].left_m if match else strip.left_m
         return 0.5 * (strip.left_m + same), bool(match)
     number = min(strip.number, len(here) - 1, len(there) - 1)
-    left_m = 0.5 * (here[number].left_m + there[number].left_m)
-    return left_m, len(here) == len(there)
+    return 0.5 * (here[number].left_m + there[number].left_m), len(here) == len(there)
 
 
 def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
@@ -185,17 +177,12 @@ def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
 def _heights(piece: _Piece) -> list[tuple[float, float]]:
     """Stations and heights: bridges and tunnels are as high as their layer, with short ramps."""
     heights: list[tuple[float, float]] = []
-    step_m = DEFAULTS["cross_section"]["level_m"]
-    for index, ((low, high), level) in enumerate(zip(piece.spans_m, piece.levels, strict=True)):
-        before = piece.levels[max(index - 1, 0)]
-        after = piece.levels[min(index + 1, len(piece.levels) - 1)]
+    step_m, levels = DEFAULTS["cross_section"]["level_m"], piece.levels
+    around = zip([levels[0], *levels], levels, [*levels[1:], levels[-1]], strict=False)
+    for (low, high), (before, level, after) in zip(piece.spans_m, around, strict=True):
         run = min(10.0, 0.5 * (high - low))
-        heights += [
-            (low, 0.5 * step_m * (before + level)),
-            (low + run, step_m * level),
-            (high - run, step_m * level),
-            (high, 0.5 * step_m * (level + after)),
-        ]
+        heights += [(low, 0.5 * step_m * (before + level)), (low + run, step_m * level)]
+        heights += [(high - run, step_m * level), (high, 0.5 * step_m * (level + after))]
     return heights
 
 
@@ -205,9 +192,8 @@ _Group = tuple[str, bool]  # lanes side by side by their common name, and whethe
 def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
     """Let lanes of carriageways that part or merge begin where the lanes before them end.
 
-    From the kerb each goes on into the one of its number; where there are more on one side, the
-    rest shares the last one's place. They meet on the lanes of a road with two directions, which
-    keep to their side, or else half-way. `two_way` are the ids of such lanes.
+    From the kerb each goes on into the one of its number, the rest into the last one. They meet on
+    the lanes of a road with two directions (ids `two_way`), or else half-way.
     """
     led = list(lanes)
     groups: dict[_Group, list[int]] = defaultdict(list)
@@ -246,10 +232,7 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
 def _meeting_groups(
     lanes: Sequence[MapLane], groups: Mapping[_Group, Sequence[int]]
 ) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
-    """Ends and begins of lanes side by side that go on into each other, the nearest first.
-
-    Of each group the nearest that lies ahead; lanes that meet already are left as they are.
-    """
+    """Ends and begins of lanes side by side that go on ahead into each other, nearest first."""
     keys = list(groups)
     tips = [
         np.array([_tip(lanes[index], is_begin=key[1]) for index in groups[key]]) for key in keys
@@ -288,21 +271,18 @@ def _meeting_groups(
 
 
 def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
-    tip: FloatArray = lane.centreline_m[0 if is_begin else -1]
-    return tip
+    return np.asarray(lane.centreline_m[0 if is_begin else -1])
 
 
 def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
     """Unit vector in driving direction at an end of a lane, (2,)."""
     points = lane.centreline_m[:, :2]
-    step = points[1] - points[0] if is_begin else points[-1] - points[-2]
-    unit: FloatArray = step / max(float(np.hypot(*step)), 1e-9)
-    return unit
+    return unit(points[1] - points[0] if is_begin else points[-1] - points[-2])
 
 
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
     """A line that begins at another point and leads straight to itself, some metres on."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m[:, :2], axis=0).T)))
+    along = along_m(points_m)
     run = min(_BEND_M, float(along[-1]))
     joint = [np.interp(run, along, points_m[:, axis]) for axis in range(3)]
     return np.vstack([begin_m, joint, points_m[along > run + _SAME_POINT_M]])

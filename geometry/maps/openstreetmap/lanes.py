@@ -4,10 +4,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from ...scene import Turn
-from ..source_map import Omissions
 from .elements import DEFAULTS, OPPOSITE, Tags, is_yes, parse_count, parse_length_m, side_value
 
 Note = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
@@ -40,10 +38,7 @@ def runs_backward(tags: Tags) -> bool:
 
 
 def count_lanes(tags: Tags, note: Note) -> LaneCounts:
-    """Lanes of a road in each direction; senseless tags are noted.
-
-    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
-    """
+    """Lanes of a road in each direction, a one-way one along its nodes; odd tags are noted."""
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
 
@@ -219,15 +214,10 @@ class CrossSection:
         return replace(self, strips=strips)
 
 
-def build_cross_section(
-    tags: Tags, *, element: str, keeps_left: bool, omissions: Omissions
-) -> CrossSection:
-    """Strips side by side along a road; defaults replace senseless tags, which are noted.
-
-    If it is a one-way road, its tags must be turned so that cars drive in the order of its nodes.
-    """
+def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSection:
+    """Strips side by side along a road, a one-way one along its nodes; senseless tags are noted."""
     limits = DEFAULTS["cross_section"]
-    note = partial(omissions.add, "ways", element)
+
     left, right = (
         roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
     )
@@ -398,8 +388,6 @@ def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:
 
     Limits that hold at times, for some vehicles or lanes are not looked at.
 
-    Examples
-    --------
     >>> [speed_limit_kmh({"maxspeed": text}, is_forward=True) for text in ("50", "30 mph", "none")]
     [50.0, 48.3, None]
     >>> speed_limit_kmh({"maxspeed": "50", "maxspeed:backward": "FR:zone30"}, is_forward=False)

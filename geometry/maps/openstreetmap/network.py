@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain, pairwise
 
 import numpy as np
@@ -11,8 +12,8 @@ from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ..source_map import Omissions
-from .elements import DEFAULTS, Elements, Tags, Way, is_yes, reversed_tags
+from ...lines import points_at, steps_m, true_runs
+from .elements import DEFAULTS, Elements, Tags, Way, is_yes, numbered, reversed_tags
 from .lanes import CrossSection, build_cross_section, is_oneway, runs_backward
 
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
@@ -74,21 +75,23 @@ End = tuple[int, bool]  # an edge and whether its first node is meant
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """Edges, their ends by node row, and positions (n, 2) of all nodes of the file."""
+    """Edges, and their ends by node row."""
 
     edges: tuple[Edge, ...]
     ends: Mapping[int, tuple[End, ...]]
-    positions_m: FloatArray
+    elements: Elements
+    keeps_left: bool
 
     def bearing_deg(self, end: End) -> float:
         """Direction in which an edge leaves its node, over its first ten metres."""
-        index, is_start = end
-        points = self.edges[index].points_m
-        points = points if is_start else points[::-1]
-        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-        ahead = [np.interp(10.0, along, points[:, axis]) for axis in (0, 1)]
-        east, north = ahead - points[0]
+        points = self.points_from(end)
+        east, north = points_at(points, np.array(10.0)) - points[0]
         return float(np.degrees(np.arctan2(north, east)))
+
+    def points_from(self, end: End) -> FloatArray:
+        """Nodes of an edge from one of its ends, (n, 2)."""
+        points = self.edges[end[0]].points_m
+        return points if end[1] else points[::-1]
 
 
 _ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # the most specific first
@@ -104,18 +107,16 @@ def is_for_cars(tags: Tags) -> bool:
     )
 
 
-def build_network(
-    elements: Elements, positions_m: FloatArray, *, keeps_left: bool, omissions: Omissions
-) -> Network:
+def build_network(elements: Elements, *, keeps_left: bool) -> Network:
     """The roads for cars; ways with missing nodes and senseless tags are noted."""
     runs: list[tuple[Way, list[IntArray]]] = []
     for way in elements.ways:
         if is_for_cars(way.tags):
-            runs.append((way, list(known_runs(way.rows, positions_m))))
+            runs.append((way, list(known_runs(way, elements))))
             if (way.rows < 0).any() or not runs[-1][1]:
-                why = "nodes are missing in the file, as at the edge of a cut-out"
-                omissions.add("roads", f"way {way.id}", f"partly left out: {why}")
-    n_uses = np.zeros(len(positions_m), dtype=np.int64)
+                why = "partly left out: nodes are missing in the file, as at the edge of a cut-out"
+                elements.omissions.add("roads", f"way {way.id}", why)
+    n_uses = np.zeros(len(elements.positions_m), dtype=np.int64)
     for rows in chain.from_iterable(found for _, found in runs):
         np.add.at(n_uses, rows[1:-1], 1)
         np.add.at(n_uses, rows[[0, -1]], 2)  # edges end where ways do
@@ -126,42 +127,44 @@ def build_network(
         tags, step = dict(way.tags), 1
         if runs_backward(way.tags):
             tags, step = reversed_tags(tags) | {"oneway": "yes", "oneway:turned": "yes"}, -1
-        section = build_cross_section(
-            tags, element=f"way {way.id}", keeps_left=keeps_left, omissions=omissions
-        )
+        note = partial(elements.omissions.add, "ways", f"way {way.id}")
+        section = build_cross_section(tags, note, keeps_left=keeps_left)
         parts = (
             rows[begin : end + 1]
             for rows in (run[::step] for run in found)
             for begin, end in pairwise(np.flatnonzero(n_uses[rows] > 1))
         )
-        for number, rows in enumerate(parts):
-            name = f"w{way.id}.{number}" if number else f"w{way.id}"
-            points = positions_m[rows]
-            edge = Edge(
-                id=name, way_id=way.id, rows=rows, points_m=points, tags=tags, section=section
+        edges += [
+            Edge(
+                id=numbered(f"w{way.id}", number),
+                way_id=way.id,
+                rows=rows,
+                points_m=elements.positions_m[rows],
+                tags=tags,
+                section=section,
             )
-            edges.append(edge)
-    ends: dict[int, list[End]] = defaultdict(list)
+            for number, rows in enumerate(parts)
+        ]
+    ends: dict[int, tuple[End, ...]] = defaultdict(tuple)
     for index, edge in enumerate(edges):
-        ends[int(edge.rows[0])].append((index, True))
-        ends[int(edge.rows[-1])].append((index, False))
-    return Network(
-        edges=tuple(edges),
-        ends={row: tuple(here) for row, here in ends.items()},
-        positions_m=positions_m,
-    )
+        ends[int(edge.rows[0])] += ((index, True),)
+        ends[int(edge.rows[-1])] += ((index, False),)
+    return Network(edges=tuple(edges), ends=dict(ends), elements=elements, keeps_left=keeps_left)
 
 
-def known_runs(rows: IntArray, positions_m: FloatArray) -> Iterator[IntArray]:
+def known_runs(way: Way, elements: Elements) -> Iterator[IntArray]:
     """Parts of a way whose nodes the file has, without nodes that lie where the last one did."""
-    is_known = rows >= 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_known, [False]]).astype(int)))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        part = rows[begin:end]
-        steps = np.hypot(*np.diff(positions_m[part], axis=0).T)
-        part = part[np.append(True, steps > 0.01)]
+    for begin, end in true_runs(way.rows >= 0):
+        part = way.rows[begin:end]
+        part = part[np.append(True, steps_m(elements.positions_m[part]) > 0.01)]
         if len(part) >= 2:
             yield part
+
+
+def lines_of(way: Way, elements: Elements) -> Iterator[FloatArray]:
+    """Lines (n, 2) of the parts of a way whose nodes the file has."""
+    for rows in known_runs(way, elements):
+        yield elements.positions_m[rows]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -222,12 +225,13 @@ class Street:
         index = int(np.searchsorted(self.breaks_m, station_m, side="right")) - 1
         return min(max(index, 0), len(self.parts) - 1)
 
+    def section_at(self, station_m: float) -> CrossSection:
+        """Cross-section at a distance along the street."""
+        return self.sections[self.part_at(station_m)]
+
 
 def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street]:
-    """Follow roads from node to node until `stops(row)`; every edge is part of exactly one street.
-
-    At other nodes a road goes straight on if it can, and roads that join from the side end there.
-    """
+    """Streets to nodes that `stops(row)`; elsewhere roads go straight on, others end there."""
     partner: dict[End, End] = {}
     for row, ends in network.ends.items():
         if not stops(row):
@@ -303,11 +307,7 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
 
 
 def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
-    """Which points of a line next to a street to keep, so that it runs as the street does, (n,).
-
-    At sharp bends a line on the inner side would run backwards for a while; `middle` are the points
-    of the street's axis next to those of the line.
-    """
+    """Which points of a line next to a street's axis `middle` run on as that does, (n,)."""
     is_kept = np.ones(len(line_m), dtype=bool)
     steps = np.einsum("ij,ij->i", np.diff(line_m, axis=0), np.diff(middle, axis=0))
     if (steps > 0.0).all():
@@ -341,8 +341,7 @@ def surface(street: Street, begin_m: float, end_m: float) -> BaseGeometry:
         high = min(end_m, float(street.breaks_m[index + 1]))
         if high - low < 1e-3:
             continue
-        stations = stations_between(street, low, high)
-        middle, across = axis_points(street, stations)
+        middle, across = axis_points(street, stations_between(street, low, high))
         edges = [middle + sign * 0.5 * section.width_m * across for sign in (1.0, -1.0)]
         edges = [edge[has_no_knot(edge, middle)] for edge in edges]
         pieces.append(make_valid(Polygon(np.concatenate([edges[0], edges[1][::-1]]))))

@@ -1,5 +1,6 @@
 """Walls, hedges, trees, poles and crosswalks."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import chain
@@ -11,8 +12,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
+from ...lines import along_m, points_at, unit
 from ..source_map import (
-    Omissions,
     Pole,
     Thing,
     extrude_polygon,
@@ -21,59 +22,54 @@ from ..source_map import (
     unit_ball,
     unit_cylinder,
 )
-from .elements import DEFAULTS, Elements, Relation, Tags, Way, parse_length_m
+from .elements import DEFAULTS, Elements, Relation, Tags, Way, numbered, parse_length_m
 from .junctions import Reach
 from .lanes import Note
-from .network import Edge, Network, axis_points, known_runs, level
+from .network import Edge, Network, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
 
 
-def find_barriers(
-    elements: Elements, positions_m: FloatArray, omissions: Omissions
-) -> Iterator[Thing]:
+def find_barriers(elements: Elements) -> Iterator[Thing]:
     """Walls, hedges and boarded fences; transparent fences and damaged outlines are noted."""
     for way in elements.ways:
         kind = way.tags.get("barrier", "")
         if kind not in _KINDS:
             continue
-        element = f"way {way.id}"
+        note = partial(elements.omissions.add, "barriers", f"way {way.id}")
         fence = way.tags.get("fence_type", way.tags.get("material", ""))
         if kind == "fence" and fence not in DEFAULTS["barrier"]["opaque_fences"]:
-            omissions.add("fences", element, "seen through: no fence_type that says otherwise")
+            why = "seen through: no fence_type that says otherwise"
+            elements.omissions.add("fences", f"way {way.id}", why)
             continue
-        height_m, is_assumed = _size_m(way.tags, kind, "height", omissions, element)
-        thickness_m, _ = _size_m(way.tags, kind, "thickness", omissions, element)
-        for number, footprint in enumerate(_footprints(way, positions_m, thickness_m)):
+        limits = DEFAULTS["barrier"]
+        tagged_m = _tagged_m(
+            way.tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note
+        )
+        thick_m = _tagged_m(
+            way.tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
+        )
+        top_m = float(limits[kind]["height_m"]) if tagged_m is None else tagged_m
+        thick_m = float(limits[kind]["thickness_m"]) if thick_m is None else thick_m
+        for number, footprint in enumerate(_footprints(way, elements, thick_m)):
             try:
-                mesh = extrude_polygon(footprint, bottom_m=0.0, top_m=height_m, where=element)
+                mesh = extrude_polygon(footprint, bottom_m=0.0, top_m=top_m, where=f"way {way.id}")
             except InputError as error:
-                omissions.add("barriers", element, f"its outline has {error.got}")
+                note(f"its outline has {error.got}")
                 continue
-            name = f"w{way.id} {kind}" + (f" {number}" if number else "")
+            name = numbered(f"w{way.id} {kind}", number, " ")
             class_name = "vegetation" if kind == "hedge" else "wall"
-            yield Thing.of(name, class_name, mesh, is_height_assumed=is_assumed)
+            yield Thing.of(name, class_name, mesh, is_height_assumed=tagged_m is None)
 
 
-def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterator[Polygon]:
+def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Polygon]:
     if way.tags.get("area") == "yes" and way.is_closed and (way.rows >= 0).all():
-        yield from polygons_of(Polygon(positions_m[way.rows]).buffer(0.0))
+        yield from polygons_of(Polygon(elements.positions_m[way.rows]).buffer(0.0))
         return
-    for rows in known_runs(way.rows, positions_m):
-        line = LineString(positions_m[rows])
-        yield from polygons_of(line.buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre"))
-
-
-def _size_m(
-    tags: Tags, kind: str, name: str, omissions: Omissions, element: str
-) -> tuple[float, bool]:
-    """Height or thickness in metres, and whether it is assumed."""
-    limits = DEFAULTS["barrier"]
-    keys = (name, "width") if name == "thickness" else (name, "est_height")
-    bounds_m = 0.01, limits[f"max_{name}_m"]
-    size_m = _tagged_m(tags, keys, bounds_m, partial(omissions.add, "barriers", element))
-    return (float(limits[kind][f"{name}_m"]), True) if size_m is None else (size_m, False)
+    for line_m in lines_of(way, elements):
+        strip = LineString(line_m).buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre")
+        yield from polygons_of(strip)
 
 
 def _tagged_m(
@@ -94,40 +90,37 @@ _WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
 
 
-def find_trees(
-    elements: Elements, positions_m: FloatArray, omissions: Omissions
-) -> Iterator[Thing]:
+def find_trees(elements: Elements) -> Iterator[Thing]:
     """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
+    add = elements.omissions.add
     for row, tags in elements.node_tags.items():
         if tags.get("natural") == "tree":
             node_id = int(elements.node_ids[row])
-            yield _tree(f"n{node_id}", positions_m[row], tags, f"node {node_id}", omissions)
+            note = partial(add, "trees", f"node {node_id}")
+            yield _tree(f"n{node_id}", elements.positions_m[row], tags, note)
     tagged: tuple[Way | Relation, ...] = (*elements.ways, *elements.relations)
     for one in tagged:
         element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
         if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
-            rows = known_runs(one.rows, positions_m)
-            feet = chain.from_iterable(_along(positions_m[part]) for part in rows)
+            feet = chain.from_iterable(_along(line_m) for line_m in lines_of(one, elements))
             for number, foot in enumerate(feet):
-                yield _tree(f"w{one.id} tree {number}", foot, one.tags, element, omissions)
+                note = partial(add, "trees", element)
+                yield _tree(f"w{one.id} tree {number}", foot, one.tags, note)
         if any(one.tags.get(key) == value for key, value in _WOODS):
-            omissions.add("woods", element, "the positions of its trees and bushes are unknown")
+            add("woods", element, "the positions of its trees and bushes are unknown")
 
 
 def _along(line_m: FloatArray) -> FloatArray:
     """Positions of the trees of a row, evenly from its start to its end, (n, 2)."""
-    usual = DEFAULTS["tree"]
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
+    usual, along = DEFAULTS["tree"], along_m(line_m)
     n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
-    stations = np.linspace(0.0, along[-1], max(n_trees, 2))
-    return np.column_stack([np.interp(stations, along, line_m[:, axis]) for axis in (0, 1)])
+    return points_at(line_m, np.linspace(0.0, along[-1], max(n_trees, 2)))
 
 
-def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Omissions) -> Thing:
+def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
     usual = DEFAULTS["tree"]
 
     def size_m(keys: Sequence[str], highest_m: float) -> float | None:
-        note = partial(omissions.add, "trees", element)
         return _tagged_m(tags, keys, (0.05, highest_m), note)
 
     tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
@@ -153,22 +146,17 @@ _NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both di
 _NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 
 
-def find_poles(
-    network: Network,
-    reaches: Sequence[Reach],
-    elements: Elements,
-    *,
-    keeps_left: bool,
-    omissions: Omissions,
-) -> tuple[Pole, ...]:
+def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
     """Poles next to roads that could carry sensors; lamps without a pole are noted.
 
     Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
-    stop line, or where an arm begins if that is farther out; those mapped where roads meet stand at
-    every arm from which cars come.
+    stop line, or where an arm begins if that is farther out; those where roads meet at every arm.
     """
-    places = _places(network, reaches)
-    poles = []
+    places: dict[int, list[_Place]] = defaultdict(list)  # nodes of junctions lie on all arms
+    for reach in reaches:
+        for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
+            places[int(row)].append((reach, float(station_m)))
+    elements, poles = network.elements, []
     for row, tags in elements.node_tags.items():
         kind = _kind(tags)
         if not kind:
@@ -176,24 +164,24 @@ def find_poles(
         node_id = int(elements.node_ids[row])
         support = tags.get("support") or tags.get("lamp_mount") or tags.get("camera:mount", "")
         if support in _NO_POLE:
-            omissions.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
+            why = "on a wall or a wire, without a pole"
+            elements.omissions.add(f"{kind}s", f"node {node_id}", why)
             continue
-        feet, assumed = [network.positions_m[row]], ""
+        feet, assumed = [elements.positions_m[row]], ""
         if kind in ("traffic light", "sign") and (row in network.ends or row in places):
-            feet = _at_kerbs(places.get(row, ()), tags, keeps_left=keeps_left)
+            feet = _at_kerbs(places.get(row, ()), tags, keeps_left=network.keeps_left)
             assumed = "mapped on the road: a pole at the kerb is assumed"
             if len(feet) > 1:
                 poles_there = f"{len(feet)} poles at the kerbs are assumed"
                 assumed = f"node {node_id} is mapped on the road: {poles_there}"
             if not feet:
                 why = "inside a junction, where nobody stops"
-                omissions.add(f"{kind}s", f"node {node_id}", why)
+                elements.omissions.add(f"{kind}s", f"node {node_id}", why)
         height_m = parse_length_m(tags.get("height", ""))
         if not height_m or height_m > DEFAULTS["pole"]["max_height_m"]:
             height_m = None
         for number, foot in enumerate(feet):
-            name = f"n{node_id}.{number}" if number else f"n{node_id}"
-            position = np.append(foot, 0.0)
+            name, position = numbered(f"n{node_id}", number), np.append(foot, 0.0)
             poles.append(
                 Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
             )
@@ -217,15 +205,6 @@ def _kind(tags: Tags) -> str:
 _Place = tuple[Reach, float]  # a street and how far along it [m]
 
 
-def _places(network: Network, reaches: Sequence[Reach]) -> dict[int, list[_Place]]:
-    """Positions of nodes along streets; nodes of junctions lie on all arms."""
-    places: dict[int, list[_Place]] = {}
-    for reach in reaches:
-        for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
-            places.setdefault(int(row), []).append((reach, float(station_m)))
-    return places
-
-
 def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
     """Feet of the poles of one mapped signal or sign."""
     feet: list[FloatArray] = []
@@ -233,7 +212,7 @@ def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list
         for is_forward in _directions(reach, station_m, tags):
             # Beside the stop line, or where the arm begins if the stop line lies inside.
             at_m = float(np.clip(station_m, min(reach.begin_m, reach.end_m), reach.end_m))
-            section = reach.street.sections[reach.street.part_at(at_m)]
+            section = reach.street.section_at(at_m)
             sign = 1.0 if is_forward == keeps_left else -1.0  # left of the street
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
             (middle,), (across,) = axis_points(reach.street, [at_m])
@@ -278,22 +257,21 @@ _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 _LEAST_M = 0.5  # of a footway on a carriageway
 
 
-def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) -> FloatArray:
-    """Lines (n, 2, 2) on which pedestrians cross the carriageways of roads.
+def find_crosswalks(network: Network) -> FloatArray:
+    """Lines (n, 2, 2) on which pedestrians cross carriageways, a little beyond the kerbs.
 
-    Where a mapped footway leads over roads there is a straight line over each of them, along the
-    footway's direction on the carriageway; otherwise a line runs across the road at the mapped
-    point. All end a little beyond the kerbs. Crossings without a road are noted.
+    Where a mapped footway leads over roads it is a straight line along it over each of them;
+    otherwise it runs across the road at the mapped point. Crossings without a road are noted.
     """
-    limits = DEFAULTS["crosswalk"]
+    limits, elements = DEFAULTS["crosswalk"], network.elements
     lines: list[FloatArray] = []
     covered: set[int] = set()  # nodes that lie on a mapped footway over a road
     tree = shapely.STRtree([shapely.linestrings(edge.points_m) for edge in network.edges])
     for way in elements.ways:
         if way.tags.get("footway") != "crossing" or way.tags.get("highway") not in _FOOTWAYS:
             continue
-        for rows in known_runs(way.rows, network.positions_m):
-            walk = LineString(network.positions_m[rows])
+        for rows in known_runs(way, elements):
+            walk = LineString(elements.positions_m[rows])
             edges = [
                 network.edges[index]
                 for index in tree.query(walk, predicate="intersects").tolist()
@@ -305,11 +283,16 @@ def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) 
                 if 1.0 < np.hypot(*(line[1] - line[0])) <= limits["max_length_m"]
             ]
             if not found:
-                omissions.add("crossings", f"way {way.id}", "no road for cars below it")
+                why = "no road for cars below it"
+                elements.omissions.add("crossings", f"way {way.id}", why)
                 continue
             covered.update(rows.tolist())
             lines += found
-    at_row = _edges_at(network)
+    at_row: dict[int, tuple[int, int]] = {}  # an edge through each node, and the node's place in it
+    for index, edge in enumerate(network.edges):
+        for at, row in enumerate(edge.rows.tolist()):
+            if row not in at_row or network.edges[at_row[row][0]].is_service:
+                at_row[row] = (index, at)
     for row, tags in elements.node_tags.items():
         if tags.get("highway") != "crossing" or tags.get("crossing") == "no":
             continue
@@ -324,10 +307,7 @@ def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) 
 
 
 def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]:
-    """A line (2, 2) over each road that a footway crosses, from beyond one kerb to the other.
-
-    Carriageways that are crossed one after the other in one direction are one road's.
-    """
+    """A line (2, 2) over each road that a footway crosses, with all its carriageways."""
     limits = DEFAULTS["crosswalk"]
     joined: list[tuple[LineString, BaseGeometry]] = []  # parts of the footway, and carriageways
     crossed = [
@@ -364,15 +344,11 @@ def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iter
 
 def _direction(line: LineString) -> FloatArray:
     begin, end = np.asarray(line.coords)[[0, -1], :2]
-    unit: FloatArray = (end - begin) / max(float(np.hypot(*(end - begin))), 1e-9)
-    return unit
+    return unit(end - begin)
 
 
 def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: float) -> FloatArray:
-    """The straight line through a footway's ends on a carriageway, beyond the kerbs.
-
-    A footway that is mapped only as far as the middle of the road is led on to the other kerb.
-    """
+    """The straight line (2, 2) through a footway's ends on a carriageway, beyond both kerbs."""
     begin, along = np.asarray(part.coords)[0, :2], _direction(part)
     reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
     ray = LineString([begin - reach_m * along, begin + reach_m * along])
@@ -383,16 +359,6 @@ def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: fl
     own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
     low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
     return begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
-
-
-def _edges_at(network: Network) -> dict[int, tuple[int, int]]:
-    """An edge through each node of the roads, and which of its points lies there."""
-    found: dict[int, tuple[int, int]] = {}
-    for index, edge in enumerate(network.edges):
-        for at, row in enumerate(edge.rows.tolist()):
-            if row not in found or network.edges[found[row][0]].is_service:
-                found[row] = (index, at)
-    return found
 
 
 def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float) -> FloatArray:
@@ -416,8 +382,7 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
     along = steps[0] if np.hypot(*along) < 1e-6 else along / np.hypot(*along)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
-    line: FloatArray = points[at] + half_m * np.stack([-left, left])
-    return line
+    return np.asarray(points[at] + half_m * np.stack([-left, left]))
 
 
 def _is_same(one: FloatArray, other: FloatArray) -> bool:
