@@ -89,10 +89,10 @@ def read_cityjson(path: Path) -> SourceMap:
     objects: list[CityObject] = []
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
-    transform = _transform(head.get("transform"), where)
+    scale, translate = _transform(head.get("transform"), where)
+    templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
-        vertices = _vertices(document.get("vertices", []), transform, f"{where}: vertices")
-        templates = _Templates(head.get("geometry-templates"), where)
+        vertices = _vectors(document.get("vertices", []), f"{where}: vertices") * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
@@ -122,14 +122,14 @@ def _documents(text: str, where: str) -> Iterator[_Table]:
         refuse(where, "an empty file", "CityJSON")
 
 
-def _transform(table: Any, where: str) -> tuple[FloatArray, FloatArray]:
-    """Scale and translation of vertices, (3,) each; 1 and 0 where the file has none."""
+def _transform(table: Any, where: str) -> FloatArray:
+    """Scale and translation of vertices, (2, 3); 1 and 0 where the file has none."""
     if table is None:
-        return np.ones(3), np.zeros(3)
+        return np.array([np.ones(3), np.zeros(3)])
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: transform", table, "scale and translate")
-    scale = _vectors([table.get("scale")], f"{where}: transform.scale")[0]
-    return scale, _vectors([table.get("translate")], f"{where}: transform.translate")[0]
+    keys = ("scale", "translate")
+    return np.concatenate([_vectors([table.get(k)], f"{where}: transform.{k}") for k in keys])
 
 
 def _vectors(values: Any, where: str) -> FloatArray:
@@ -146,20 +146,14 @@ def _vectors(values: Any, where: str) -> FloatArray:
     return array
 
 
-def _vertices(values: Any, transform: tuple[FloatArray, FloatArray], where: str) -> FloatArray:
-    scale, translate = transform
-    with np.errstate(over="ignore"):
-        vertices = _vectors(values, where) * scale + translate
-    return _vectors(vertices.tolist(), where) if not np.isfinite(vertices).all() else vertices
-
-
 class _Templates:
     """Shapes that are used more than once, such as trees and lamps."""
 
     def __init__(self, table: Any, where: str) -> None:
+        table = table if isinstance(table, Mapping) else {}
         self.where = f"{where}: geometry-templates"
-        self.templates = table.get("templates", []) if isinstance(table, Mapping) else []
-        values = table.get("vertices-templates", []) if isinstance(table, Mapping) else []
+        self.templates = table.get("templates", [])
+        values = table.get("vertices-templates", [])
         self.vertices = _vectors(values, f"{self.where}.vertices-templates")
 
     def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
@@ -167,18 +161,16 @@ class _Templates:
         index, anchor = geometry.get("template"), geometry.get("boundaries")
         if not _is_index(index, len(self.templates)):
             raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
-        if not (
-            isinstance(anchor, list) and len(anchor) == 1 and _is_index(anchor[0], len(vertices))
-        ):
+        is_one = isinstance(anchor, list) and len(anchor) == 1
+        if not is_one or not _is_index(anchor[0], len(vertices)):
             raise InputError(f"{where}.boundaries", anchor, "the index of one vertex")
         values = geometry.get("transformationMatrix", np.eye(4).reshape(-1).tolist())
         if not isinstance(values, list) or len(values) != 16:
             raise InputError(f"{where}.transformationMatrix", values, "16 numbers")
         matrix = _vectors([[value, 0.0, 0.0] for value in values], where)[:, 0].reshape(4, 4)
-        template = self.templates[index]
+        template, here = self.templates[index], f"{self.where}.templates[{index}]"
         if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
-            refuse(f"{self.where}.templates[{index}]", "no geometry", "one")
-        here = f"{self.where}.templates[{index}]"
+            refuse(here, "no geometry", "one")
         return [
             [ring @ matrix[:3, :3].T + matrix[:3, 3] + vertices[anchor[0]] for ring in polygon]
             for polygon in _polygons(template, self.vertices, here)
@@ -207,11 +199,10 @@ def _objects(
             continue
         polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
         children = entry.get("children", [])
-        named = (
-            [one for one in children if isinstance(one, str)] if isinstance(children, list) else []
-        )
-        parts = [part for name in named if isinstance(part := table.get(name), Mapping)]
-        if level < 1.0 and any(part.get("geometry") for part in parts):
+        named = children if isinstance(children, list) else []
+        parts = [table.get(one) for one in named if isinstance(one, str)]
+        has_parts = any(isinstance(part, Mapping) and part.get("geometry") for part in parts)
+        if level < 1.0 and has_parts:
             continue
         if not polygons:
             if not children:
@@ -243,8 +234,7 @@ def _best(
     """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
-    best: list[Polygon3D] = []
-    best_level = -1.0
+    best: tuple[list[Polygon3D], float] = ([], -1.0)
     for index, geometry in enumerate(geometries):
         here = f"{where}.geometry[{index}]"
         if not isinstance(geometry, Mapping):
@@ -258,9 +248,9 @@ def _best(
                 level = float(str(geometry.get("lod", "1"))) if kind in _SURFACES_AT else level
             except ValueError:
                 raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
-        if polygons and _rank(level) > _rank(best_level):
-            best, best_level = polygons, level
-    return best, best_level
+        if polygons and _rank(level) > _rank(best[1]):
+            best = (polygons, level)
+    return best
 
 
 def _rank(level: float) -> float:
@@ -314,9 +304,10 @@ def city_map(
     skipped: Sequence[Note],
 ) -> SourceMap:
     """Build a map from the objects of a city model; InputError: nothing solid, or too much."""
-    if not any(city_object.polygons for city_object in objects):
-        got = "no building, plant or furniture with surfaces"
-        refuse(where, got, "objects of level of detail 0 to 3" + _said(skipped))
+    objects = [item for item in objects if item.polygons]
+    if not objects:
+        expected = "objects of level of detail 0 to 3" + _said(skipped)
+        refuse(where, "no building, plant or furniture with surfaces", expected)
     rings = [ring for item in objects for polygon in item.polygons for ring in polygon]
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
@@ -332,12 +323,10 @@ def city_map(
     n_triangles = 0
     for item in objects:
         polygons = tuple(tuple(next(in_metres) for _ in polygon) for polygon in item.polygons)
-        if not polygons:
-            continue
         try:
             thing = _thing(replace(item, polygons=polygons), unique_id(item.id, ids))
         except InputError as error:
-            flat.append(Note(what=f"{item.type_name} {item.id}", why=str(error)))
+            flat.append(Note(f"{item.type_name} {item.id}", str(error)))
             continue
         things.append(thing)
         n_triangles += len(thing.triangles)
@@ -370,12 +359,11 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
     is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
     raised_m = kind_of_class(class_name).height_m if height is None or is_assumed else height
     pieces = []
-    for polygon in item.polygons:
-        bottom_m = float(polygon[0][:, 2].min())
-        outer, *holes = (ring[:, :2] for ring in polygon)
-        holes = [hole for hole in holes if len(hole) >= 4]
-        top_m = bottom_m + raised_m
-        pieces.append(extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=item.id))
+    for outer, *holes in item.polygons:
+        bottom_m = float(outer[:, 2].min())
+        rings = [hole[:, :2] for hole in holes if len(hole) >= 4]
+        heights = {"bottom_m": bottom_m, "top_m": bottom_m + raised_m}
+        pieces.append(extrude(outer[:, :2], **heights, holes_m=rings, where=item.id))
     return Thing.of(thing_id, class_name, join(pieces), is_height_assumed=is_assumed)
 
 
@@ -467,10 +455,10 @@ class _Document:
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:
         """An object with its own surfaces, without those of its parts."""
         type_name = local_name(feature)
-        shapes = list(self._shapes(feature, 0))
-        level, rank = max(
-            ((level, rank) for level, rank, polygons in shapes if polygons),
-            key=lambda kind: (_rank(kind[0]), kind[1]),
+        shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
+        level, kind = max(
+            ((level, rank) for level, rank, _ in shapes),
+            key=lambda one: (_rank(one[0]), one[1]),
             default=(-1, -1),
         )
         has_parts = any(
@@ -480,14 +468,12 @@ class _Document:
             if not has_parts:
                 empty[type_name] += 1
             return None
-        alike = [
-            polygon for *kind, polygons in shapes if kind == [level, rank] for polygon in polygons
-        ]
+        alike = [polygons for *at, polygons in shapes if at == [level, kind]]
         texts = {local_name(child): (child.text or "").strip() for child in feature}
         return CityObject(
             id=_gml_id(feature) or type_name,
             type_name=type_name,
-            polygons=tuple(alike),
+            polygons=tuple(chain.from_iterable(alike)),
             words=" ".join(texts[name] for name in _NAMES_OF_GML if texts.get(name)),
             is_footprint=level == 0,
             height_m=_measured_height_m(feature),

@@ -3,6 +3,7 @@
 import glob
 import re
 import sqlite3
+import sys
 import warnings
 from collections import Counter
 from collections.abc import Mapping
@@ -289,15 +290,11 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
     said = kind_from_name(" ".join(str(values[key]) for key in _KINDS if key in values))
     if said is not None and said.kind not in ("wall", "fence", "hedge"):
         said = None
-    if "Polygon" in types:
+    is_line = bool(types & {"LineString", "LinearRing"})
+    if "Polygon" in types or (is_line and (said is not None or class_name == "wall")):
         return said or kind_of_class(class_name)
-    if not types & {"LineString", "LinearRing"}:
-        left_out["points"] += 1
-        return None
-    if said is None and class_name != "wall":
-        left_out["lines"] += 1
-        return None
-    return said or kind_of_class(class_name)
+    left_out["lines" if is_line else "points"] += 1
+    return None
 
 
 def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
@@ -313,19 +310,16 @@ def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeferenc
         shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
     )
     parts = _parts(geometry)
-    polygons = [part for part in parts if part.geom_type == "Polygon"]
-    if not polygons:
-        strips = [
-            part.buffer(0.5 * kind.thickness_m, cap_style="flat", join_style="mitre")
-            for part in parts
-            if part.geom_type in ("LineString", "LinearRing")
-        ]
-        polygons = [part for strip in strips for part in _parts(strip)]
+    if not any(part.geom_type == "Polygon" for part in parts):
+        style = {"cap_style": "flat", "join_style": "mitre"}
+        lines = [part for part in parts if part.geom_type in ("LineString", "LinearRing")]
+        strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
+        parts = [part for strip in strips for part in _parts(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
-        extrude_polygon(polygon, bottom_m=bottom_m, top_m=top_m, where=thing_id)
-        for polygon in polygons
-        if not polygon.is_empty
+        extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=thing_id)
+        for part in parts
+        if part.geom_type == "Polygon" and not part.is_empty
     ]
     if not pieces:
         refuse(thing_id, "no area", "a footprint")
@@ -335,19 +329,16 @@ def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeferenc
 def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
     """Heights of floor and roof above ground, and whether that of the roof is assumed."""
     defaults = thing_defaults()
-    top = _length_m(values, _TOPS)
-    storeys = _length_m(values, _STOREYS)
+    top, storeys = _length_m(values, _TOPS), _length_m(values, _STOREYS)
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
         top = storeys * defaults.storey_height_m
     if top is not None and not 0.0 < top <= defaults.max_height_m:
         top = None
-    bottom = _length_m(values, _BOTTOMS)
-    lowest = _length_m(values, _LOWEST_STOREYS)
-    if bottom is None and lowest is not None:
-        bottom = lowest * defaults.storey_height_m
+    bottom, lowest = _length_m(values, _BOTTOMS), _length_m(values, _LOWEST_STOREYS)
+    if bottom is None:
+        bottom = (lowest or 0.0) * defaults.storey_height_m
     top_m = kind.height_m if top is None else top
-    is_possible = bottom is not None and 0.0 <= bottom < top_m
-    return bottom if bottom is not None and is_possible else 0.0, top_m, top is None
+    return bottom if 0.0 <= bottom < top_m else 0.0, top_m, top is None
 
 
 def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
@@ -371,11 +362,7 @@ def _number(value: Any) -> float | None:
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
-        try:
-            number = float(value)
-        except OverflowError:
-            return None
-        return number if np.isfinite(number) else None
+        return float(value) if abs(value) <= sys.float_info.max else None
     match = _NUMBER.fullmatch(str(value).strip().lower()[:60])
     if match is None or (match[2] and match[2] not in _UNITS_M):
         return None

@@ -40,7 +40,7 @@ _BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
 class Surveyed:
     """A junction of a map and the lanes that lead to it."""
 
-    junction: MapJunction  # the junction itself
+    junction: MapJunction
     arms: tuple[str, ...]  # names of its arms; empty if no lane ends at its outline
     n_lanes: int  # driving lanes into it and out of it
     n_driven: int  # arms from which a driving lane leads into it
@@ -60,12 +60,10 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     signals = _count_near(source.junctions, np.array(lights).reshape(-1, 2))
     crossings = _count_near(source.junctions, source.crosswalks_m.mean(axis=1))
     found = [
-        _survey(source, one, by_junction[one.id], n_signals, n_crossings)
-        for one, n_signals, n_crossings in zip(source.junctions, signals, crossings, strict=True)
+        replace(_survey(source, one, by_junction[one.id]), n_signals=lit, n_crossings=crossed)
+        for one, lit, crossed in zip(source.junctions, signals, crossings, strict=True)
     ]
-    if not found:
-        return ()
-    middle = np.median([one.junction.position_m for one in found], axis=0)
+    middle = np.median([one.junction.position_m for one in found] or [np.zeros(2)], axis=0)
 
     def rank(one: Surveyed) -> tuple[float, ...]:
         off_m = float(np.hypot(*(one.junction.position_m - middle)))
@@ -93,7 +91,7 @@ def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, .
     check_one_of("sort", sort, SORTS)
     if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
-    if sort == "arms":
+    if sort == "arms":  # the order that they come in
         return tuple(surveyed)
     return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{sort}"))))
 
@@ -118,26 +116,32 @@ def choose_junction(
         place = _LAT_LON.fullmatch(name)
         if place is None or any(one.junction.id == name for one in surveyed):
             return _by_name(surveyed, name)
-        where, at = "junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
+        if not source.crs:
+            expected = "an id or a name: the map does not say where it lies"
+            raise InputError("junction", name, expected)
+        lon_lat = np.array([float(place[2]), float(place[1])])
+        x, y = transform(lon_lat, WGS84, source.source_crs or source.crs)
+        where, at = "junction", (float(x), float(y))
     if at is None:
         return surveyed[0]
     point = _in_map(source, at)
     if not np.isfinite(point).all():
         refuse(where, f"{at[0]:g},{at[1]:g}", f"a point in {source.source_crs}")
-    distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
-    nearest = int(np.argmin(distance))
-    if not distance[nearest] <= _NEAR_M:
-        got = name or f"{at[0]:.8g},{at[1]:.8g}"
-        exchanged = _in_map(source, (at[1], at[0]))
-        if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
-            order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
-            order = "latitude,longitude" if name else order
-            refuse(where, got, f"{order}: it is the other way round")
-        found = surveyed[nearest]
-        place_of = ", ".join(f"{value:.8g}" for value in found.position)
-        expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
-        refuse(where, got, f"{expected}{found.junction.id}, is at {place_of}")
-    return surveyed[nearest]
+
+    def away_m(one: Surveyed, place: FloatArray) -> float:
+        return float(np.hypot(*(one.junction.position_m - place)))
+
+    nearest = min(surveyed, key=lambda one: away_m(one, point))
+    if away_m(nearest, point) <= _NEAR_M:
+        return nearest
+    got, exchanged = name or f"{at[0]:.8g},{at[1]:.8g}", _in_map(source, (at[1], at[0]))
+    if min(away_m(one, exchanged) for one in surveyed) <= _NEAR_M:
+        order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
+        order = "latitude,longitude" if name else order
+        refuse(where, got, f"{order}: it is the other way round")
+    place_of = ", ".join(f"{value:.8g}" for value in nearest.position)
+    expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
+    refuse(where, got, f"{expected}{nearest.junction.id}, is at {place_of}")
 
 
 def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
@@ -193,16 +197,6 @@ def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
     return words, endings
 
 
-def _from_degrees(
-    source: SourceMap, lon_lat_deg: tuple[float, float], name: str
-) -> tuple[float, float]:
-    """A point in the map's own coordinates, as ``at`` has it."""
-    if not source.crs:
-        raise InputError("junction", name, "an id or a name: the map does not say where it lies")
-    x, y = transform(np.array(lon_lat_deg), WGS84, source.source_crs or source.crs)
-    return float(x), float(y)
-
-
 def _listed(surveyed: Sequence[Surveyed]) -> str:
     many = len({one.junction.name for one in surveyed}) < len(surveyed)  # names tell nothing apart
     words = []
@@ -221,17 +215,21 @@ def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
     return np.array(at) if is_same else transform(np.array(at), source.source_crs, source.crs)
 
 
-def _survey(
-    source: SourceMap,
-    junction: MapJunction,
-    lanes: Sequence[MapLane],
-    n_signals: int,
-    n_crossings: int,
-) -> Surveyed:
-    position = junction.position_m
+def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Surveyed:
+    position, middle = junction.position_m, junction.position_m
     if source.crs and source.source_crs not in ("", source.crs):
         position = transform(position, source.crs, source.source_crs)
     # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
+    near = [
+        Lane(
+            id=lane.id,
+            kind=lane.kind,
+            width_m=lane.width_m,
+            centreline_m=lane.centreline_m[:, :2] - middle,
+        )
+        for lane in lanes
+        if lane.kind in ("driving", "parking")
+    ]
     scene = Scene(
         name=junction.id,
         vertices_m=np.zeros((0, 3)),
@@ -239,17 +237,8 @@ def _survey(
         triangle_instance=np.zeros(0, dtype=np.int32),
         instances=(Instance(id="ground", class_name="ground"),),
         sites=(),
-        outline_m=junction.outline_m - junction.position_m,
-        lanes=tuple(
-            Lane(
-                id=lane.id,
-                kind=lane.kind,
-                width_m=lane.width_m,
-                centreline_m=lane.centreline_m[:, :2] - junction.position_m,
-            )
-            for lane in lanes
-            if lane.kind in ("driving", "parking")
-        ),
+        outline_m=junction.outline_m - middle,
+        lanes=tuple(near),
         crs="",
         keeps_left=source.keeps_left,
     )
@@ -263,8 +252,6 @@ def _survey(
         n_lanes=sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values()),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
-        n_signals=n_signals,
-        n_crossings=n_crossings,
     )
 
 
@@ -283,16 +270,14 @@ SUFFIXES = (
 class ReadingOptions:
     """Answers to questions that map files leave open."""
 
-    # unit and up axis of meshes, see :func:`geometry.maps.mesh_files.read_mesh`
-    unit: str | None = None
+    unit: str | None = None  # of meshes
     up: str | None = None
-    # class of meshes, point clouds and footprints that do not state theirs
-    class_name: str = "building"
+    class_name: str = "building"  # of meshes, point clouds and footprints that do not state theirs
     keeps_left: bool | None = None  # whether traffic keeps left; by default what the map says
     crs: str = ""  # coordinate reference system of files that do not name one; empty: none
     layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
-    # (2,); shift of everything without roads: buildings, meshes, point clouds. These are then taken
-    # to lie in the coordinates of the map with the junction, whatever reference system they name.
+    # shift of everything without roads, which is then taken to lie in the coordinates of the map
+    # with the junction, whatever reference system it names
     offset_m: tuple[float, float] | None = None
 
 
@@ -303,10 +288,8 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     """
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
-    if not path.exists():
-        refuse(str(path), "no such file", "a map file")
-    if path.is_dir():
-        refuse(str(path), "a folder", "a map file")
+    if not path.exists() or path.is_dir():
+        refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
     check_file(path)
     with ExitStack() as stack:
         inside = path
@@ -314,7 +297,17 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
             inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
         source = _read(inside, options)
     if options.offset_m is not None and not source.lanes:
-        return _moved(source, np.array([*options.offset_m, 0.0]))
+        offset_m = np.array([*options.offset_m, 0.0])
+        things = (replace(one, vertices_m=one.vertices_m + offset_m) for one in source.things)
+        poles = (replace(pole, position_m=pole.position_m + offset_m) for pole in source.poles)
+        return replace(
+            source,
+            crs="",
+            source_crs="",
+            things=tuple(things),
+            poles=tuple(poles),
+            crosswalks_m=source.crosswalks_m + offset_m[:2],
+        )
     if crs and not source.crs:
         source = replace(source, crs=crs, source_crs=crs)
     return source
@@ -341,26 +334,17 @@ def _read(path: Path, options: ReadingOptions) -> SourceMap:
     elif kind == ".json":
         kind = ".geojson"
     elif kind in (".xml", ".gml", ".citygml"):
-        kind = _kind_of_xml(path)
+        root = local_name(read_xml_root(path))
+        kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml"}
+        if root not in kinds:
+            refuse(str(path), f"<{root}>", "OpenDRIVE, OpenStreetMap or CityGML")
+        kind = kinds[root]
     if kind not in _READERS:
         refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
     module, function, fields = _READERS[kind]
     read = getattr(import_module(f"{__package__}.{module}"), function)
     source: SourceMap = read(path, **{field: getattr(options, field) for field in fields})
     return source
-
-
-def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
-    return replace(
-        source,
-        crs="",
-        source_crs="",
-        things=tuple(
-            replace(thing, vertices_m=thing.vertices_m + offset_m) for thing in source.things
-        ),
-        poles=tuple(replace(pole, position_m=pole.position_m + offset_m) for pole in source.poles),
-        crosswalks_m=source.crosswalks_m + offset_m[:2],
-    )
 
 
 def _is_city_json(path: Path) -> bool:
@@ -376,14 +360,6 @@ def _is_city_json(path: Path) -> bool:
     except (ValueError, RecursionError):
         return False  # the reader of GeoJSON says what is wrong
     return isinstance(document, dict) and document.get("type") == "CityJSON"
-
-
-def _kind_of_xml(path: Path) -> str:
-    root = local_name(read_xml_root(path))
-    kinds = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml"}
-    if root not in kinds:
-        refuse(str(path), f"<{root}>", "OpenDRIVE, OpenStreetMap or CityGML")
-    return kinds[root]
 
 
 def _projected(crs: str) -> str:
@@ -410,17 +386,13 @@ class ImportOptions:
 
     junction: str = ""  # name or id, see :func:`geometry.maps.importing.choose_junction`
     at: tuple[float, float] | None = None  # a point near the junction instead of its name
-    # radius around the middle of the junction within which things are kept
-    radius_m: float = DEFAULT_RADIUS_M
-    # "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
-    # :func:`geometry.maps.sites.choose_sites`
-    sites: str = "auto"
+    radius_m: float = DEFAULT_RADIUS_M  # around its middle, within which things are kept
+    sites: str = (
+        "auto"  # or "map", "kerb:SPACING", a file: :func:`geometry.maps.sites.choose_sites`
+    )
     ground_m: float | None = None  # height of the road, see :func:`geometry.maps.cut.cut_out`
-    # raster with the heights of the ground, see :func:`geometry.maps.relief.read_elevation`; by
-    # default heights are those of the maps
-    terrain: Path | None = None
-    name: str = ""  # name of the scene; empty: after the file and the junction
-    # answers to what the files leave open
+    terrain: Path | None = None  # raster with the heights of the ground; None: those of the maps
+    name: str = ""  # of the scene; empty: after the file and the junction
     reading: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __post_init__(self) -> None:
@@ -467,55 +439,42 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
     imported = cut_scene(maps, chosen, options)
     if len(junctions) > 1 and not options.junction and options.at is None:
-        note = Note(
-            what=f"{len(junctions) - 1} other junctions of {maps[0].name}",
-            why="none was named: the one with the most arms and lanes was taken",
-            kind="junction",
-        )
-        scene = replace(imported.scene, notes=(note, *imported.scene.notes))
-        imported = replace(imported, scene=scene)
+        what = f"{len(junctions) - 1} other junctions of {maps[0].name}"
+        why = "none was named: the one with the most arms and lanes was taken"
+        notes = (Note(what, why, kind="junction"), *imported.scene.notes)
+        imported = replace(imported, scene=replace(imported.scene, notes=notes))
     return replace(imported, junctions=junctions)
 
 
 def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
     """Make a scene of one junction of maps that are read; raises as :func:`import_scene` does."""
-    roads = maps[0]
+    roads, junction, radius_m = maps[0], chosen.junction, options.radius_m
     if not chosen.n_driven:
-        got = "no lane that leads into it"
-        expected = "a junction that cars drive into"
-        refuse(f"{roads.name}: junction {chosen.junction.id}", got, expected)
+        where = f"{roads.name}: junction {junction.id}"
+        refuse(where, "no lane that leads into it", "a junction that cars drive into")
     elevation = None
     if options.terrain is not None:
-        elevation = read_elevation(
-            options.terrain,
-            crs=roads.crs,
-            middle_m=chosen.junction.position_m,
-            half_m=options.radius_m + LANES_BEYOND_M,
-        )
+        half_m, middle_m = radius_m + LANES_BEYOND_M, junction.position_m
+        elevation = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
     surroundings = cut_out(
-        maps,
-        chosen.junction,
-        radius_m=options.radius_m,
-        ground_m=options.ground_m,
-        elevation=elevation,
+        maps, junction, radius_m=radius_m, ground_m=options.ground_m, elevation=elevation
     )
     surroundings, settled = settle_poles(surroundings)
-    sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
+    sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=radius_m)
     scene = build_scene(
         surroundings,
-        name=options.name or f"{Path(roads.name).stem}/{chosen.junction.id}",
+        name=options.name or f"{Path(roads.name).stem}/{junction.id}",
         source_crs=(roads.source_crs or roads.crs) if roads.crs else "",
         sites=sites,
-        radius_m=options.radius_m,
+        radius_m=radius_m,
     )
-    ends = [Note(what=f"arm {name}", why=why, kind="roads") for name, why in arms_that_end(scene)]
     notes = (
         *surroundings.skipped,
         *settled,
         *site_notes,
-        *ends,
+        *(Note(f"arm {name}", why, kind="roads") for name, why in arms_that_end(scene)),
         *_site_notes(surroundings.poles, sites, options.sites),
-        *_building_notes(surroundings.things, options.radius_m),
+        *_building_notes(surroundings.things, radius_m),
     )
     return ImportedScene(
         scene=replace(scene, notes=notes),
@@ -534,24 +493,22 @@ def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Ite
             same[pole.kind, pole.assumed].append(pole.id)
     for (kind, why), ids in same.items():
         what = f"{kind} {ids[0]}" if len(ids) == 1 else f"{len(ids)} x {kind}"
-        yield Note(what=what, why=why, kind="sites", site_ids=tuple(ids))
+        yield Note(what, why, kind="sites", site_ids=tuple(ids))
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:
         why = "no mast stands there in the map: each is assumed"
-        yield Note(what=f"{len(masts)} sites at the kerb", why=why, kind="sites", site_ids=masts)
+        yield Note(f"{len(masts)} sites at the kerb", why, kind="sites", site_ids=masts)
 
 
 def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
     """Notes on buildings that the map does not have, or whose heights it does not tell."""
-    buildings = [thing for thing in things if thing.class_name == "building"]
-    if not buildings:
-        why = f"none within {radius_m:g} m in the map: none is taken to hide anybody"
-        yield Note(what="buildings", why=why, kind="buildings")
-    assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
     every = Counter(thing.class_name for thing in things)
+    if not every["building"]:
+        why = f"none within {radius_m:g} m in the map: none is taken to hide anybody"
+        yield Note("buildings", why, kind="buildings")
+    assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
     for class_name, number in assumed.most_common():
+        what = f"heights of {number} of {every[class_name]} x {class_name}"
         yield Note(
-            what=f"heights of {number} of {every[class_name]} x {class_name}",
-            why="not in the map: the usual ones of their kinds are assumed",
-            kind="heights",
+            what, "not in the map: the usual ones of their kinds are assumed", kind="heights"
         )

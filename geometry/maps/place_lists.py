@@ -53,11 +53,8 @@ class SiteWish:
     @property
     def n_said(self) -> int:
         """How many details are given."""
-        said = (
-            *(self.z_m, self.min_height_m, self.max_height_m, self.cost_eur),
-            *(self.capacity_units, self.has_power, self.has_fibre, self.kind or None),
-            self.is_forbidden or None,
-        )
+        said = (self.z_m, self.min_height_m, self.max_height_m, self.cost_eur, self.capacity_units)
+        said += (self.has_power, self.has_fibre, self.kind or None, self.is_forbidden or None)
         return sum(value is not None for value in said)
 
 
@@ -186,25 +183,25 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
         refuse(str(path), f"{len(table.features):,} features", "fewer")
     known: dict[str, str] = {}
     for feature in table.features:
-        fields = known_columns(list(feature.values), feature.where)
+        geometry, where = feature.geometry, feature.where
+        fields = known_columns(list(feature.values), where)
         known |= fields
         values = {fields[name]: value for name, value in feature.values.items() if name in fields}
-        if feature.geometry is not None and not feature.geometry.is_empty:
-            if feature.geometry.geom_type != "Point":
-                raise InputError(f"{feature.where}.geometry", feature.geometry.geom_type, "a Point")
+        if geometry is not None and not geometry.is_empty:
+            if geometry.geom_type != "Point":
+                raise InputError(f"{where}.geometry", geometry.geom_type, "a Point")
             for name in ("x", "y", "lat", "lon"):
                 values.pop(name, None)
-            x, y = feature.geometry.x, feature.geometry.y
             if declared.is_geographic and declared.to_authority() in (None, ("EPSG", "4326")):
-                values |= {"lon": x, "lat": y}
+                values |= {"lon": geometry.x, "lat": geometry.y}
+            elif not crs:
+                refuse(where, f"coordinates in {table.crs[:80]}", "x and y of the scene")
             else:
-                if not crs:
-                    got = f"coordinates in {table.crs[:80]}"
-                    refuse(feature.where, got, "x and y of the scene")
-                values["x"], values["y"] = transform([x, y], table.crs, crs).tolist()
-            if feature.geometry.has_z:
-                values.setdefault("z", feature.geometry.z)
-        yield feature.where, values
+                place = transform([geometry.x, geometry.y], table.crs, crs)
+                values["x"], values["y"] = place.tolist()
+            if geometry.has_z:
+                values.setdefault("z", geometry.z)
+        yield where, values
     tell_unknown((name for feature in table.features for name in feature.values), known, path)
 
 
@@ -250,13 +247,13 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
 
 def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
     """Position (2,) by x and y, or lat and lon, in a scene's system, in metres; or InputError."""
-    x, y = read_number(values, "x", where), read_number(values, "y", where)
+    given = {name: read_number(values, name, where) for name in ("x", "y", "lat", "lon")}
+    x, y, lat, lon = given.values()
     if x is not None and y is not None:
         return np.array([x, y])
-    lat, lon = read_number(values, "lat", where), read_number(values, "lon", where)
     if lat is None or lon is None:
-        given = {"x": x, "y": y} if (x is None) != (y is None) else {"lat": lat, "lon": lon}
-        missing = " and ".join(name for name, value in given.items() if value is None)
+        wanted = ("x", "y") if (x is None) != (y is None) else ("lat", "lon")
+        missing = " and ".join(name for name in wanted if given[name] is None)
         refuse(f"{where}: {missing}", "nothing", "x and y, or lat and lon")
     if not crs:
         expected = "x and y in metres: the scene does not say where on earth it lies"
@@ -389,7 +386,10 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
         refuse(str(path), "nothing", "a row for each place")
     names = {str(name): str(name).strip().lower() for _, values in rows for name in values}
     found = _column(names, column, path)
-    values = np.array([_count(row, found, where) for where, row in rows])
+    counts = [read_number(row, found, where, least=0.0) if found else 1.0 for where, row in rows]
+    for (where, row), count in zip(rows, counts, strict=True):
+        if count is None:
+            raise InputError(f"{where}: {found}", row.get(found), "a number, at least 0")
     junctions: tuple[str, ...] = ()
     by = next((name for name, plain in names.items() if plain in _JUNCTIONS), None)
     if places is None and by is not None:
@@ -397,6 +397,7 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     elif places is None:
         places = [_place(row, where, crs) for where, row in rows]
     positions = None if places is None else np.array(places).reshape(-1, 2)
+    values = np.array(counts, dtype=np.float64)
     return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
 
 
@@ -413,19 +414,6 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
         return column
     plain = {lower: name for name, lower in names.items()}
     return next((plain[name] for name in _COUNTS if name in plain), "")
-
-
-def _count(row: Mapping[str, Any], column: str, where: str) -> float:
-    if not column:
-        return 1.0
-    value = row.get(column)
-    try:
-        number = np.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = np.nan
-    if not (np.isfinite(number) and number >= 0.0):
-        raise InputError(f"{where}: {column}", value, "a number, at least 0")
-    return number
 
 
 def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:

@@ -1,5 +1,6 @@
 """Point clouds (LAS, LAZ, PCD): the ground below the points, and solids of voxels upon it."""
 
+import re
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -83,85 +84,80 @@ def _las_reader(path: Path) -> Any:
 
 def _check_header(path: Path) -> None:
     """Raise InputError if a header claims more than the file can contain."""
-    where = str(path)
-    n_bytes = path.stat().st_size
+    where, n_bytes = str(path), path.stat().st_size
     with open_file(path) as file:
         head = file.read(375)
-    if len(head) < 227 or head[:4] != b"LASF":
-        refuse(where, "something else", "a LAS file")
-    minor = head[25]
-    header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
-    point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
-    if minor >= 4 and len(head) >= 375:
-        first_extended, n_extended, n_points_14 = struct.unpack_from("<QIQ", head, 235)
-        n_points = n_points_14 or n_points
-        if n_extended and first_extended + 60 * n_extended > n_bytes:
-            refuse(where, f"{n_extended:,} extended records", "as many as fit")
-    if n_points > MAX_POINTS:
-        refuse(where, f"{n_points:,} points", f"at most {MAX_POINTS:,}; thin it out first")
-    if not n_points:
-        refuse(where, "no points", "points")
-    if not header_bytes <= first_point <= n_bytes or header_bytes + 54 * n_records > first_point:
-        refuse(where, f"{n_records:,} records in its header", "as many as fit")
-    is_packed = bool(point_format & 0xC0)
-    if is_packed:
-        n_layers = _n_layers(path, header_bytes, n_records, point_bytes)
-        _check_chunks(path, first_point, point_bytes, n_layers)
-    if not is_packed and first_point + n_points * point_bytes > n_bytes:
-        got = f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off"
-        refuse(where, got, f"{first_point + n_points * point_bytes:,} bytes")
+        if len(head) < 227 or head[:4] != b"LASF":
+            refuse(where, "something else", "a LAS file")
+        header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
+        point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
+        if head[25] >= 4 and len(head) >= 375:  # version 1.4
+            first_extended, n_extended, n_points_14 = struct.unpack_from("<QIQ", head, 235)
+            n_points = n_points_14 or n_points
+            if n_extended and first_extended + 60 * n_extended > n_bytes:
+                refuse(where, f"{n_extended:,} extended records", "as many as fit")
+        if n_points > MAX_POINTS:
+            refuse(where, f"{n_points:,} points", f"at most {MAX_POINTS:,}; thin it out first")
+        if not n_points:
+            refuse(where, "no points", "points")
+        is_inside = header_bytes <= first_point <= n_bytes
+        if not is_inside or header_bytes + 54 * n_records > first_point:
+            refuse(where, f"{n_records:,} records in its header", "as many as fit")
+        claimed = first_point + n_points * point_bytes
+        if point_format & 0xC0:  # packed
+            file.seek(header_bytes)
+            n_layers = _n_layers(file, where, n_records, point_bytes)
+            _check_chunks(file, where, first_point, point_bytes, n_layers)
+        elif claimed > n_bytes:
+            got = f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off"
+            refuse(where, got, f"{claimed:,} bytes")
     check_unpacked(n_points * max(point_bytes, 20), where)
 
 
-def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:
+def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> int:
     """Number of layers in which chunks of points are packed, 0: none; InputError: no known kind."""
-    where = str(path)
-    with open_file(path) as file:
-        file.seek(header_bytes)
-        for _ in range(n_records):
-            head = file.read(54)
-            if len(head) < 54:
-                break
-            owner, number, n_bytes = struct.unpack_from("<16sHH", head, 2)
-            data = file.read(n_bytes)
-            if owner.rstrip(b"\0") != b"laszip encoded" or number != 22204 or len(data) < 34:
-                continue
-            n_items = struct.unpack_from("<H", data, 32)[0]
-            items = [struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)]
-            sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
-            if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
-                refuse(where, "packed points of no known kind", "LASzip")
-            if items[0][0] not in _LAYERS:
-                return 0
-            return sum(_LAYERS.get(kind, 0) or size for kind, size, _ in items)
+    for _ in range(n_records):
+        head = file.read(54)
+        if len(head) < 54:
+            break
+        owner, number, n_bytes = struct.unpack_from("<16sHH", head, 2)
+        data = file.read(n_bytes)
+        if owner.rstrip(b"\0") != b"laszip encoded" or number != 22204 or len(data) < 34:
+            continue
+        n_items = struct.unpack_from("<H", data, 32)[0]
+        items = [struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)]
+        sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
+        if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
+            refuse(where, "packed points of no known kind", "LASzip")
+        if items[0][0] not in _LAYERS:
+            return 0
+        return sum(_LAYERS.get(kind, 0) or size for kind, size, _ in items)
     refuse(where, "packed points without a LASzip record", "a LAZ file")
 
 
-def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int) -> None:
+def _check_chunks(
+    file: BinaryIO, where: str, first_point: int, point_bytes: int, n_layers: int
+) -> None:
     """Refuse chunks of packed points that claim more bytes than there are before their table."""
-    n_bytes = path.stat().st_size
-    with open_file(path) as file:
-        file.seek(first_point)
-        head = file.read(8)
-        at = struct.unpack("<q", head)[0] if len(head) == 8 else 0
-        if at == -1:  # of a file that was written as a stream: in its last eight bytes
-            file.seek(-8, 2)
-            at = struct.unpack("<q", file.read(8))[0]
-        if not first_point < at <= n_bytes - 8:
-            refuse(str(path), "a table of chunks outside the file", "all of it")
-        file.seek(at)
-        _, n_chunks = struct.unpack("<2I", file.read(8))
-        claimed = n_chunks * point_bytes  # the first point of a chunk is not packed
-        begin = first_point + 8
-        while n_layers and begin < at:
-            begin += point_bytes + 4
-            file.seek(begin)
-            sizes = file.read(4 * n_layers)
-            begin += len(sizes) + sum(
-                struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
-            )
-    if claimed > n_bytes or begin > at:
-        refuse(str(path), f"{n_chunks:,} chunks of points that claim more bytes", f"{at:,}")
+    n_bytes = file.seek(0, 2)
+    file.seek(first_point)
+    head = file.read(8)
+    at = struct.unpack("<q", head)[0] if len(head) == 8 else 0
+    if at == -1:  # of a file that was written as a stream: in its last eight bytes
+        file.seek(-8, 2)
+        at = struct.unpack("<q", file.read(8))[0]
+    if not first_point < at <= n_bytes - 8:
+        refuse(where, "a table of chunks outside the file", "all of it")
+    file.seek(at)
+    _, n_chunks = struct.unpack("<2I", file.read(8))
+    begin = first_point + 8
+    while n_layers and begin < at:
+        begin += point_bytes + 4
+        file.seek(begin)
+        sizes = file.read(4 * n_layers)
+        begin += len(sizes) + sum(struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3]))
+    if n_chunks * point_bytes > n_bytes or begin > at:  # a chunk's first point is not packed
+        refuse(where, f"{n_chunks:,} chunks of points that claim more bytes", f"{at:,}")
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
@@ -195,17 +191,15 @@ _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     """Points with coordinates of an open PCD file, version 0.7, all of class 0; or InputError."""
     header = _pcd_header(file, where)
-    names = header.get("FIELDS", [])
+    names, kinds = header.get("FIELDS", []), header.get("TYPE", [])
     if not {"x", "y", "z"} <= set(names):
         raise InputError(f"{where}: FIELDS", " ".join(names)[:80], "x, y and z among them")
     sizes = _integers(header, "SIZE", len(names), where)
-    counts = (
-        _integers(header, "COUNT", len(names), where) if "COUNT" in header else [1] * len(sizes)
-    )
+    has_counts = "COUNT" in header
+    counts = _integers(header, "COUNT", len(names), where) if has_counts else [1] * len(sizes)
     n_points = _integers(header, "POINTS", 1, where)[0]
     if not 0 < n_points <= MAX_POINTS:
         raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
-    kinds = header.get("TYPE", [])
     formats = []
     for index, name in enumerate(names):
         kind = (kinds[index] if index < len(kinds) else "", sizes[index])
@@ -214,13 +208,12 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
         formats.append((f"{index}", _PCD_TYPES[kind], (counts[index],)))
     columns = [names.index(axis) for axis in "xyz"]
     encoding = " ".join(header.get("DATA", []))
-    if encoding == "binary":
-        chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
-    elif encoding == "ascii":
+    if encoding == "ascii":
         first = np.cumsum([0, *counts])
         chunks = _pcd_ascii(file, [int(first[column]) for column in columns], n_points, where)
-    elif encoding == "binary_compressed":
-        chunks = _pcd_compressed(file, np.dtype(formats), columns, n_points, where)
+    elif encoding in ("binary", "binary_compressed"):
+        read = _pcd_binary if encoding == "binary" else _pcd_compressed
+        chunks = read(file, np.dtype(formats), columns, n_points, where)
     else:
         raise InputError(f"{where}: DATA", encoding, "ascii, binary or binary_compressed")
     n_found = 0
@@ -250,10 +243,8 @@ def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
 
 def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> list[int]:
     words = header.get(key, [])
-    if len(words) != n or not all(word.isascii() and word.isdigit() for word in words):
+    if len(words) != n or not all(re.fullmatch(r"[0-9]{1,18}", word) for word in words):
         raise InputError(f"{where}: {key}", " ".join(words)[:80], f"{n} whole numbers")
-    if any(len(word) > 18 for word in words):
-        raise InputError(f"{where}: {key}", words[0][:40], "a smaller number")
     return [int(word) for word in words]
 
 
@@ -475,7 +466,7 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     notes += counted(scan.left_out, "points of a class that hides nothing here")
     if small:
         why = f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m"
-        notes.append(Note(what=f"{small} clusters of points", why=why))
+        notes.append(Note(f"{small} clusters of points", why))
     return SourceMap(
         name=path.name,
         crs=scan.place.crs,
@@ -511,9 +502,8 @@ class _Scan:
     def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
         """Add a chunk of points."""
         for number, name in _LEFT_OUT.items():
-            n = int((classes == number).sum())
-            if n:
-                self.left_out[name] += n
+            if n_points := int((classes == number).sum()):
+                self.left_out[name] += n_points
         is_taken = ~np.isin(classes, list(_LEFT_OUT))
         points_m, classes = points_m[is_taken], classes[is_taken]
         if not len(points_m):
@@ -521,8 +511,7 @@ class _Scan:
         if self.origin_m is None:
             self.origin_m = np.floor(points_m.min(axis=0))
         local = points_m - self.origin_m
-        reach = MAX_VOXELS_PER_AXIS // 2 * VOXEL_M
-        if (np.abs(local) > reach).any():
+        if (np.abs(local) > MAX_VOXELS_PER_AXIS // 2 * VOXEL_M).any():
             refuse(self.where, f"points {np.abs(local).max():.3g} m apart", "one place")
         self.lowest.add(local)
         self.lowest_ground.add(local[np.isin(classes, _GROUND)])
@@ -535,8 +524,7 @@ class _Scan:
         for kind, is_kind in kinds.items():
             before = self.keys.get(kind, np.empty(0, dtype=np.int64))
             self.keys[kind] = np.unique(np.concatenate([before, keys[is_kind]]))
-        n_voxels = sum(len(known) for known in self.keys.values())
-        if n_voxels > _MAX_VOXELS:
+        if sum(len(known) for known in self.keys.values()) > _MAX_VOXELS:
             got = f"more than {_MAX_VOXELS:,} voxels of {VOXEL_M} m"
             refuse(self.where, got, "a larger voxel, or fewer points")
 
@@ -554,28 +542,24 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         ground_m = filter_ground(lowest_m)
     heights: dict[str, IntArray] = {}
     for kind, keys in scan.keys.items():
-        middles_m = (to_cells(keys) - _MIDDLE + 0.5) * VOXEL_M
+        kept = to_cells(keys)
+        middles_m = (kept - _MIDDLE + 0.5) * VOXEL_M
         cells = np.floor(middles_m[:, :2] / CELL_M).astype(np.int64) - low
         cells = np.clip(cells, 0, np.array(ground_m.shape) - 1)
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
-        kept = to_cells(keys)
         kept[:, 2] = np.floor(above_m / VOXEL_M).astype(np.int64) + _MIDDLE
         heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
-    voxel_m, notes = VOXEL_M, []
     solid = [keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
-    while (
-        len(everything)
-        and 2.0 * voxel_m <= _MAX_VOXEL_M
-        and mean_neighbours(everything) < _MIN_NEIGHBOURS
-    ):
+    voxel_m, most_m = VOXEL_M, 0.5 * _MAX_VOXEL_M if len(everything) else 0.0
+    while voxel_m <= most_m and mean_neighbours(everything) < _MIN_NEIGHBOURS:
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
         everything = _coarser(everything)
-    if voxel_m > VOXEL_M:
-        why = f"points too far apart for voxels of {VOXEL_M:g} m"
-        notes.append(Note(what=f"detail below {voxel_m:g} m", why=why))
-    return heights, voxel_m, notes
+    if voxel_m == VOXEL_M:
+        return heights, voxel_m, []
+    why = f"points too far apart for voxels of {VOXEL_M:g} m"
+    return heights, voxel_m, [Note(f"detail below {voxel_m:g} m", why)]
 
 
 def _coarser(keys: IntArray) -> IntArray:
@@ -588,39 +572,32 @@ def _things(
     """One thing per cluster, and the number of clusters that are too small."""
     found: list[tuple[str, IntArray]] = []
     small = 0
-    for kind, keys in heights.items():
-        if not len(keys):
-            continue
-        if kind != "vegetation":
-            keys = bridged(keys)
-        keys = _stood(keys, voxel_m)
+    for kind, keys in ((kind, keys) for kind, keys in heights.items() if len(keys)):
+        keys = _stood(keys if kind == "vegetation" else bridged(keys), voxel_m)
         labels = clusters(keys)
         order = np.argsort(labels, kind="stable")
-        parts = np.split(keys[order], np.cumsum(np.bincount(labels))[:-1])
-        for part in parts:
-            top_m = (int((part & ((1 << 20) - 1)).max()) - _MIDDLE + 1) * voxel_m
+        for part in np.split(keys[order], np.cumsum(np.bincount(labels))[:-1]):
+            top_m = (int((part & _MASK).max()) - _MIDDLE + 1) * voxel_m
             if len(part) < _MIN_VOXELS or top_m < _MIN_HEIGHT_M:
                 small += 1
-                continue
-            found.append((kind, part))
+            else:
+                found.append((kind, part))
     if len(found) > _MAX_THINGS:
         refuse(scan.where, f"{len(found):,} things", f"at most {_MAX_THINGS:,}; cut it out")
     things: list[Thing] = []
     names: Counter[str] = Counter()
     assert scan.origin_m is not None
     origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
-    n_left, n_walls = MAX_TRIANGLES, MAX_WALL_VOXELS
+    n_left, n_walls, where = MAX_TRIANGLES, MAX_WALL_VOXELS, scan.where
     for kind, part in found:
         name = "building" if kind == "roofs" else kind
         if kind == "roofs" or (name == class_name == "building" and _is_roof(part, voxel_m)):
-            part = columns_to(part, _MIDDLE, scan.where, n_left=n_walls)
+            part = columns_to(part, _MIDDLE, where, n_left=n_walls)
             n_walls -= len(part)
         if kind != "vegetation":
             part = filled(part, _MIDDLE)
         names[name] += 1
-        mesh = faces(
-            part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=scan.where
-        )
+        mesh = faces(part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=where)
         n_left -= len(mesh[1])
         things.append(Thing.of(f"{name} {names[name]}", name, mesh))
     return things, small
@@ -632,11 +609,11 @@ def _stood(keys: IntArray, voxel_m: float) -> IntArray:
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     lowest = np.minimum.reduceat(cells[:, 2], start)
     stands = (lowest - _MIDDLE) * voxel_m <= _GROUND_M + voxel_m
-    added = [
-        np.column_stack([columns[stands & (lowest > z)], np.full((stands & (lowest > z)).sum(), z)])
-        for z in range(_MIDDLE, _MIDDLE + int(_GROUND_M / voxel_m) + 2)
-    ]
-    return np.unique(np.concatenate([keys, to_keys(np.concatenate(added))]))
+    added = [keys]
+    for z in range(_MIDDLE, _MIDDLE + int(_GROUND_M / voxel_m) + 2):
+        below = columns[stands & (lowest > z)]
+        added.append(to_keys(np.column_stack([below, np.full(len(below), z)])))
+    return np.unique(np.concatenate(added))
 
 
 def _is_roof(keys: IntArray, voxel_m: float) -> bool:

@@ -39,23 +39,16 @@ def take_number(element: Element, key: str, where: str) -> float:
 
 def take_number_or(element: Element, key: str, where: str, default: float) -> float:
     """Finite number of an attribute, or the default if it is missing or left open."""
-    value = take_number_if_any(element, key, where)
-    return default if value is None else value
-
-
-def take_number_if_any(element: Element, key: str, where: str) -> float | None:
-    """Finite number of an attribute, or None if it is missing or left open."""
-    if element.get(key, "").strip().lower() in _UNSET:
-        return None
-    return take_number(element, key, where)
+    is_open = element.get(key, "").strip().lower() in _UNSET
+    return default if is_open else take_number(element, key, where)
 
 
 def take_size(element: Element, key: str, where: str) -> float | None:
     """A length above 0, or None; InputError: not finite, or larger than anything near a road."""
-    value = take_number_if_any(element, key, where)
-    if value is not None and value > MAX_SIZE_M:
+    value = take_number_or(element, key, where, 0.0)
+    if value > MAX_SIZE_M:
         raise InputError(f"{where}.{key}", value, f"metres, at most {MAX_SIZE_M:g}")
-    return value if value is not None and value > 0.0 else None
+    return value if value > 0.0 else None
 
 
 def take_id(element: Element, where: str) -> str:
@@ -118,8 +111,7 @@ def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
     if source.startswith("+"):
         words = [word for word in source.split() if not word.startswith(_VERTICAL_PARAMETERS)]
         crs = " ".join(words)
-    why = _why_not(crs)
-    if why:
+    if why := _why_not(crs):
         omissions.add("geoReferences", f"geoReference {source[:120]}", why)
         return "", source
     return crs, source

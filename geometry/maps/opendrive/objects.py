@@ -116,14 +116,26 @@ def crosswalk_line(
     It runs through the middle of the smallest box the long way; if that is nearly a square, across
     the road. Two corners are the line itself.
     """
-    found = _corners(road, spot, outlines, turn_rad)
-    if found is None:
-        return None
-    corners, _ = found
+    corners, _ = _corners(road, spot, outlines, turn_rad) or (np.empty((0, 2)), None)
     if len(corners) == 2:
         return corners if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M else None
-    _, heading = place(road, spot)
-    return _long_way(corners, np.array([-np.sin(heading), np.cos(heading)]))
+    if not len(corners):
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
+        box = shapely.MultiPoint(corners).minimum_rotated_rectangle
+    if box.geom_type != "Polygon":
+        return None
+    ring = np.asarray(box.exterior.coords)[:4]
+    sides = np.array([ring[1] - ring[0], ring[2] - ring[1]])
+    lengths = np.hypot(*sides.T)
+    longer = int(lengths.argmax())
+    if lengths[longer] < _CLEARLY_LONGER * lengths[1 - longer]:
+        _, heading = place(road, spot)
+        across_road = np.array([-np.sin(heading), np.cos(heading)])
+        longer = int(np.abs(sides @ across_road / lengths).argmax())
+    if lengths[longer] < _MIN_LENGTH_M:
+        return None
+    return np.asarray(ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer])
 
 
 def _corners(
@@ -133,8 +145,10 @@ def _corners(
     outer = next((outline for outline in outlines if outline.is_outer), None)
     if outer is not None:
         return outer.points_m, outer.road_m
-    box = box_corners(spot, turn_rad)
-    return None if box is None else (road.place(*box.T)[0][:, :2], box)
+    if spot.length_m is None or spot.width_m is None:
+        return None
+    box = box_corners(spot, spot.length_m, spot.width_m, turn_rad)
+    return road.place(*box.T)[0][:, :2], box
 
 
 def cross_paths(
@@ -150,22 +164,6 @@ def cross_paths(
                 if np.hypot(*(ends[1] - ends[0])[:2]) > _MIN_LENGTH_M:
                     lines.append(ends[:, :2])
     return lines
-
-
-def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | None:
-    with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
-        box = shapely.MultiPoint(corners_m).minimum_rotated_rectangle
-    if box.geom_type != "Polygon":
-        return None
-    ring = np.asarray(box.exterior.coords)[:4]
-    sides = np.array([ring[1] - ring[0], ring[2] - ring[1]])
-    lengths = np.hypot(*sides.T)
-    longer = int(lengths.argmax())
-    if lengths[longer] < _CLEARLY_LONGER * lengths[1 - longer]:
-        longer = int(np.abs(sides @ across_road / lengths).argmax())
-    if lengths[longer] < _MIN_LENGTH_M:
-        return None
-    return np.asarray(ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer])
 
 
 # ---------- parking spaces
@@ -204,12 +202,13 @@ def read_space(
         if found is None:
             return None
         _, corners = found
-    (first_m, right_m), (last_m, left_m) = corners.min(axis=0), corners.max(axis=0)
+    (first_m, right_m), (last_m, left_m) = (
+        corners.min(axis=0).tolist(),
+        corners.max(axis=0).tolist(),
+    )
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
-    return Space(
-        first_m=float(first_m), last_m=float(last_m), right_m=float(right_m), left_m=float(left_m)
-    )
+    return Space(first_m=first_m, last_m=last_m, right_m=right_m, left_m=left_m)
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
@@ -226,27 +225,26 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
         else:
             rows.append([space])
             open_rows.append(rows[-1])
-    lanes = (_build_row(road, row, f"{road.id}/parking {at + 1}") for at, row in enumerate(rows))
-    return [lane for lane in lanes if lane is not None]
-
-
-def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:
-    first_m = max(min(space.first_m for space in row), 0.0)
-    last_m = min(max(space.last_m for space in row), road.length_m)
-    if last_m - first_m < _MIN_SIZE_M:
-        return None
-    s_m = np.linspace(first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1))
-    middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
-    order = np.argsort(middles)
-    t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
-    points, _ = road.place(s_m, t_m)
-    follows = (float(t_m.mean()) < 0.0) != road.keeps_left
-    return MapLane(
-        id=name,
-        kind="parking",
-        width_m=float(np.mean([space.left_m - space.right_m for space in row])),
-        centreline_m=points if follows else points[::-1],
-    )
+    lanes = []
+    for at, row in enumerate(rows, start=1):
+        first_m = max(min(space.first_m for space in row), 0.0)
+        last_m = min(max(space.last_m for space in row), road.length_m)
+        if last_m - first_m < _MIN_SIZE_M:
+            continue
+        s_m = np.linspace(first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1))
+        middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
+        order = np.argsort(middles)
+        t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
+        points, _ = road.place(s_m, t_m)
+        follows = (float(t_m.mean()) < 0.0) != road.keeps_left
+        lane = MapLane(
+            id=f"{road.id}/parking {at}",
+            kind="parking",
+            width_m=float(np.mean([space.left_m - space.right_m for space in row])),
+            centreline_m=points if follows else points[::-1],
+        )
+        lanes.append(lane)
+    return lanes
 
 
 # ---------- all objects
@@ -373,28 +371,17 @@ def read_signals(
         if not is_on(one.road, s_m):
             omissions.add("signals beyond their road's end", one.name, "beyond its road's end")
         elif kind == "crosswalk":
-            length_m = take_size(one.element, "width", one.where)
-            edges = _driving_edges(sampled[one.road.id], s_m)
-            if not length_m and edges:
-                length_m = max(left for _, left in edges) - min(right for right, _ in edges)
-            if length_m:
-                points, heading = one.road.place(np.array([s_m]), np.array([t_m]))
-                # Around the other way is the same line: whole and half turns are of no matter.
-                angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
-                angle += 0.5 * np.pi
-                across = np.array([np.cos(angle), np.sin(angle)])
-                ends_m = 0.5 * length_m * np.array([[-1.0], [1.0]])
-                crosswalks.append(points[0, :2] + ends_m * across)
+            line = _painted_line(one, s_m, t_m, _driving_edges(sampled[one.road.id], s_m))
+            crosswalks += [] if line is None else [line]
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
             foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
             is_light = kind == "traffic light"
+            edges = [] if at is None else _driving_edges(sampled[at[0]], at[1])
             if not is_light and top_m < facts["min_sign_top_m"]:
                 omissions.add(f"signals ({kind})", one.name, _PAINT)
-            elif at is not None and any(
-                right < at[2] < left for right, left in _driving_edges(sampled[at[0]], at[1])
-            ):
+            elif at is not None and any(right < at[2] < left for right, left in edges):
                 why = "it hangs over a lane: there is no pole below it"
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
@@ -402,6 +389,23 @@ def read_signals(
                 height_m = top_m if top_m >= least_m else None
                 poles.append(Pole(id=one.name, kind=kind, position_m=foot_m, height_m=height_m))
     return poles, crosswalks
+
+
+def _painted_line(
+    one: RoadElement, s_m: float, t_m: float, edges: Sequence[tuple[float, float]]
+) -> FloatArray | None:
+    """Line (2, 2) of a crosswalk across the driving lanes, or as wide as it says; None: neither."""
+    length_m = take_size(one.element, "width", one.where)
+    if not length_m and edges:
+        length_m = max(left for _, left in edges) - min(right for right, _ in edges)
+    if not length_m:
+        return None
+    points, heading = one.road.place(np.array([s_m]), np.array([t_m]))
+    # Around the other way is the same line: whole and half turns are of no matter.
+    angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
+    angle += 0.5 * np.pi
+    across = np.array([np.cos(angle), np.sin(angle)])
+    return np.asarray(points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across)
 
 
 def _find_position(
@@ -433,10 +437,9 @@ def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple
     edges = []
     for lane in section.lanes.values():
         if lane_kind(lane.record.type) == "driving":
-            inner, outer = (
-                float(np.interp(s_m, section.s_m, edge)) for edge in (lane.inner_m, lane.outer_m)
-            )
-            edges.append((min(inner, outer), max(inner, outer)))
+            sides = (lane.inner_m, lane.outer_m)
+            right, left = sorted(float(np.interp(s_m, section.s_m, side)) for side in sides)
+            edges.append((right, left))
     return edges
 
 

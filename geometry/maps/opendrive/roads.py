@@ -55,7 +55,7 @@ def spiral(
 
 def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
-    points = np.stack([_cubic(p, u), _cubic(p, v)], axis=1)
+    points = np.stack([evaluate(p, u), evaluate(p, v)], axis=1)
     du, dv = _slope(p, u), _slope(p, v)
     # Where the curve starts with a standstill its second derivative says where it leads.
     stands = du**2 + dv**2 < 1.0e-18
@@ -72,8 +72,9 @@ def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArr
     return np.interp(s_m, np.append(0.0, np.cumsum(steps)), grid)
 
 
-def _cubic(p: FloatArray, k: FloatArray) -> FloatArray:
-    return k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3]))
+def evaluate(p: FloatArray, k: FloatArray) -> FloatArray:
+    """Values of cubics with coefficients k (..., 4) at p (...)."""
+    return np.asarray(k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3])))
 
 
 def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
@@ -259,11 +260,6 @@ class PiecewiseCubic:
     def at(self, s_m: FloatArray) -> FloatArray:
         """Values, (k,)."""
         return self.rebased(s_m, s_m)[:, 0]
-
-
-def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:
-    """Values of one cubic per point, (n,): coefficients (n, 4) at ds_m (n,)."""
-    return _cubic(ds_m, coefficients)
 
 
 def read_cubics(
@@ -499,15 +495,13 @@ def _speed_kmh(speed: Element) -> float | None:
 
 def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
     """Links to what lies before and after a road."""
+    keys = {"kind": "elementType", "id": "elementId", "contact": "contactPoint"}
+    found = (road.find("link/predecessor"), road.find("link/successor"))
     before, after = (
         RoadLink()
-        if element is None
-        else RoadLink(
-            kind=element.get("elementType", ""),
-            id=element.get("elementId", "").strip(),
-            contact=element.get("contactPoint", ""),
-        )
-        for element in (road.find("link/predecessor"), road.find("link/successor"))
+        if one is None
+        else RoadLink(**{k: one.get(v, "").strip() for k, v in keys.items()})
+        for one in found
     )
     return before, after
 
