@@ -18,6 +18,7 @@ from .files import Table, Text, load_toml, pick, read_tables
 from .poses import Pose
 
 _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
+_REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -149,9 +150,6 @@ def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
         )
         for name, entry in entries.items()
     }
-
-
-_REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
 def fingerprint(table: Table) -> str:

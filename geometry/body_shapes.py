@@ -29,6 +29,8 @@ _BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
 
 # Of a bone, in the frame of the body: rotation and joint.
 _Frame = tuple[FloatArray, FloatArray]
+_SIDES = (-1.0, 1.0)
+_MAX_STRETCH = 0.04
 
 
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
@@ -149,9 +151,6 @@ def _bone_frames(
     return frames
 
 
-_SIDES = (-1.0, 1.0)
-
-
 # ---------- solids
 def _build_mesh(
     entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
@@ -242,9 +241,6 @@ def _fit_to_box(
         return np.stack([x, y, points[:, 2] * up], axis=1)
 
     return fit
-
-
-_MAX_STRETCH = 0.04
 
 
 @cache

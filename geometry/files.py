@@ -31,6 +31,9 @@ _T = TypeVar("_T")
 
 MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
 MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
+_PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
+_STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
+_YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 
 # ---------- the door: every file of a user's is opened, read and written by these functions
@@ -292,10 +295,6 @@ def _read_array(kind: Any, value: object) -> Any:
     return float_array(value, shape, "")
 
 
-_PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
-_STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
-
-
 def _input_error(
     error: msgspec.ValidationError, table: object, kind: Any, where: str
 ) -> InputError:
@@ -428,7 +427,6 @@ def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
 
 
 # ---------- temporary files and folders: whose process is alive?
-_YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 
 @contextmanager

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 _FLIP_NORTH = np.array([1.0, -1.0, 1.0])
+_PATH = re.compile(r"(?:[=,]\s*@?|^\s*)(?:\w:)?(?:[/\\~]|\.\.?[/\\])")
 
 
 def from_carla_points(points_carla_m: ArrayLike) -> FloatArray:
@@ -59,9 +60,6 @@ def from_gltf_points(points_m: ArrayLike) -> FloatArray:
     """Points from glTF's frame (x east, y up, z south) to the world (ENU); (..., 3), metres."""
     points = np.asarray(points_m, dtype=np.float64)
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
-
-
-_PATH = re.compile(r"(?:[=,]\s*@?|^\s*)(?:\w:)?(?:[/\\~]|\.\.?[/\\])")
 
 
 def parse_crs(declared: "str | CRS") -> "CRS":

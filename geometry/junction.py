@@ -39,6 +39,8 @@ _SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
 _SAME_WAY = 0.5  # cosine of the angle between them
 _LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
+_CORNER_M = 15.0  # from the outline of the junction's road surface
+_STRAIGHT = 0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -480,8 +482,6 @@ def distance_to_outline_m(point_m: FloatArray, outline_m: FloatArray) -> float:
 
 
 # ---------- where things stand, in words
-_CORNER_M = 15.0  # from the outline of the junction's road surface
-_STRAIGHT = 0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
 
 
 def compass_point(way_m: FloatArray) -> str:

@@ -33,6 +33,7 @@ from .files import (
 
 F = TypeVar("F", bound=Callable[..., Any])
 _log = logging.getLogger(__name__)
+_begun_s: list[float] = []  # compiling one function may begin with others that it calls
 
 
 def kernel(function: F) -> F:
@@ -162,9 +163,6 @@ def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
     files = sorted(Path(function.__code__.co_filename).parent.glob("*_kernels.py"))
     status = [(file.name, file.stat()) for file in files]
     return [(name, of_file.st_mtime_ns, of_file.st_size) for name, of_file in status]
-
-
-_begun_s: list[float] = []  # compiling one function may begin with others that it calls
 
 
 def _stop_clock() -> None:

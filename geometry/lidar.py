@@ -16,6 +16,9 @@ from .errors import check_field
 from .files import Table, load_toml, read_table, read_tables
 from .sensors import load_limits
 
+_INDEX_SLACK = 1.0e-9
+_FILE = "lidars.toml"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarModel:
@@ -131,9 +134,6 @@ def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> I
     return np.concatenate([start, start + length], axis=-1).astype(np.int64)
 
 
-_INDEX_SLACK = 1.0e-9
-
-
 def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:
     """Density of beams in a direction, in 1/sr: one per cell of azimuth and elevation."""
     azimuth_step = math.radians(lidar.horizontal_fov_deg / lidar.n_columns)
@@ -185,9 +185,6 @@ class _DetectionEntry:
 
     min_points: Annotated[int, Meta(ge=1, description="a whole number of points, > 0")]
     reflectivity: Annotated[float, Meta(gt=0.0, le=1.0, description="0 < share <= 1")]
-
-
-_FILE = "lidars.toml"
 
 
 @cache

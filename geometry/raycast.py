@@ -16,6 +16,13 @@ from .arrays import BoolArray, IntArray
 from .errors import InputError, check_one_of, refuse
 
 FloatRays = NDArray[np.float32]
+# Libraries that Open3D's wheels expect from the system, and Debian's packages that hold them.
+_DEBIAN_PACKAGES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+}
 
 
 class RayCaster(Protocol):
@@ -234,12 +241,3 @@ def _open3d_or_reason() -> tuple[Any, str | None]:
         remedy = f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
         return None, f"Open3D cannot load ({cause}); to use it: {remedy}"
     return open3d, None
-
-
-# Libraries that Open3D's wheels expect from the system, and Debian's packages that hold them.
-_DEBIAN_PACKAGES = {
-    "libusb-1.0.so.0": "libusb-1.0-0",
-    "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
-    "libX11.so.6": "libx11-6",
-}

@@ -26,6 +26,9 @@ CLASS_NAMES = (
     "lamp post",
     "traffic light",
 )
+Turn = Literal["left", "through", "right", "reverse"]
+_SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
+_MIN_AREA_M2 = 1.0e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -146,9 +149,6 @@ class Scene:
         )
 
 
-Turn = Literal["left", "through", "right", "reverse"]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
     """One lane of an arm."""
@@ -165,9 +165,6 @@ class Lane:
 
     def __post_init__(self) -> None:
         set_arrays(self, f"lane {self.id}.", centreline_m=(-1, 2))
-
-
-_SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
 
 
 # One thing of a scene: instance, vertices (world frame) and triangles.
@@ -216,9 +213,6 @@ def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
         if abs(solid_angle) > 2.0 * np.pi:
             return instance
     return None
-
-
-_MIN_AREA_M2 = 1.0e-6
 
 
 def road_area(scene: Scene) -> Any:

@@ -44,6 +44,9 @@ _HEAD = """\
 # East, north and height above the road in metres. Things are meshes in things.glb, under their ids.
 # To change by hand: sites (where sensors may hang), crosswalks, lanes.
 """
+_LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
+_SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
+_ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
 
 def load_scene(
@@ -113,11 +116,6 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     things: tuple[_Thing, ...]
     skipped: tuple[Note, ...]
     roads: tuple[LeadingRoad, ...] = ()
-
-
-_LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
-_SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
-_ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
 
 def save_scene(folder: str | Path, scene: Scene, *, sources: Sequence[str] = ()) -> None:

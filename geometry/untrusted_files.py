@@ -25,6 +25,14 @@ MAX_UNPACKED_BYTES = 2_000_000_000  # out of one file, whatever it is packed wit
 MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
 _SMALL_BYTES = 1_000_000  # of which a bomb is none
 _CHUNK_BYTES = 1 << 20
+_VALUE_BYTES = 8
+MAX_FILE_BYTES = 500_000_000
+_MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
+_MAX_NODES = 200_000
+_MAX_JSON_BYTES = 100_000_000
+_MAX_HEADER_BYTES = 64 * 1024  # [1]
+_MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
 @contextmanager
@@ -157,7 +165,6 @@ def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
 
 
 # ---------- Parquet
-_VALUE_BYTES = 8
 
 
 @contextmanager
@@ -195,7 +202,6 @@ def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
 
 
 # ---------- XML
-MAX_FILE_BYTES = 500_000_000
 
 
 def read_xml(path: Path, *, expected: str) -> Element:
@@ -266,9 +272,6 @@ def parse_object(text: str, where: str, expected: str) -> Mapping[str, Any]:
 
 
 # ---------- glTF
-_MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
-_MAX_NODES = 200_000
-_MAX_JSON_BYTES = 100_000_000
 
 
 def check_gltf(path: Path) -> None:
@@ -336,9 +339,6 @@ def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
 
 
 # ---------- PBF of OpenStreetMap
-_MAX_HEADER_BYTES = 64 * 1024  # [1]
-_MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
 def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:

@@ -56,6 +56,27 @@ CLASS_OF_TYPE = {
 }
 
 _Table = Mapping[str, Any]
+_GML = "CityGML"
+_OTHER_TYPES = (
+    *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),
+    *("Square", "Waterway", "WaterBody", "LandUse", "ReliefFeature", "TINRelief", "RasterRelief"),
+    *("GenericCityObject", "GenericOccupiedSpace", "TransportationComplex", "CityObjectGroup"),
+    *("Room", "BuildingRoom", "BuildingFurniture", "BuildingUnit", "Storey"),
+)
+_SURFACE_TYPES = (
+    *("GroundSurface", "WallSurface", "RoofSurface", "ClosureSurface", "OuterCeilingSurface"),
+    *("OuterFloorSurface", "GenericThematicSurface"),
+)
+_GEOMETRY = re.compile(r"lod([0-4])(\w+)")
+_FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
+_NAMES_OF_GML = ("name", "class", "function", "usage")
+_MAX_DEPTH = 100  # of elements, and of references to references
+_MAX_VISITS = 20  # per element: references to references could make more of few
+_GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
+_HREF = "{http://www.w3.org/1999/xlink}href"
+# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
+_Shape = tuple[int, int, list[Polygon3D]]
+_HEIGHT_UNITS_M = {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "cm": 0.01, "km": 1000.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,7 +113,9 @@ def read_cityjson(path: Path) -> SourceMap:
     scale, translate = _transform(head.get("transform"), where)
     templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
-        vertices = _vectors(document.get("vertices", []), f"{where}: vertices") * scale + translate
+        with np.errstate(over="ignore"):  # city_map refuses what is not finite
+            corners = _vectors(document.get("vertices", []), f"{where}: vertices")
+            vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
@@ -158,11 +181,12 @@ class _Templates:
 
     def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
         """Polygons of a template, moved to its place."""
-        index, anchor = geometry.get("template"), geometry.get("boundaries")
+        index: Any = geometry.get("template")
+        anchor: Any = geometry.get("boundaries")
         if not _is_index(index, len(self.templates)):
             raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
-        is_one = isinstance(anchor, list) and len(anchor) == 1
-        if not is_one or not _is_index(anchor[0], len(vertices)):
+        is_list = isinstance(anchor, list)
+        if not (is_list and len(anchor) == 1 and _is_index(anchor[0], len(vertices))):
             raise InputError(f"{where}.boundaries", anchor, "the index of one vertex")
         values = geometry.get("transformationMatrix", np.eye(4).reshape(-1).tolist())
         if not isinstance(values, list) or len(values) != 16:
@@ -374,24 +398,6 @@ def _said(skipped: Sequence[Note]) -> str:
 
 
 # ---------- CityGML
-_GML = "CityGML"
-_OTHER_TYPES = (
-    *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),
-    *("Square", "Waterway", "WaterBody", "LandUse", "ReliefFeature", "TINRelief", "RasterRelief"),
-    *("GenericCityObject", "GenericOccupiedSpace", "TransportationComplex", "CityObjectGroup"),
-    *("Room", "BuildingRoom", "BuildingFurniture", "BuildingUnit", "Storey"),
-)
-_SURFACE_TYPES = (
-    *("GroundSurface", "WallSurface", "RoofSurface", "ClosureSurface", "OuterCeilingSurface"),
-    *("OuterFloorSurface", "GenericThematicSurface"),
-)
-_GEOMETRY = re.compile(r"lod([0-4])(\w+)")
-_FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
-_NAMES_OF_GML = ("name", "class", "function", "usage")
-_MAX_DEPTH = 100  # of elements, and of references to references
-_MAX_VISITS = 20  # per element: references to references could make more of few
-_GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
-_HREF = "{http://www.w3.org/1999/xlink}href"
 
 
 def read_citygml(path: Path) -> SourceMap:
@@ -420,10 +426,6 @@ def read_citygml(path: Path) -> SourceMap:
         follows_authority=follows_authority,
         skipped=skipped,
     )
-
-
-# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
-_Shape = tuple[int, int, list[Polygon3D]]
 
 
 class _Document:
@@ -564,9 +566,6 @@ def _n_dimensions(element: Element) -> int:
     """Coordinates per point as an element declares them; 0: it does not."""
     text = element.attrib.get("srsDimension", "")
     return int(text) if text in ("2", "3") else 0
-
-
-_HEIGHT_UNITS_M = {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "cm": 0.01, "km": 1000.0}
 
 
 def _measured_height_m(feature: Element) -> float | None:

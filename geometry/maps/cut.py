@@ -42,6 +42,10 @@ _STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at i
 _DIGITS_M = 0.002
 _NEIGHBOURS_BEYOND_M = 20.0
 _LOWEST_M = 0.2  # lower things hide nobody
+_MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
+_THINGS_MORE_M = 30.0
+_FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")
+_Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -455,9 +459,6 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
 
 
 # ---------- many junctions out of maps that are read once
-_MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
-_THINGS_MORE_M = 30.0
-_FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")
 
 
 def _boxes(source: SourceMap) -> dict[str, FloatArray]:
@@ -503,9 +504,6 @@ class Neighbourhoods:
             if source is roads or has_any:
                 parts.append(part)
         return tuple(parts)
-
-
-_Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
 def _within(

@@ -48,6 +48,22 @@ _GEOMETRY_TYPES = (
 _MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
+# Names of columns, without units, in lower case with _ for everything between words.
+_TOPS = (
+    *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),
+    *("measured_height", "hoehe", "gebaeudehoehe", "building_h", "h"),  # Shapefiles: 10 letters
+)
+_BOTTOMS = ("min_height", "building_min_height", "minheight", "base_height", "base")
+_STOREYS = (
+    *("building_levels", "levels", "storeys", "stories", "floors", "num_floors", "geschosse"),
+    *("storeysaboveground", "storeys_above_ground", "building_l"),
+)
+_LOWEST_STOREYS = ("building_min_level", "min_level", "min_levels")
+_KINDS = ("class_name", "class", "kind", "type", "barrier", "fclass")
+_IDS = ("id", "gml_id", "osm_id", "fid", "objectid", "identifier")
+_UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01}
+_UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
+_NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,21 +234,6 @@ def _refuse_many(n_features: int, where: str) -> None:
 
 
 # ---------- footprints
-# Names of columns, without units, in lower case with _ for everything between words.
-_TOPS = (
-    *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),
-    *("measured_height", "hoehe", "gebaeudehoehe", "building_h", "h"),  # Shapefiles: 10 letters
-)
-_BOTTOMS = ("min_height", "building_min_height", "minheight", "base_height", "base")
-_STOREYS = (
-    *("building_levels", "levels", "storeys", "stories", "floors", "num_floors", "geschosse"),
-    *("storeysaboveground", "storeys_above_ground", "building_l"),
-)
-_LOWEST_STOREYS = ("building_min_level", "min_level", "min_levels")
-_KINDS = ("class_name", "class", "kind", "type", "barrier", "fclass")
-_IDS = ("id", "gml_id", "osm_id", "fid", "objectid", "identifier")
-_UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01}
-_UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
 
 
 def read_footprints(path: Path, *, class_name: str = "building", layer: str = "") -> SourceMap:
@@ -352,9 +353,6 @@ def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None
         if number is not None:
             found.setdefault(names.index(column), number * scale)
     return found[min(found)] if found else None
-
-
-_NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
 
 
 def _number(value: Any) -> float | None:

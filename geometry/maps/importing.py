@@ -34,6 +34,29 @@ from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing
 _MAX_LISTED = 12
 _NEAR_M = 100.0
 _BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
+SORTS = ("arms", "lanes", "signals", "crossings", "name")
+_LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
+_BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
+_MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
+_CLOUDS = (".las", ".laz", ".pcd")
+_FOOTPRINTS = (".geojson", ".gpkg", ".shp")
+_STREETS = (".osm", ".pbf", ".osm.gz", ".osm.bz2")
+SUFFIXES = (
+    *(".xodr", *_STREETS, *_FOOTPRINTS, ".json", ".jsonl", ".gml", ".citygml", ".xml"),
+    *(*_MESHES, *_CLOUDS, ".zip"),
+)
+# By the ending of a file: module, function, and options that it asks for.
+_READERS = {
+    ".xodr": ("opendrive", "read_opendrive", ()),
+    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
+    **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
+    ".city.json": ("city_models", "read_cityjson", ()),
+    ".citygml": ("city_models", "read_citygml", ()),
+    **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
+    **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
+}
+DEFAULT_RADIUS_M = 80.0
+_RADIUS_LIMITS_M = (20.0, 500.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,9 +104,6 @@ def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[
     hit, _ = shapely.STRtree(areas).query(points, predicate="dwithin", distance=_BESIDE_M)[::-1]
     counts: list[int] = np.bincount(hit, minlength=len(junctions)).tolist()
     return counts
-
-
-SORTS = ("arms", "lanes", "signals", "crossings", "name")
 
 
 def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
@@ -164,10 +184,6 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
     }
     nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
     raise InputError("junction", name, f"one of {_listed(nearest)}")
-
-
-_LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
-_BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
 
 
 def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset[str]:
@@ -256,14 +272,6 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
 
 
 # ---------- reading maps
-_MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
-_CLOUDS = (".las", ".laz", ".pcd")
-_FOOTPRINTS = (".geojson", ".gpkg", ".shp")
-_STREETS = (".osm", ".pbf", ".osm.gz", ".osm.bz2")
-SUFFIXES = (
-    *(".xodr", *_STREETS, *_FOOTPRINTS, ".json", ".jsonl", ".gml", ".citygml", ".xml"),
-    *(*_MESHES, *_CLOUDS, ".zip"),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -311,18 +319,6 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     if crs and not source.crs:
         source = replace(source, crs=crs, source_crs=crs)
     return source
-
-
-# By the ending of a file: module, function, and options that it asks for.
-_READERS = {
-    ".xodr": ("opendrive", "read_opendrive", ()),
-    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
-    **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
-    ".city.json": ("city_models", "read_cityjson", ()),
-    ".citygml": ("city_models", "read_citygml", ()),
-    **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
-    **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
-}
 
 
 def _read(path: Path, options: ReadingOptions) -> SourceMap:
@@ -376,8 +372,6 @@ def _projected(crs: str) -> str:
 
 
 # ---------- scenes
-DEFAULT_RADIUS_M = 80.0
-_RADIUS_LIMITS_M = (20.0, 500.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -38,6 +38,7 @@ _MIN_SIZE_M, _MAX_SIZE_M = 0.1, 20_000.0
 _SLANTED = (0.1, 0.98)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
 _MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by
 _SURE_SHARE = 0.9
+_Part = tuple[str, FloatArray, NDArray[np.int32]]
 
 
 def read_mesh(
@@ -77,9 +78,6 @@ def read_mesh(
     return SourceMap(
         name=path.name, crs="", things=tuple(things), skipped=tuple(counted(left_out, "no mesh"))
     )
-
-
-_Part = tuple[str, FloatArray, NDArray[np.int32]]
 
 
 def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:

@@ -29,35 +29,6 @@ _log = logging.getLogger(__name__)
 
 SUFFIXES = (".csv", ".geojson", ".json")
 _MAX_SITES = 50_000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SiteWish:
-    """A place where somebody would mount sensors; None where nothing is stated."""
-
-    id: str  # unique in its list
-    position_m: FloatArray  # (2,), in the scene's coordinate reference system
-    kind: str = ""  # in the source's words, in lower case: "lamp post", "kerb"
-    z_m: float | None = None  # of the foot, as the source counts heights
-    min_height_m: float | None = None  # lowest and highest mount above the foot
-    max_height_m: float | None = None
-    cost_eur: float | None = None  # of making the site ready
-    capacity_units: int | None = None  # units that it can carry
-    has_power: bool | None = None
-    has_fibre: bool | None = None
-    is_forbidden: bool = False
-
-    def __post_init__(self) -> None:
-        set_arrays(self, f"site {self.id}.", position_m=(2,))
-
-    @property
-    def n_said(self) -> int:
-        """How many details are given."""
-        said = (self.z_m, self.min_height_m, self.max_height_m, self.cost_eur, self.capacity_units)
-        said += (self.has_power, self.has_fibre, self.kind or None, self.is_forbidden or None)
-        return sum(value is not None for value in said)
-
-
 # Field to the names it goes by, without units, in lower case with _ between words.
 PLACE_FIELDS = {
     "x": ("x", "easting", "east", "ost", "rechtswert"),
@@ -83,6 +54,44 @@ _UNITS |= {"grad", "meter"}
 _OTHER_UNITS = {"ft", "feet", "in", "inch", "inches", "cm", "mm", "km", "usd", "gbp"}
 _YES_NO = {"yes": True, "y": True, "true": True, "1": True, "ja": True}
 _YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
+_Row = tuple[str, dict[str, Any]]
+_NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
+_COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
+_NAMES = ("name", "id", "district", "title")
+_JUNCTIONS = ("junction", "junction_id")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SiteWish:
+    """A place where somebody would mount sensors; None where nothing is stated."""
+
+    id: str  # unique in its list
+    position_m: FloatArray  # (2,), in the scene's coordinate reference system
+    kind: str = ""  # in the source's words, in lower case: "lamp post", "kerb"
+    z_m: float | None = None  # of the foot, as the source counts heights
+    min_height_m: float | None = None  # lowest and highest mount above the foot
+    max_height_m: float | None = None
+    cost_eur: float | None = None  # of making the site ready
+    capacity_units: int | None = None  # units that it can carry
+    has_power: bool | None = None
+    has_fibre: bool | None = None
+    is_forbidden: bool = False
+
+    def __post_init__(self) -> None:
+        set_arrays(self, f"site {self.id}.", position_m=(2,))
+
+    @property
+    def n_said(self) -> int:
+        """How many details are given."""
+        said: list[object] = [
+            self.z_m,
+            self.min_height_m,
+            self.max_height_m,
+            self.cost_eur,
+            self.capacity_units,
+        ]
+        said += [self.has_power, self.has_fibre, self.kind or None, self.is_forbidden or None]
+        return sum(value is not None for value in said)
 
 
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
@@ -134,9 +143,6 @@ def known_columns(
             refuse(f"{where}: column {name!r:.60}", f"a second {field}", "one")
         found[name] = field
     return found
-
-
-_Row = tuple[str, dict[str, Any]]
 
 
 def read_csv_rows(path: Path) -> Iterator[_Row]:
@@ -274,9 +280,6 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     return position
 
 
-_NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
-
-
 def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
     """A position lies in a reference system's area, or near its origin if no area is known."""
     if not np.isfinite(position_m).all():
@@ -319,9 +322,6 @@ def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
 
 
 # ---------- areas, and counts at places
-_COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
-_NAMES = ("name", "id", "district", "title")
-_JUNCTIONS = ("junction", "junction_id")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -386,10 +386,7 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
         refuse(str(path), "nothing", "a row for each place")
     names = {str(name): str(name).strip().lower() for _, values in rows for name in values}
     found = _column(names, column, path)
-    counts = [read_number(row, found, where, least=0.0) if found else 1.0 for where, row in rows]
-    for (where, row), count in zip(rows, counts, strict=True):
-        if count is None:
-            raise InputError(f"{where}: {found}", row.get(found), "a number, at least 0")
+    counts = [_count(row, found, where) for where, row in rows]
     junctions: tuple[str, ...] = ()
     by = next((name for name, plain in names.items() if plain in _JUNCTIONS), None)
     if places is None and by is not None:
@@ -397,7 +394,7 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     elif places is None:
         places = [_place(row, where, crs) for where, row in rows]
     positions = None if places is None else np.array(places).reshape(-1, 2)
-    values = np.array(counts, dtype=np.float64)
+    values = np.array(counts)
     return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
 
 
@@ -414,6 +411,17 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
         return column
     plain = {lower: name for name, lower in names.items()}
     return next((plain[name] for name in _COUNTS if name in plain), "")
+
+
+def _count(row: Mapping[str, Any], column: str, where: str) -> float:
+    value = row.get(column) if column else 1.0
+    try:
+        number = np.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = np.nan
+    if not (np.isfinite(number) and number >= 0.0):
+        raise InputError(f"{where}: {column}", value, "a number, at least 0")
+    return number
 
 
 def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:

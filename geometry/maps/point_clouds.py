@@ -39,6 +39,37 @@ _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14:
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
 
 Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
+_MAX_HEADER_BYTES = 65_536
+_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
+_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
+CELL_M = 1.0
+_MAX_CELLS = 16_000_000  # 4 km x 4 km
+_WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
+_STEP_M, _SLOPE = 0.5, 0.1  # higher and steeper than this is not ground
+VOXEL_M = 0.25
+_MAX_VOXEL_M = 2.0
+_MAX_VOXELS = 30_000_000
+_MAX_THINGS = 20_000
+_MIDDLE = 1 << 19  # cell of the origin, on every axis
+_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
+_MIN_HEIGHT_M = 0.5  # lower things hide nobody
+_MIN_VOXELS = 4
+_MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
+_MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
+# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller names.
+_GROUND = (2,)
+_VEGETATION = (3, 4, 5)
+_BUILDING = (6,)
+_LEFT_OUT = {
+    7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
+    16: "wire", 17: "bridge deck", 18: "noise",
+}  # fmt: skip
+_BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
+_MASK = (1 << _BITS) - 1
+MAX_VOXELS_PER_AXIS = _MASK - 1
+MAX_COLUMN_VOXELS = 20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
+MAX_WALL_VOXELS = 100_000_000  # of all things of a file
+_MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 
 
 @contextmanager
@@ -180,10 +211,7 @@ def _one_line(error: BaseException) -> str:
 
 
 # ---------- PCD files
-_MAX_HEADER_BYTES = 65_536
-_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
 
-_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
 _PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
 _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 
@@ -340,10 +368,6 @@ def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
 
 
 # ---------- the ground
-CELL_M = 1.0
-_MAX_CELLS = 16_000_000  # 4 km x 4 km
-_WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
-_STEP_M, _SLOPE = 0.5, 0.1  # higher and steeper than this is not ground
 
 
 class LowestPoints:
@@ -413,25 +437,6 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
 
 
 # ---------- things
-VOXEL_M = 0.25
-_MAX_VOXEL_M = 2.0
-_MAX_VOXELS = 30_000_000
-_MAX_THINGS = 20_000
-_MIDDLE = 1 << 19  # cell of the origin, on every axis
-_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
-_MIN_HEIGHT_M = 0.5  # lower things hide nobody
-_MIN_VOXELS = 4
-_MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
-_MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
-
-# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller names.
-_GROUND = (2,)
-_VEGETATION = (3, 4, 5)
-_BUILDING = (6,)
-_LEFT_OUT = {
-    7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
-    16: "wire", 17: "bridge deck", 18: "noise",
-}  # fmt: skip
 
 
 def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
@@ -632,12 +637,6 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
 
 
 # ---------- voxels: cubes where there are points
-_BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
-_MASK = (1 << _BITS) - 1
-MAX_VOXELS_PER_AXIS = _MASK - 1
-MAX_COLUMN_VOXELS = 20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
-MAX_WALL_VOXELS = 100_000_000  # of all things of a file
-_MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 _HALF_OF_NEIGHBOURS = tuple(  # differences of keys
     (x << 2 * _BITS) + (y << _BITS) + z
     for x, y, z in product((-1, 0, 1), repeat=3)

@@ -22,6 +22,15 @@ _BEYOND_M = 50.0  # points farther outside have no say
 _SAME_LEVEL_M, _STEEPEST = 2.0, 0.08  # more than this above the arms' roads is a bridge
 _OTHER_ZERO_M = 3.0  # a map whose things are this far off counts heights from another zero
 _FLOATS_M = 3.0  # at most: what is higher above the ground is meant to be there
+_COARSEST_M = 30.0  # the global models; coarser ones know no street
+_MIDDLE_M = 60.0  # there must be a height this near to the junction
+_LIMITS_M = (-500.0, 9000.0)
+_MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
+_MAX_BLOCK_BYTES = 100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# GDAL would look at files of any of its formats next to the raster, such as a mask.
+_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
+_EXPECTED = "a GeoTIFF of heights"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,15 +176,6 @@ def _on_level(
 
 
 # ---------- heights of the ground from GeoTIFF rasters
-_COARSEST_M = 30.0  # the global models; coarser ones know no street
-_MIDDLE_M = 60.0  # there must be a height this near to the junction
-_LIMITS_M = (-500.0, 9000.0)
-_MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
-_MAX_BLOCK_BYTES = 100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
-_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# GDAL would look at files of any of its formats next to the raster, such as a mask.
-_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
-_EXPECTED = "a GeoTIFF of heights"
 
 
 def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:

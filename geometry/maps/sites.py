@@ -40,6 +40,16 @@ _PARALLEL = np.cos(np.deg2rad(20.0))
 _STEP_M = 0.25
 _LONGER_M = 1.0  # the outline is not square to every lane
 _BELOW_ROOF_M = 0.3  # a sensor and its bracket
+AUTO, MAP, KERB = "auto", "map", "kerb:"
+_SPACINGS_M = (2.0, 100.0)
+_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
+# Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
+SETBACK_M = 0.5
+_MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
+_MAX_MOVE_FROM_WALL_M = 2.0  # farther inside, it hangs on the building
+_FROM_WALL_M = 0.3
+_MAST_ARM_M = 12.0  # from what hangs over the road to the foot of its pole
+_ISLAND_M2 = 4.0  # smaller gaps between lanes are no place to stand
 
 
 def kerb_sites(
@@ -184,9 +194,6 @@ def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Th
 
 
 # ---------- the sites of a scene
-AUTO, MAP, KERB = "auto", "map", "kerb:"
-_SPACINGS_M = (2.0, 100.0)
-_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
 
 
 def check_sites(where: str, *, crs: str) -> None:
@@ -420,13 +427,6 @@ def _site(wish: SiteWish) -> Site:
 
 
 # ---------- where poles and sites can stand
-# Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
-SETBACK_M = 0.5
-_MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
-_MAX_MOVE_FROM_WALL_M = 2.0  # farther inside, it hangs on the building
-_FROM_WALL_M = 0.3
-_MAST_ARM_M = 12.0  # from what hangs over the road to the foot of its pole
-_ISLAND_M2 = 4.0  # smaller gaps between lanes are no place to stand
 
 
 class Place(NamedTuple):

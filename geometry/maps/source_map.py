@@ -28,6 +28,16 @@ _SAME_M = 1e-3  # corners closer than this are one
 _MIN_AREA_M2 = 1e-6  # of a polygon in space
 _MIN_FOOTPRINT_M2 = 0.01
 _NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
+LANE_KINDS = ("driving", "parking", "cycling", "walking")
+POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
+Heights = Literal["above ground", "absolute"]
+MAX_TRIANGLES = 5_000_000  # of the things of a file
+_MAX_ID = 120  # characters
+_MAX_SKIPPED = 100  # entries
+_MAX_NAME = 200  # characters of a name that are looked at
+_SECTIONS = 10  # of a pole's cylinder
+MIN_POLE_M = 2.5
+"""A lower pole is a bollard: sensors on it could be reached from the pavement."""
 
 
 def triangulate(rings_m: Polygon3D) -> Mesh:
@@ -190,12 +200,6 @@ def unit_cylinder(n_sides: int) -> Mesh:
 
 
 # ---------- content of a map file
-LANE_KINDS = ("driving", "parking", "cycling", "walking")
-POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
-Heights = Literal["above ground", "absolute"]
-MAX_TRIANGLES = 5_000_000  # of the things of a file
-_MAX_ID = 120  # characters
-_MAX_SKIPPED = 100  # entries
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -395,8 +399,6 @@ class SourceMap:
 
 
 # ---------- kinds of things and poles
-_MAX_NAME = 200  # characters of a name that are looked at
-_SECTIONS = 10  # of a pole's cylinder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -446,10 +448,6 @@ def kind_of_class(class_name: str) -> ThingKind:
     """The defaults of a class: its last kind in ``data/things.toml``."""
     known = {kind.class_name: kind for kind in thing_defaults().kinds}
     return pick(known, class_name, "class_name")
-
-
-MIN_POLE_M = 2.5
-"""A lower pole is a bollard: sensors on it could be reached from the pavement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

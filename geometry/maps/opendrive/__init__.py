@@ -25,6 +25,7 @@ from .objects import build_rows, cross_paths, merge_poles, read_objects, read_si
 from .roads import NO_JUNCTION, Road, RoadLink, read_links, read_road
 
 __all__ = ["read_opendrive"]
+_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
 
 
 def read_opendrive(path: Path) -> SourceMap:
@@ -87,9 +88,6 @@ def read_opendrive(path: Path) -> SourceMap:
         ),
         skipped=omissions.listed(),
     )
-
-
-_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
 
 
 def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions) -> dict[str, Road]:

@@ -20,6 +20,9 @@ from ..source_map import Omissions
 MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
 MAX_SIZE_M = 1.0e4
 _UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
+_MAX_CRS_CHARACTERS = 20_000
+# They speak of heights, and name grids that need not be at hand.
+_VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
 
 
 def take_number(element: Element, key: str, where: str) -> float:
@@ -66,9 +69,6 @@ def numbered(parent: Element | None, tag: str, where: str) -> Iterator[tuple[Ele
 
 
 # ---------- the header
-_MAX_CRS_CHARACTERS = 20_000
-# They speak of heights, and name grids that need not be at hand.
-_VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

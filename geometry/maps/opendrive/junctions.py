@@ -23,6 +23,20 @@ _WITHOUT_SURFACE = {
     "virtual": "it lies on a continuous road: no lane ends at it",
     "crossing": "its roads cross without a connection",
 }
+_AHEAD_M = 10.0  # over which the direction of a road is taken
+_MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
+_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
+_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
+_MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
+_MOUTH_M = 15.0  # of a lane, which is no part of the junction
+_WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline
+_CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
+_SIMPLIFY_M = 0.02
+_GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
+_MIN_WIDTH_M = 0.05
+_PIECE_POINTS = 40
+_MAX_POINTS = 200_000  # of the surface of one junction
+_MIN_AREA_M2 = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,9 +109,6 @@ def find_road_ends(
     }
 
 
-_AHEAD_M = 10.0  # over which the direction of a road is taken
-
-
 def leading_roads(
     roads: Mapping[str, Road],
     ends: Mapping[str, RoadEnds],
@@ -142,19 +153,6 @@ def _leading_road(road: Road, section: SampledSection, is_start: bool) -> Leadin
 
 
 # ---------- outlines
-_MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
-_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
-_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
-_MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
-_MOUTH_M = 15.0  # of a lane, which is no part of the junction
-_WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline
-_CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
-_SIMPLIFY_M = 0.02
-_GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
-_MIN_WIDTH_M = 0.05
-_PIECE_POINTS = 40
-_MAX_POINTS = 200_000  # of the surface of one junction
-_MIN_AREA_M2 = 1.0
 
 
 def build_junctions(

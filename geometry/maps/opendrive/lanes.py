@@ -31,6 +31,13 @@ _MAX_PIECE_POINTS = 100_000  # the longest road that is straight takes 20 000
 _MAX_EDGE_M = 10_000.0
 _MAX_HEIGHT_M = 10_000.0
 _MAX_TURN_RAD = 200.0  # of one piece: some thirty rounds
+_MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
+_SAME_POINT_M = 0.005
+_MIN_LENGTH_M = 0.01
+_STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its width there counts
+_STUB_M = 5.0
+_SAME_POINT_M_STUBS = 0.5
+_MAX_IN_A_ROW = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -206,10 +213,6 @@ def _count_steps(
 
 
 # ---------- lanes
-_MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
-_SAME_POINT_M = 0.005
-_MIN_LENGTH_M = 0.01
-_STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its width there counts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -352,9 +355,6 @@ def _runs(
 
 
 # ---------- short roads at the mouth of a junction
-_STUB_M = 5.0
-_SAME_POINT_M_STUBS = 0.5
-_MAX_IN_A_ROW = 8
 
 
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:

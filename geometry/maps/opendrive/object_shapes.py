@@ -28,6 +28,9 @@ _SIZES = ("length", "width", "height", "radius")
 _MAX_COPIES = 20_000  # of one <repeat>
 _STEP_M = 2.0  # along a sweep
 _BEYOND_M = 1.0
+_FLAT_M = 0.05  # lower slopes are levelled
+_STRAIGHT_M = 0.02
+_N_ROUND = 12  # corners of a cylinder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,9 +206,6 @@ def box_corners(spot: Spot, length_m: float, width_m: float, turn_rad: float) ->
 
 
 # ---------- solids
-_FLAT_M = 0.05  # lower slopes are levelled
-_STRAIGHT_M = 0.02
-_N_ROUND = 12  # corners of a cylinder
 
 
 def build_prism(

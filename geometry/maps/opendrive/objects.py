@@ -37,6 +37,25 @@ _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
 _SAYS_NOTHING = ("", "none", "obstacle", "unknown", "undefined", "object", "other", "misc")
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+_CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
+_MIN_LENGTH_M = 0.5
+_SAME_ROW_T_M = 1.0
+_SAME_ROW_GAP_M = 1.5
+_STEP_M = 2.0
+_MIN_SIZE_M = 0.5
+_MAX_PLACES = 100_000  # of all objects of a file
+_MAX_VERTICES = 5_000_000
+_CLASSES = {"tree": "vegetation", "obstacle": "wall"}
+_NOT_TAKEN = {
+    "tunnel": "nothing is known of its walls",
+    "bridge": "nothing is known of its parapets and piers",
+    "objectReference": "the object itself is taken on the road that has it",
+}
+_NO_SIZE = "it has no outline, length, width or radius"
+_PAINT = "paint on the road, or nothing above it"
+_CELL_M = 0.05
+# The kind of a pole with several signals is the first of these.
+_KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def object_kind(element: Element) -> str | None:
@@ -104,8 +123,6 @@ def _phrases(text: str) -> frozenset[str]:
 
 
 # ---------- crosswalks
-_CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
-_MIN_LENGTH_M = 0.5
 
 
 def crosswalk_line(
@@ -167,10 +184,6 @@ def cross_paths(
 
 
 # ---------- parking spaces
-_SAME_ROW_T_M = 1.0
-_SAME_ROW_GAP_M = 1.5
-_STEP_M = 2.0
-_MIN_SIZE_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,15 +261,6 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
 
 
 # ---------- all objects
-_MAX_PLACES = 100_000  # of all objects of a file
-_MAX_VERTICES = 5_000_000
-_CLASSES = {"tree": "vegetation", "obstacle": "wall"}
-_NOT_TAKEN = {
-    "tunnel": "nothing is known of its walls",
-    "bridge": "nothing is known of its parapets and piers",
-    "objectReference": "the object itself is taken on the road that has it",
-}
-_NO_SIZE = "it has no outline, length, width or radius"
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,7 +355,6 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
 
 
 # ---------- signals
-_PAINT = "paint on the road, or nothing above it"
 
 
 def read_signals(
@@ -444,9 +447,6 @@ def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple
 
 
 # ---------- poles
-_CELL_M = 0.05
-# The kind of a pole with several signals is the first of these.
-_KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:

@@ -16,6 +16,19 @@ from .attributes import Offset, lane_kinds, numbered, take_id, take_number, take
 
 _ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
 _N_ARC_LENGTH = 2049
+SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
+_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
+MAX_COORDINATE_M = 1.0e8
+_N_CURVATURES = 33  # samples of a polynomial's curvature
+_ROUNDED_M = 1.0e-6
+_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
+NO_JUNCTION = "-1"
+_MAX_LENGTH_M = 100_000.0
+_MAX_SECTION_GAP_M = 1.0e-3
+_MAX_LANES = 200  # on one side of a section
+SpeedLimits = tuple[tuple[float, float | None], ...]
+"""Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
+_KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -82,12 +95,6 @@ def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
 
 
 # ---------- the reference line
-SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
-_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
-MAX_COORDINATE_M = 1.0e8
-_N_CURVATURES = 33  # samples of a polynomial's curvature
-_ROUNDED_M = 1.0e-6
-_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -284,10 +291,6 @@ def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
 
 
 # ---------- roads
-NO_JUNCTION = "-1"
-_MAX_LENGTH_M = 100_000.0
-_MAX_SECTION_GAP_M = 1.0e-3
-_MAX_LANES = 200  # on one side of a section
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -297,11 +300,6 @@ class RoadLink:
     kind: str = ""  # "road", "junction"; empty: nothing
     id: str = ""
     contact: str = ""  # end of the other road: "start" or "end"
-
-
-SpeedLimits = tuple[tuple[float, float | None], ...]
-"""Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
-_KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 # ---------- how the surface rises and falls across

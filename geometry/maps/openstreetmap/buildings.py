@@ -29,6 +29,7 @@ _NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapse
 _COVERED = ("yes", "arcade", "colonnade")
 _LEAST_M2 = 1.0  # of what is left of a building
 _GATES = ("gate", "gatehouse", "city_gate")
+_Span = tuple[float, float, bool]  # bottom and top above the ground [m], whether they are assumed
 
 
 def find_buildings(network: Network) -> Iterator[Thing]:
@@ -131,7 +132,6 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
 
 
 # ---------- heights
-_Span = tuple[float, float, bool]  # bottom and top above the ground [m], whether they are assumed
 
 
 def _span(area: Area, omissions: Omissions) -> _Span | None:

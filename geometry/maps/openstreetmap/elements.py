@@ -31,6 +31,19 @@ Tags = dict[str, str]
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
+_FOOT_M = 0.3048
+_INCH_M = 0.0254
+_UNITS_M = {
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **{"cm": 0.01, "km": 1000.0},
+    **dict.fromkeys(("ft", "foot", "feet", "'"), _FOOT_M),
+    **dict.fromkeys(("in", "inch", "inches", '"'), _INCH_M),
+}
+_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
+_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
+_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
+_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
+OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -324,19 +337,6 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
 
 
 # ---------- values of tags
-_FOOT_M = 0.3048
-_INCH_M = 0.0254
-_UNITS_M = {
-    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
-    **{"cm": 0.01, "km": 1000.0},
-    **dict.fromkeys(("ft", "foot", "feet", "'"), _FOOT_M),
-    **dict.fromkeys(("in", "inch", "inches", '"'), _INCH_M),
-}
-_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
-_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
-_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
-_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
-OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
 
 
 def parse_length_m(text: str) -> float | None:

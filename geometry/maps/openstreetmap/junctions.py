@@ -22,6 +22,15 @@ from .network import Edge, End, Network, Street, axis_points, surface, trace_str
 _STEP_M = 0.5
 _SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
 _SAME_ARM_GAP_M = 12.0
+_FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
+_STUB = "it ends nowhere, less than {:g} m beyond a junction: no arm".format(
+    DEFAULTS["cross_section"]["stub_m"]
+)
+_MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
+_Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
+_Placed = dict[tuple[_Path, ...], list[float]]  # mouths of arms by the streets of a junction
+_BEYOND_M = 1.0  # of the outline, which is rounded
+_AHEAD_M = 10.0  # over which a direction is taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,7 +130,6 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
 
 
 # ---------- nodes of junctions
-_FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
 
 
 @dataclass(slots=True)
@@ -245,10 +253,6 @@ def is_between_carriageways(network: Network, street: Street) -> bool:
 
 
 # ---------- junctions
-_STUB = "it ends nowhere, less than {:g} m beyond a junction: no arm".format(
-    DEFAULTS["cross_section"]["stub_m"]
-)
-_MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -302,10 +306,6 @@ def find_junctions(network: Network) -> tuple[list[Reach], list[MapJunction]]:
         )
     junctions.sort(key=lambda junction: int(junction.id[1:]))
     return list(reaches.values()), junctions
-
-
-_Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
-_Placed = dict[tuple[_Path, ...], list[float]]  # mouths of arms by the streets of a junction
 
 
 def _arms_by_cluster(
@@ -505,8 +505,6 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
 
 
 # ---------- roads that lead to a junction
-_BEYOND_M = 1.0  # of the outline, which is rounded
-_AHEAD_M = 10.0  # over which a direction is taken
 
 
 def find_leading_roads(

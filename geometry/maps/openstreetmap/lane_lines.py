@@ -20,6 +20,7 @@ _MIN_LENGTH_M = 0.5
 _SAME_POINT_M = 0.5  # pieces of a lane whose ends are as near as this are one after the other
 _SAME_WAY = 0.5  # cosine of the angle between them
 _BEND_M = 15.0
+_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their starts
 
 
 @dataclass(slots=True)
@@ -184,9 +185,6 @@ def _heights(piece: _Piece) -> list[tuple[float, float]]:
         heights += [(low, 0.5 * step_m * (before + level)), (low + run, step_m * level)]
         heights += [(high - run, step_m * level), (high, 0.5 * step_m * (level + after))]
     return heights
-
-
-_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their starts
 
 
 def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:

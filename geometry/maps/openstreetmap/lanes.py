@@ -9,6 +9,18 @@ from ...scene import Turn
 from .elements import DEFAULTS, OPPOSITE, Tags, is_yes, parse_count, parse_length_m, side_value
 
 Note = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
+Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
+_ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
+_BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
+_OLD_ORIENTATIONS = ("parallel", "diagonal", "perpendicular")
+_OLD_POSITIONS = {"street_side": "street_side", "on_kerb": "on_kerb", "lay_by": "street_side"}
+_CYCLE_LANES = ("lane", "opposite_lane")
+_CYCLE_TRACKS = ("track", "opposite_track")
+# Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
+Roadside = tuple[list[Part], list[Part]]
+_KMH_PER_MPH = 1.609344
+_SPEED = re.compile(r"(\d{1,3}(?:[.,]\d{1,3})?)\s*(mph|km/h|kmh|kph)?")
+_ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,18 +102,6 @@ def count_lanes(tags: Tags, note: Note) -> LaneCounts:
 
 
 # ---------- strips next to the driving lanes
-Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
-
-_ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
-_BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
-_OLD_ORIENTATIONS = ("parallel", "diagonal", "perpendicular")
-_OLD_POSITIONS = {"street_side": "street_side", "on_kerb": "on_kerb", "lay_by": "street_side"}
-_CYCLE_LANES = ("lane", "opposite_lane")
-_CYCLE_TRACKS = ("track", "opposite_track")
-
-
-# Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
-Roadside = tuple[list[Part], list[Part]]
 
 
 def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
@@ -378,9 +378,6 @@ def _listed_turns(
 
 
 # ---------- speed limits
-_KMH_PER_MPH = 1.609344
-_SPEED = re.compile(r"(\d{1,3}(?:[.,]\d{1,3})?)\s*(mph|km/h|kmh|kph)?")
-_ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
 
 
 def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:

@@ -17,6 +17,9 @@ from .elements import DEFAULTS, Elements, Tags, Way, is_yes, numbered, reversed_
 from .lanes import CrossSection, build_cross_section, is_oneway, runs_backward
 
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
+End = tuple[int, bool]  # an edge and whether its first node is meant
+_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # the most specific first
+_MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,9 +73,6 @@ def level(tags: Tags) -> int:
     return 1 if is_yes(tags.get("bridge")) else 0
 
 
-End = tuple[int, bool]  # an edge and whether its first node is meant
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
     """Edges, and their ends by node row."""
@@ -92,9 +92,6 @@ class Network:
         """Nodes of an edge from one of its ends, (n, 2)."""
         points = self.edges[end[0]].points_m
         return points if end[1] else points[::-1]
-
-
-_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # the most specific first
 
 
 def is_for_cars(tags: Tags) -> bool:
@@ -283,7 +280,6 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
 
 
 # ---------- lines and areas next to a street
-_MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
 
 
 def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -29,6 +29,15 @@ from .network import Edge, Network, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
+_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
+_TRUNK_SIDES = 8
+_POLES = ("mast", "utility_pole", "pole")
+_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
+_NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
+_Place = tuple[Reach, float]  # a street and how far along it [m]
+_FOOTWAYS = ("footway", "path", "pedestrian")
+_PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
+_LEAST_M = 0.5  # of a footway on a carriageway
 
 
 def find_barriers(elements: Elements) -> Iterator[Thing]:
@@ -86,8 +95,6 @@ def _tagged_m(
 
 
 # ---------- trees
-_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
-_TRUNK_SIDES = 8
 
 
 def find_trees(elements: Elements) -> Iterator[Thing]:
@@ -141,9 +148,6 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
 
 
 # ---------- poles
-_POLES = ("mast", "utility_pole", "pole")
-_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
-_NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 
 
 def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
@@ -202,9 +206,6 @@ def _kind(tags: Tags) -> str:
     return ""
 
 
-_Place = tuple[Reach, float]  # a street and how far along it [m]
-
-
 def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
     """Feet of the poles of one mapped signal or sign."""
     feet: list[FloatArray] = []
@@ -252,9 +253,6 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
 
 
 # ---------- crosswalks
-_FOOTWAYS = ("footway", "path", "pedestrian")
-_PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
-_LEAST_M = 0.5  # of a footway on a carriageway
 
 
 def find_crosswalks(network: Network) -> FloatArray:
