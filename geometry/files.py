@@ -89,12 +89,22 @@ def _open_at_once(name: str, flags: int) -> int:
 
 def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """Content of a file; raises InputError as :func:`open_file` does."""
-    with open_file(path, max_bytes=max_bytes) as file:
-        try:
-            return file.read() or b""
-        except OSError as error:
-            reason = Unquoted(error.strerror or error)
-            raise InputError(str(path), reason, "a readable file") from None
+    with open_file(path, max_bytes=max_bytes) as file, reading(path):
+        return file.read() or b""
+
+
+@contextmanager
+def reading(path: Path, expected: str = "", *damage: type[BaseException]) -> Iterator[None]:
+    """Raise InputError in place of what the system raises, and what readers do about `damage`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except damage as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
+        raise InputError(str(path), Unquoted(reason or type(error).__name__), expected) from None
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
 
 
 def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:

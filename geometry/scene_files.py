@@ -27,6 +27,7 @@ from .files import (
     open_file,
     open_new,
     read_table,
+    reading,
     write_atomically,
 )
 from .frames import from_gltf_points, parse_crs, to_gltf_points
@@ -240,20 +241,16 @@ def _as_folder(path: Path) -> Iterator[Path]:
         yield path
         return
     with tempfile.TemporaryDirectory() as temporary:
-        try:
-            with open_file(path) as file, zipfile.ZipFile(file) as packed:
-                for name, max_bytes in _MAX_BYTES.items():
-                    with packed.open(name) as member:  # of the archive only these two are read
-                        _unpack(member, Path(temporary) / name, path, max_bytes)
-        except KeyError as error:
-            raise InputError(str(path), Unquoted(error.args[0]), "a scene as .zip") from None
-        except InputError:
-            raise
-        except (
-            *(OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error),
-            RuntimeError,  # it is encrypted, or packed in a way that Python cannot unpack
-        ) as error:
-            raise InputError(str(path), Unquoted(error), "a scene: a folder or .zip file") from None
+        # RuntimeError: it is encrypted, or packed in a way that Python cannot unpack.
+        damage = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)
+        with (
+            reading(path, "a scene: a folder or .zip file", *damage, RuntimeError),
+            open_file(path) as file,
+            zipfile.ZipFile(file) as packed,
+        ):
+            for name, max_bytes in _MAX_BYTES.items():
+                with packed.open(name) as member:  # of the archive only these two are read
+                    _unpack(member, Path(temporary) / name, path, max_bytes)
         yield Path(temporary)
 
 

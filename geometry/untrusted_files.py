@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError, Unquoted, refuse
-from .files import open_file, open_new, parse_json, read_bytes
+from .files import open_file, open_new, parse_json, read_bytes, reading
 
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000  # out of one file, whatever it is packed with
@@ -48,21 +48,15 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
     """
     where = str(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:
-        try:
-            with open_file(path) as file, zipfile.ZipFile(file) as archive:
-                members = _checked_members(archive, where)
-                found = _recognised(members, suffixes, where)
-                _extract(archive, members, Path(folder), where)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise InputError(where, Unquoted(reason), "a readable .zip") from None
-        except InputError:
-            raise
-        except (
-            *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError),
-            ValueError,
-        ) as error:
-            raise InputError(where, Unquoted(error), "a .zip that can be unpacked") from None
+        damage = (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError)
+        with (
+            reading(path, "a readable .zip", *damage, ValueError, OSError),
+            open_file(path) as file,
+            zipfile.ZipFile(file) as archive,
+        ):
+            members = _checked_members(archive, where)
+            found = _recognised(members, suffixes, where)
+            _extract(archive, members, Path(folder), where)
         try:
             yield Path(folder) / found.filename
         except InputError as error:
@@ -177,28 +171,19 @@ def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
     import pyarrow as pa
     from pyarrow import parquet
 
-    where = str(path)
-    with open_file(path, max_bytes=max_bytes) as file:
-        try:
-            found = parquet.read_metadata(file)
-            groups = [found.row_group(index) for index in range(found.num_row_groups)]
-            n_values = sum(
-                group.column(index).num_values
-                for group in groups
-                for index in range(group.num_columns)
-            )
-            n_bytes = max(_VALUE_BYTES * n_values, sum(group.total_byte_size for group in groups))
-            _refuse_ratio(n_bytes, os.fstat(file.fileno()).st_size, where)
-            columns = [found.schema.column(index) for index in range(found.num_columns)]
-            texts = [column.path for column in columns if column.physical_type == "BYTE_ARRAY"]
-            file.seek(0)
-            with parquet.ParquetFile(file, metadata=found, read_dictionary=texts) as opened:
-                yield opened
-        except InputError:
-            raise
-        except (OSError, ValueError, pa.ArrowException) as error:
-            reason = " ".join(str(error).split())[:100]
-            raise InputError(where, Unquoted(reason), expected) from None
+    damage = (OSError, ValueError, pa.ArrowException)
+    with open_file(path, max_bytes=max_bytes) as file, reading(path, expected, *damage):
+        found = parquet.read_metadata(file)
+        groups = [found.row_group(index) for index in range(found.num_row_groups)]
+        columns = [group.column(at) for group in groups for at in range(group.num_columns)]
+        n_values = sum(column.num_values for column in columns)
+        n_bytes = max(_VALUE_BYTES * n_values, sum(group.total_byte_size for group in groups))
+        _refuse_ratio(n_bytes, os.fstat(file.fileno()).st_size, str(path))
+        schema = [found.schema.column(index) for index in range(found.num_columns)]
+        texts = [column.path for column in schema if column.physical_type == "BYTE_ARRAY"]
+        file.seek(0)
+        with parquet.ParquetFile(file, metadata=found, read_dictionary=texts) as opened:
+            yield opened
 
 
 # ---------- XML
@@ -239,17 +224,11 @@ def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
     """Raise InputError in place of the errors of XML parsers."""
     from defusedxml import DefusedXmlException
 
-    try:
-        yield
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except DefusedXmlException as error:
-        reason = Unquoted(type(error).__name__)
-        raise InputError(str(path), reason, f"{expected} without entities") from None
-    except (ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
-        raise InputError(str(path), Unquoted(error), well_formed) from None
+    with reading(path, well_formed, ParseError, ValueError, LookupError):  # of encodings
+        try:
+            yield
+        except DefusedXmlException as error:
+            refuse(str(path), type(error).__name__, f"{expected} without entities")
 
 
 def local_name(element: Element) -> str:

@@ -19,7 +19,7 @@ from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import check_file, open_file, read_text
+from ..files import check_file, open_file, read_text, reading
 from ..notes import Note
 from ..scene import CLASS_NAMES
 from ..untrusted_files import parse_object, unpacked
@@ -157,7 +157,8 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
 
     where = str(path)
     magic, name = _MAGIC[path.suffix.lower()]
-    try:
+    damage = (ShapelyError, ValueError, TypeError, RuntimeError, OverflowError)
+    with reading(path, name, *damage):
         with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
                 refuse(where, "something else", name)
@@ -180,13 +181,6 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
             if info["geometry_type"] is None:
                 refuse(where, "a table without geometries", name)
             table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
-    except (ShapelyError, ValueError, TypeError, RuntimeError, OverflowError) as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(where, Unquoted(reason), name) from None
     _refuse_many(len(table), where)
     columns = {str(name): table[name].to_numpy() for name in table.columns if name != "geometry"}
     is_known = {name: table[name].notna().to_numpy() for name in columns}

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import open_file, read_bytes
+from ..errors import check_one_of, refuse
+from ..files import open_file, read_bytes, reading
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
 from .source_map import (
@@ -85,21 +85,17 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
     import trimesh
 
     where = str(path)
-    try:
+    options: dict[str, Any] = {"split_objects": True} if path.suffix.lower() == ".obj" else {}
+    options |= {"resolver": _folder_resolver(path), "skip_materials": True, "process": False}
+    n_triangles = 0
+    parts: list[_Part] = []
+    left_out: Counter[str] = Counter()
+    # trimesh's parsers raise whatever a broken file makes them.
+    with reading(path, f"a {path.suffix} mesh", Exception):
         if is_gltf:
             check_gltf(path)
         with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
-            scene = trimesh.load_scene(
-                file,
-                file_type=path.suffix.lower()[1:],
-                resolver=_folder_resolver(path),
-                skip_materials=True,
-                process=False,
-                **({"split_objects": True} if path.suffix.lower() == ".obj" else {}),
-            )
-        n_triangles = 0
-        parts: list[_Part] = []
-        left_out: Counter[str] = Counter()
+            scene = trimesh.load_scene(file, file_type=path.suffix.lower()[1:], **options)
         for node in scene.graph.nodes_geometry:  # sorted below: trimesh keeps them in sets
             matrix, geometry_name = scene.graph[node]
             geometry = scene.geometry[geometry_name]
@@ -113,14 +109,6 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
                 node = scene.graph.transforms.parents.get(node, node)  # itself named at random
             name = _name(str(node), str(geometry_name), path.stem)
             parts.append((name, *_placed(geometry, np.asarray(matrix), f"{where}: {name}")))
-    except InputError:
-        raise
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(where, Unquoted(reason), "a readable file") from None
-    except Exception as error:  # trimesh's parsers raise whatever a broken file makes them
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
-        raise InputError(where, Unquoted(reason), f"a {path.suffix} mesh") from None
     if not parts:
         refuse(where, "no triangles", "a mesh of triangles")
     return sorted(parts, key=lambda part: (part[0], part[1][0].tolist())), left_out

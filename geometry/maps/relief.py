@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
-from ..errors import InputError, MissingExtraError, Unquoted, refuse
-from ..files import open_file
+from ..errors import InputError, MissingExtraError, refuse
+from ..files import open_file, reading
 from ..notes import Note
 from ..terrain import Terrain, fit_terrain
 from .georeferences import LocalFrame, transform
@@ -199,11 +199,12 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
     if not crs:
         expected = "a map that says where on earth it lies: `crs` says it for one that does not"
         raise InputError("terrain", str(path), expected)
-    try:
-        with rasterio.Env(**_ALONE), rasterio.open(path, driver="GTiff") as raster:
-            points = _read(raster, str(path), crs, middle_m, half_m)
-    except (rasterio.errors.RasterioError, ProjError) as error:
-        raise InputError(str(path), Unquoted(" ".join(str(error).split())), _EXPECTED) from None
+    with (
+        reading(path, _EXPECTED, rasterio.errors.RasterioError, ProjError),
+        rasterio.Env(**_ALONE),
+        rasterio.open(path, driver="GTiff") as raster,
+    ):
+        points = _read(raster, str(path), crs, middle_m, half_m)
     return Elevation(name=path.name, points_m=points)
 
 

@@ -4,6 +4,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -120,37 +121,33 @@ class ReferenceLine:
         lookup = s_m if inside_m is None else inside_m
         piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
         ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
-        points, turns = self._local(piece, ds)
+        points, turns = np.empty((len(ds), 2)), np.empty(len(ds))
+        shape = self.shapes[piece]
+        for wanted in np.unique(shape):
+            mask = shape == wanted
+            points[mask], turns[mask] = self._local(SHAPES[wanted], piece[mask], ds[mask])
         heading = self.headings_rad[piece]
         cos, sin = np.cos(heading), np.sin(heading)
         x, y = points.T
         turned = np.stack([x * cos - y * sin, x * sin + y * cos], axis=1)
         return self.origins_m[piece] + turned, heading + turns
 
-    def _local(self, piece: NDArray[np.int64], ds: FloatArray) -> tuple[FloatArray, FloatArray]:
-        points, turns = np.empty((len(ds), 2)), np.empty(len(ds))
-        shape = self.shapes[piece]
-        for wanted in np.unique(shape):
-            mask = shape == wanted
-            s, which = ds[mask], piece[mask]
-            parameters = self.parameters[which]
-            if SHAPES[wanted] in _CURVES:
-                points[mask], turns[mask] = spiral(s, parameters[:, 0], parameters[:, 1])
-            else:
-                p = s * parameters[:, 8]
-                if SHAPES[wanted] == "poly3":
-                    for one in np.unique(which):
-                        here = which == one
-                        p[here] = graph_parameter(
-                            s[here], self.parameters[one, 4:8], float(self.lengths_m[one])
-                        )
-                points[mask], turns[mask] = polynomial(p, parameters[:, :4], parameters[:, 4:8])
-        return points, turns
+    def _local(
+        self, shape: str, piece: NDArray[np.int64], s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        parameters = self.parameters[piece]
+        if shape in _CURVES:
+            return spiral(s, parameters[:, 0], parameters[:, 1])
+        p = s * parameters[:, 8]
+        for one in np.unique(piece) if shape == "poly3" else ():
+            here = piece == one
+            v, length_m = self.parameters[one, 4:8], float(self.lengths_m[one])
+            p[here] = graph_parameter(s[here], v, length_m)
+        return polynomial(p, parameters[:, :4], parameters[:, 4:8])
 
     def bends(self) -> FloatArray:
         """Largest curvature of each piece, of its change per metre, and of metres per s, (n, 3)."""
-        rows = np.zeros((len(self.starts_m), 3))
-        rows[:, 2] = 1.0
+        rows = np.ones((len(self.starts_m), 3))
         for index, shape in enumerate(self.shapes):
             length_m, k = self.lengths_m[index], self.parameters[index]
             if SHAPES[shape] in _CURVES:
@@ -181,7 +178,7 @@ def read_reference_line(
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
         row = _read_piece(element, here)
-        if row[0] > length_m + _MAX_GAP_M or row[0] < -_MAX_GAP_M:
+        if not -_MAX_GAP_M <= row[0] <= length_m + _MAX_GAP_M:
             raise InputError(f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length")
         if row[4] > _ROUNDED_M:
             rows.append((row, here))
@@ -206,9 +203,8 @@ def read_reference_line(
 
 def _read_piece(element: Element, where: str) -> tuple[float, ...]:
     """s, x, y, hdg, length, index of the shape, nine parameters."""
-    s, x, y, heading, length_m = (
-        take_number(element, key, where) for key in ("s", "x", "y", "hdg", "length")
-    )
+    keys = ("s", "x", "y", "hdg", "length")
+    s, x, y, heading, length_m = (take_number(element, key, where) for key in keys)
     for key, value in (("x", x), ("y", y)):
         if abs(value) > MAX_COORDINATE_M:
             raise InputError(f"{where}.{key}", value, f"at most {MAX_COORDINATE_M:g} m")
@@ -216,12 +212,10 @@ def _read_piece(element: Element, where: str) -> tuple[float, ...]:
         raise InputError(f"{where}.length", length_m, "metres, at least 0")
     shape = next((child for child in element if child.tag in SHAPES), None)
     if shape is None:
-        tags = [str(child.tag) for child in element]
-        refuse(where, ", ".join(tags)[:80] or "no shape", "one of " + ", ".join(SHAPES))
-    return (
-        *(s, x, y, heading, length_m, SHAPES.index(str(shape.tag))),
-        *_read_shape(shape, f"{where} {shape.tag}", length_m),
-    )
+        tags = ", ".join(str(child.tag) for child in element)[:80]
+        refuse(where, tags or "no shape", "one of " + ", ".join(SHAPES))
+    parameters = _read_shape(shape, f"{where} {shape.tag}", length_m)
+    return (s, x, y, heading, length_m, SHAPES.index(str(shape.tag)), *parameters)
 
 
 def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...]:
@@ -274,13 +268,10 @@ def read_cubics(
 ) -> PiecewiseCubic:
     """Children of `parent` with a, b, c, d, by begin; of several that begin there the last one."""
     rows = [
-        (
-            first_m + take_number(element, start_key, here),
-            *(take_number(element, key, here) for key in "abcd"),
-        )
+        tuple(take_number(element, key, here) for key in (start_key, *"abcd"))
         for element, here in numbered(parent, tag, where)
     ]
-    return build_cubics(rows)
+    return build_cubics([(first_m + start_m, *cubic) for start_m, *cubic in rows])
 
 
 def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
@@ -445,9 +436,7 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
     rule = element.get("rule", "RHT").upper()
     if rule not in ("RHT", "LHT"):
         raise InputError(f"{where}.rule", rule, "RHT or LHT")
-    lanes = element.find("lanes")
-    elevation = read_cubics(element.find("elevationProfile"), "elevation", where)
-    lateral = element.find("lateralProfile")
+    lanes, lateral = element.find("lanes"), element.find("lateralProfile")
     before, after = read_links(element)
     return Road(
         id=road_id,
@@ -457,7 +446,7 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
         length_m=length_m,
         keeps_left=rule == "LHT",
         line=read_reference_line(element, where, length_m=length_m, offset=offset),
-        elevation=elevation,
+        elevation=read_cubics(element.find("elevationProfile"), "elevation", where),
         base_m=offset.z_m,
         offset=read_cubics(lanes, "laneOffset", where),
         sections=_read_sections(lanes, where, length_m),
@@ -516,23 +505,21 @@ def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[
     if not found:
         refuse(f"{where} lanes", "no laneSection", "at least one")
     found.sort(key=lambda item: item[0])
-    ends_m = [start_m for start_m, _, _ in found[1:]] + [length_m]
-    sections = tuple(
-        LaneSection(
-            start_m=min(max(start_m, 0.0), length_m),
-            end_m=end_m,
-            left=_read_side(element, "left", here, start_m),
-            right=_read_side(element, "right", here, start_m),
-        )
-        for (start_m, element, here), end_m in zip(found, ends_m, strict=True)
-    )
+    sections = []
+    for at, (start_m, element, here) in enumerate(found):
+        left, right = (_read_side(element, side, here, start_m) for side in ("left", "right"))
+        begin_m = min(max(start_m, 0.0), length_m)
+        end_m = found[at + 1][0] if at + 1 < len(found) else length_m
+        sections.append(LaneSection(start_m=begin_m, end_m=end_m, left=left, right=right))
     # A last section without length would hide that lanes reach the road's end.
-    is_empty = len(sections) > 1 and sections[-1].end_m - sections[-1].start_m < _MAX_SECTION_GAP_M
-    return sections[:-1] if is_empty else sections
+    if len(sections) > 1 and sections[-1].end_m - sections[-1].start_m < _MAX_SECTION_GAP_M:
+        sections.pop()
+    return tuple(sections)
 
 
 def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple[LaneRecord, ...]:
     sign = 1 if side == "left" else -1
+    from_here: Any = {"start_key": "sOffset", "first_m": start_m}
     records: dict[int, LaneRecord] = {}
     for element, here in numbered(section.find(side), "lane", f"{where} {side}"):
         value = take_number(element, "id", here)
@@ -548,11 +535,9 @@ def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple
             is_reversed=element.get("direction", "standard") == "reversed",
             predecessors=_linked_lanes(element, "predecessor"),
             successors=_linked_lanes(element, "successor"),
-            width=read_cubics(element, "width", here, start_key="sOffset", first_m=start_m),
-            border=read_cubics(element, "border", here, start_key="sOffset", first_m=start_m),
-            limits=_read_limits(
-                element.findall("speed"), here, start_key="sOffset", first_m=start_m
-            ),
+            width=read_cubics(element, "width", here, **from_here),
+            border=read_cubics(element, "border", here, **from_here),
+            limits=_read_limits(element.findall("speed"), here, **from_here),
         )
     if len(records) > _MAX_LANES:
         raise InputError(f"{where} {side}", len(records), f"at most {_MAX_LANES} lanes")

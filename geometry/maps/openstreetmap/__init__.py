@@ -14,13 +14,19 @@ from ...files import write_atomically
 from ...notes import Note
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import SourceMap
-from .buildings import find_bridges, find_buildings
 from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .lanes import is_oneway, runs_backward
 from .network import build_network, is_for_cars, lines_of
-from .things import find_barriers, find_crosswalks, find_poles, find_trees
+from .things import (
+    find_barriers,
+    find_bridges,
+    find_buildings,
+    find_crosswalks,
+    find_poles,
+    find_trees,
+)
 
 __all__ = ["fetch_openstreetmap", "read_openstreetmap"]
 

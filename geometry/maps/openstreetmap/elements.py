@@ -17,8 +17,8 @@ import osmium
 from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
-from ...errors import InputError, Unquoted, refuse
-from ...files import load_toml, open_file
+from ...errors import refuse
+from ...files import load_toml, open_file, reading
 from ...untrusted_files import MAX_FILE_BYTES, check_pbf
 from ..source_map import Omissions
 
@@ -89,10 +89,8 @@ def read_elements(path: Path) -> Elements:
     Deleted elements are left out; of several versions the last one counts. Raises InputError if it
     is damaged or too large, or a node lies nowhere on earth.
     """
-    try:
+    with reading(path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError):
         return _collect(path, _file_format(path))
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
 
 
 def _file_format(path: Path) -> str:
@@ -115,15 +113,16 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
     """Refuse what unpacks to too much; a second reading, but without keeping anything."""
     limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
     n_bytes = 0
-    try:
-        with open_file(path) as packed, unpack(packed, "rb") as file:
-            while chunk := file.read(1 << 20):
-                n_bytes += len(chunk)
-                if n_bytes > limit:
-                    got = f"more than {limit:,} bytes when unpacked"
-                    refuse(str(path), got, "fewer; cut it out first")
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(str(path), Unquoted(error), f"{_EXPECTED}: a whole archive") from None
+    with (
+        reading(path, f"{_EXPECTED}: a whole archive", OSError, EOFError, zlib.error),
+        open_file(path) as packed,
+        unpack(packed, "rb") as file,
+    ):
+        while chunk := file.read(1 << 20):
+            n_bytes += len(chunk)
+            if n_bytes > limit:
+                got = f"more than {limit:,} bytes when unpacked"
+                refuse(str(path), got, "fewer; cut it out first")
 
 
 def _collect(path: Path, file_format: str) -> Elements:
@@ -132,47 +131,37 @@ def _collect(path: Path, file_format: str) -> Elements:
     ways: dict[int, tuple[list[int], Tags]] = {}
     relations: dict[int, Relation] = {}
     n_left = int(DEFAULTS["reading"]["max_nodes"])
-    source = osmium.io.File(str(path), file_format)
     bits = osmium.osm.NODE | osmium.osm.WAY | osmium.osm.RELATION
-    try:
-        processor = osmium.FileProcessor(source, bits)
-        box = processor.header.box()
-        for item in processor:
-            element: Any = item
-            if element.deleted:
-                continue
-            tags = {tag.k: tag.v for tag in element.tags} if len(element.tags) else {}
-            if element.is_node():
-                location = element.location
-                ids.append(element.id)
-                lon_deg, lat_deg = location.lon_without_check(), location.lat_without_check()
-                places.extend((lon_deg, lat_deg))
-                if not location.valid():
-                    is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
-                    words = f"latitude {lat_deg}, longitude {lon_deg}"
-                    got = "no coordinates" if is_missing else words
-                    expected = "latitude -90..90 and longitude -180..180"
-                    refuse(f"{path}: node {element.id}", got, expected)
-                if tags:
-                    tags_by_id[element.id] = tags
-                n_left -= 1
-            elif element.is_way():
-                ways[element.id] = ([node.ref for node in element.nodes], tags)
-                n_left -= 1 + len(element.nodes) // 10
-            else:
-                members = tuple(
-                    (member.ref, member.role) for member in element.members if member.type == "w"
-                )
-                relations[element.id] = Relation(id=element.id, members=members, tags=tags)
-                n_left -= 1 + len(members) // 10
-            if n_left < 0:
-                got = f"more than {DEFAULTS['reading']['max_nodes']:,} elements"
-                refuse(str(path), got, "fewer; cut it out first")
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
-        message = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(str(path), Unquoted(message), _EXPECTED) from None
+    processor = osmium.FileProcessor(osmium.io.File(str(path), file_format), bits)
+    box = processor.header.box()
+    for item in processor:
+        element: Any = item
+        if element.deleted:
+            continue
+        tags = {tag.k: tag.v for tag in element.tags} if len(element.tags) else {}
+        n_left -= 1
+        if element.is_node():
+            location = element.location
+            ids.append(element.id)
+            lon_deg, lat_deg = location.lon_without_check(), location.lat_without_check()
+            places.extend((lon_deg, lat_deg))
+            if not location.valid():
+                is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
+                got = "no coordinates" if is_missing else f"latitude {lat_deg}, longitude {lon_deg}"
+                expected = "latitude -90..90 and longitude -180..180"
+                refuse(f"{path}: node {element.id}", got, expected)
+            if tags:
+                tags_by_id[element.id] = tags
+        elif element.is_way():
+            ways[element.id] = ([node.ref for node in element.nodes], tags)
+            n_left -= len(element.nodes) // 10
+        else:
+            members = tuple((one.ref, one.role) for one in element.members if one.type == "w")
+            relations[element.id] = Relation(id=element.id, members=members, tags=tags)
+            n_left -= len(members) // 10
+        if n_left < 0:
+            got = f"more than {DEFAULTS['reading']['max_nodes']:,} elements"
+            refuse(str(path), got, "fewer; cut it out first")
     if box.valid():
         corners = [[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)]
         _check_order(path, np.array(places).reshape(-1, 2), np.array(corners))

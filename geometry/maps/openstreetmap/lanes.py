@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from ...scene import Turn
@@ -21,6 +21,8 @@ Roadside = tuple[list[Part], list[Part]]
 _KMH_PER_MPH = 1.609344
 _SPEED = re.compile(r"(\d{1,3}(?:[.,]\d{1,3})?)\s*(mph|km/h|kmh|kph)?")
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
+_Widths = tuple[Sequence[float], Sequence[float], float]
+"""Widths [m] of lanes forward and backward, from left to right there, and of the centre lane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,12 +71,8 @@ def count_lanes(tags: Tags, note: Note) -> LaneCounts:
     total = number("lanes", 2 * highest)
     if is_oneway(tags):
         count = total or listed("turn:lanes") or listed("turn:lanes:forward")
-        is_counted = count is not None
-        return LaneCounts(
-            n_forward=min(count or usual["oneway_lanes"], highest),
-            n_backward=0,
-            is_counted=is_counted,
-        )
+        n_forward = min(count or usual["oneway_lanes"], highest)
+        return LaneCounts(n_forward=n_forward, n_backward=0, is_counted=count is not None)
     has_centre = is_yes(tags.get("lanes:both_ways")) or "turn:lanes:both_ways" in tags
     if has_centre and total is not None:
         total = max(total - 1, 0) or None
@@ -216,8 +214,6 @@ class CrossSection:
 
 def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSection:
     """Strips side by side along a road, a one-way one along its nodes; senseless tags are noted."""
-    limits = DEFAULTS["cross_section"]
-
     left, right = (
         roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
     )
@@ -225,10 +221,6 @@ def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSec
     beside_m = sum(width for _, width, _ in (*left[0], *right[0]))
     widths, counts = _lane_widths(tags, counts, beside_m, note)
     driving = _driving(widths, counts, keeps_left=keeps_left)
-    turns = {
-        "forward": _listed_turns(tags, "forward", counts.n_forward, note, is_alone=is_oneway(tags)),
-        "backward": _listed_turns(tags, "backward", counts.n_backward, note, is_alone=False),
-    }
     carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
     for side, sign, (inner, outer) in (("left", 1.0, left), ("right", -1.0, right)):
@@ -249,10 +241,30 @@ def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSec
                 )
                 numbers[kind] += 1
                 edge_m += step * width_m
-    at_m = 0.5 * carriageway_m - sum(width for _, width, _ in left[0])
+    left_m = 0.5 * carriageway_m - sum(width for _, width, _ in left[0])
+    strips += _driving_strips(tags, driving, counts, left_m, note, keeps_left=keeps_left)
+    strips.sort(key=lambda strip: -strip.left_m)
+    return CrossSection(strips=tuple(strips), width_m=carriageway_m)
+
+
+def _driving_strips(
+    tags: Tags,
+    driving: Sequence[tuple[str, int, float]],
+    counts: LaneCounts,
+    left_m: float,
+    note: Note,
+    *,
+    keeps_left: bool,
+) -> Iterator[Strip]:
+    """Driving lanes from left to right, from their left edge on; the centre lane is none."""
+    limits = DEFAULTS["cross_section"]
+    turns = {
+        "forward": _listed_turns(tags, "forward", counts.n_forward, note, is_alone=is_oneway(tags)),
+        "backward": _listed_turns(tags, "backward", counts.n_backward, note, is_alone=False),
+    }
     for place, number, width_m in driving:
-        middle_m = at_m - 0.5 * width_m
-        at_m -= width_m
+        middle_m = left_m - 0.5 * width_m
+        left_m -= width_m
         for direction in {"both": ("forward", "backward"), "centre": ()}.get(place, (place,)):
             is_forward = direction == "forward"
             aside_m, free_m = 0.0, width_m
@@ -260,28 +272,15 @@ def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSec
                 # Cars of both directions keep to their side even there; so ends of lanes differ.
                 aside_m = 0.5 * limits["shared_apart_m"]
                 free_m = max(width_m - 2.0 * aside_m, limits["min_lane_width_m"])
-            strips.append(
-                Strip(
-                    kind="driving",
-                    place=direction,
-                    number=number,
-                    width_m=free_m,
-                    left_m=middle_m + (aside_m if is_forward == keeps_left else -aside_m),
-                    is_forward=is_forward,
-                    turns=turns[direction][number if keeps_left else -1 - number],
-                )
+            yield Strip(
+                kind="driving",
+                place=direction,
+                number=number,
+                width_m=free_m,
+                left_m=middle_m + (aside_m if is_forward == keeps_left else -aside_m),
+                is_forward=is_forward,
+                turns=turns[direction][number if keeps_left else -1 - number],
             )
-    strips.sort(key=lambda strip: -strip.left_m)
-    return CrossSection(strips=tuple(strips), width_m=carriageway_m)
-
-
-@dataclass(frozen=True, slots=True)
-class _Widths:
-    """Widths of lanes in metres, from left to right in their driving direction."""
-
-    forward: Sequence[float]
-    backward: Sequence[float]
-    centre_m: float
 
 
 def _driving(
@@ -289,18 +288,12 @@ def _driving(
 ) -> list[tuple[str, int, float]]:
     """Driving lanes from left to right: direction, number from the kerb, width."""
     if counts.is_shared:
-        return [("both", 0, widths.forward[0])]
-
-    def ordered(place: str, of_lanes: Sequence[float]) -> list[tuple[str, int, float]]:
-        """Lanes from left to right in their driving direction, numbered from the kerb."""
-        last = len(of_lanes) - 1
-        return [
-            (place, number if keeps_left else last - number, width_m)
-            for number, width_m in enumerate(of_lanes)
-        ]
-
-    forward, backward = ordered("forward", widths.forward), ordered("backward", widths.backward)
-    centre = [("centre", 0, widths.centre_m)] if counts.has_centre else []
+        return [("both", 0, widths[0][0])]
+    forward, backward = (
+        [(place, n if keeps_left else len(lanes) - 1 - n, lane_m) for n, lane_m in enumerate(lanes)]
+        for place, lanes in (("forward", widths[0]), ("backward", widths[1]))
+    )
+    centre = [("centre", 0, widths[2])] if counts.has_centre else []
     if keeps_left:
         return [*forward, *centre, *backward[::-1]]
     return [*backward[::-1], *centre, *forward]
@@ -316,7 +309,7 @@ def _lane_widths(
     forward = _listed_widths(tags, "forward", counts.n_forward, is_alone=not counts.n_backward)
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
-        return _Widths(forward, backward, centre_m), counts
+        return (forward, backward, centre_m), counts
     total_m = None
     for key in (key for key in ("width:carriageway", "width", "est_width") if key in tags):
         total_m = parse_length_m(tags[key])
@@ -338,7 +331,7 @@ def _lane_widths(
 
 
 def _even(width_m: float, centre_m: float, counts: LaneCounts) -> _Widths:
-    return _Widths([width_m] * counts.n_forward, [width_m] * counts.n_backward, centre_m)
+    return [width_m] * counts.n_forward, [width_m] * counts.n_backward, centre_m
 
 
 def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
@@ -346,15 +339,10 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
     if not count:
         return []
     text = tags.get(f"width:lanes:{direction}") or (tags.get("width:lanes") if is_alone else None)
-    if text is None:
-        return None
+    widths = [parse_length_m(part) for part in (text or "").split("|")]
     limits = DEFAULTS["cross_section"]
-    widths = [parse_length_m(part) for part in text.split("|")]
-    known = [
-        width
-        for width in widths
-        if width and limits["min_lane_width_m"] <= width <= limits["max_lane_width_m"]
-    ]
+    low_m, high_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
+    known = [width for width in widths if width and low_m <= width <= high_m]
     return known if len(known) == len(widths) == count else None
 
 
@@ -362,19 +350,17 @@ def _listed_turns(
     tags: Tags, direction: str, count: int, note: Note, *, is_alone: bool
 ) -> list[tuple[Turn, ...]]:
     """Where cars may drive from each lane by its markings, from left to right."""
-    unmarked: list[tuple[Turn, ...]] = [()] * count
     text = tags.get(f"turn:lanes:{direction}") or (tags.get("turn:lanes") if is_alone else None)
-    if text is None:
-        return unmarked
     words = DEFAULTS["turns"]
     listed: list[tuple[Turn, ...]] = []
-    for lane in text.split("|"):
+    for lane in [] if text is None else text.split("|"):
         turns = [turn for word in lane.split(";") for turn in words.get(word.strip(), ())]
         listed.append(tuple(dict.fromkeys(turns)))
-    if len(listed) != count:
+    if len(listed) == count:
+        return listed
+    if text is not None:
         note("turn:lanes has another number of lanes: markings not followed")
-        return unmarked
-    return listed
+    return [()] * count
 
 
 # ---------- speed limits
