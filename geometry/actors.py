@@ -124,10 +124,7 @@ def load_actors() -> dict[str, Actor]:
 
 
 def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
-    """Bodies of a catalogue laid out as ``data/actors.toml``, by name.
-
-    `source` has the shapes that ``geometry.body_shapes`` built from it; InputError: from another.
-    """
+    """Bodies of a catalogue by name, with the shapes in `source`; InputError: of another one."""
     try:
         with source.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {key: stored[key] for key in stored.files}

@@ -34,10 +34,7 @@ _MAX_STRETCH = 0.04
 
 
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
-    """Shapes of a body of ``data/actors.toml`` over one cycle of its gait; they fill its box.
-
-    Raises InputError: the description is wrong. MissingExtraError: manifold3d is not installed.
-    """
+    """Shapes of a body over one cycle of its gait; InputError: the description is wrong."""
     turns_deg = _take_turns(entry, where)
     n_shapes = _N_SHAPES if turns_deg else 1
     meshes = [_build_mesh(entry, turns_deg, index, where) for index in range(n_shapes)]
@@ -155,7 +152,6 @@ def _bone_frames(
 def _build_mesh(
     entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """One closed mesh of all parts at one instant: vertices and triangles."""
     frames = _bone_frames(entry, turns_deg, index, where)
     library = _manifold3d()
     body = library.Manifold()
@@ -174,7 +170,6 @@ def _build_mesh(
 def _place_part(
     part: Table, frames: Mapping[tuple[str, float], _Frame], where: str
 ) -> Iterator[Any]:
-    """Solids of one part: one, or one on each side."""
     on = part.get("on", _BODY)
     known = {bone: bone for bone, _ in frames}
     is_twice = pick(known, on, f"{where}.on") != _BODY or part.get("mirror", False)

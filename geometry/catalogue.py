@@ -31,11 +31,7 @@ def load_cameras() -> dict[str, CameraModel]:
 
 
 def load_catalogue(path: str | Path) -> dict[str, Sensor]:
-    """A user's own sensor models, by name, from tables ``[cameras.NAME]`` and ``[lidars.NAME]``.
-
-    Fields are those of ``data/sensors.toml`` and ``data/lidars.toml``. Raises InputError: the file
-    cannot be read, has no model, or a field is missing or not of its kind.
-    """
+    """A user's own sensor models by name: tables ``[cameras.NAME]`` and ``[lidars.NAME]``."""
     table = load_toml(Path(path))
     models: dict[str, Sensor] = {}
     expected = "[cameras.NAME] or [lidars.NAME]"

@@ -59,7 +59,6 @@ def _check_found(found: os.stat_result, where: str, max_bytes: int | None) -> No
 
 
 def _kind(mode: int) -> str:
-    """Kind of a path that is no regular file, in words."""
     kinds = {stat.S_IFDIR: "folder", stat.S_IFLNK: "link", stat.S_IFIFO: "pipe"}
     return "a " + (kinds | {stat.S_IFSOCK: "socket"}).get(stat.S_IFMT(mode), "device")
 
@@ -128,10 +127,7 @@ def write_new(path: Path, text: str) -> None:
 
 
 def check_target(path: Path) -> None:
-    """Raise InputError if a file cannot be written under a name for what is there already.
-
-    Nothing but a regular file is replaced. A folder is left to whoever writes.
-    """
+    """Raise InputError if a name belongs to anything but a regular file, which is replaced."""
     if what := _obstacle(path):
         refuse(str(path), what, "a regular file's name, or one that is free")
 
@@ -279,7 +275,6 @@ def _check_finite(value: object, where: str) -> None:
 
 
 def _is_finite(value: object) -> bool:
-    """True if a number, or each number in a list of lists, is finite."""
     if isinstance(value, list):
         return all(map(_is_finite, value))
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
@@ -344,7 +339,6 @@ def _members(node: msgspec.inspect.UnionType) -> list[Any]:
 
 
 def _step_into(node: Any, step: re.Match[str], value: Any) -> Any:
-    """Type of a field or of an item of a value."""
     if isinstance(node, msgspec.inspect.UnionType) and len(_members(node)) > 1:
         by_tag = {one.tag: one for one in _members(node)}  # tables that one field tells apart
         tag_field = _members(node)[0].tag_field
@@ -392,7 +386,6 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
 
 
 def _limits(node: msgspec.inspect.FloatType | msgspec.inspect.IntType) -> str:
-    """Range of a number: " > 0", or ", at least 0, at most 1"."""
     signs = ((" > ", node.gt), (" < ", node.lt), (", at least ", node.ge), (", at most ", node.le))
     return "".join(f"{sign}{limit:g}" for sign, limit in signs if limit is not None)
 
@@ -526,7 +519,6 @@ def writable_by_others(path: Path) -> bool:
 
 
 def _is_open(found: os.stat_result, *, is_last: bool) -> bool:
-    """True if others may change a file or folder."""
     if found.st_uid not in (os.getuid(), 0):
         return True
     # What lies in a folder like /tmp can be moved by its owner alone.

@@ -235,11 +235,7 @@ def mirrored(junction: Junction) -> Junction:
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
-    """Straight line along the part of a lane next to the junction, and how far the lane leaves it.
-
-    The line runs through the lane's mouth in driving direction. At most `length_m` of the lane
-    count, and no more than it has; the largest distance from the line is in metres.
-    """
+    """Straight line along a lane's metres next to the junction, and the most it leaves it. [m]."""
     points = lane.centreline_m if is_in else lane.centreline_m[::-1]  # the mouth comes last
     to_mouth = np.append(np.cumsum(np.hypot(*np.diff(points, axis=0).T)[::-1])[::-1], 0.0)
     begin_m = min(length_m, float(to_mouth[0]))
@@ -255,10 +251,7 @@ def lane_length_m(lane: Lane) -> float:
 
 
 def curve_between(before: Line, after: Line) -> FloatArray:
-    """Points (n, 2) from one line's point to another's along both: a cubic Hermite curve.
-
-    Raises ValueError: the other line's point does not lie ahead, within 60 degrees of a direction.
-    """
+    """Points (n, 2) of a cubic from line to line; ValueError: one is not ahead of the other."""
     begin, end = before.point_m, after.point_m
     length_m = float(np.hypot(*(end - begin)))
     if min((end - begin) @ before.direction, (end - begin) @ after.direction) <= 0.5 * length_m:

@@ -62,10 +62,7 @@ def is_compiled(function: Callable[..., Any]) -> bool:
 
 @cache
 def compiled_folder() -> Path:
-    """Where machine code is cached: NUMBA_CACHE_DIR, or the user's cache, or a temporary folder.
-
-    Code of others would run as ours: a folder into which they may write is not used.
-    """
+    """Where machine code is cached: NUMBA_CACHE_DIR, the user's cache or a temporary folder."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(chosen) if chosen else user_cache_folder() / "compiled"
     trouble = trouble_with(folder)
@@ -150,7 +147,9 @@ class _Cached(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Cache code, or say why not."""
-        _stop_clock()
+        began_s = _begun_s.pop()
+        if not _begun_s:  # the compiler, which works for one thread at a time, has no time limit
+            stand_still_s(time.monotonic() - began_s)
         try:
             super().save_overload(signature, data)
         except Exception as error:  # a disk that is full, a folder that went, a damaged index
@@ -163,13 +162,6 @@ def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
     files = sorted(Path(function.__code__.co_filename).parent.glob("*_kernels.py"))
     status = [(file.name, file.stat()) for file in files]
     return [(name, of_file.st_mtime_ns, of_file.st_size) for name, of_file in status]
-
-
-def _stop_clock() -> None:
-    """Take the time of the compiler, which works for one thread at a time, from all time limits."""
-    began_s = _begun_s.pop()
-    if not _begun_s:
-        stand_still_s(time.monotonic() - began_s)
 
 
 @cache

@@ -181,8 +181,6 @@ def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Genera
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _DetectionEntry:
-    """A class of road users in ``data/lidars.toml``."""
-
     min_points: Annotated[int, Meta(ge=1, description="a whole number of points, > 0")]
     reflectivity: Annotated[float, Meta(gt=0.0, le=1.0, description="0 < share <= 1")]
 

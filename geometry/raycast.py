@@ -144,11 +144,7 @@ RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
 
 
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
-    """Name of the library that casts rays, one of ``RAYS`` but "auto".
-
-    By "auto" it is "embree", or "open3d" where embreex cannot load. Raises InputError: the name is
-    unknown, or the library cannot load; `where` is what asked for it.
-    """
+    """Name of the library that casts rays; InputError: it cannot load, or is not in ``RAYS``."""
     check_one_of(where, rays, RAYS)
     problems: dict[str, Callable[[], str | None]] = {
         EmbreexCaster.name: embreex_problem,

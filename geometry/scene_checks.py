@@ -98,7 +98,6 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def _direction(line: Any, point: Any) -> FloatArray:
-    """Unit vector in which a line leads past one of its points, (2,)."""
     at_m = line.project(point)
     begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
     step = np.array([end.x - begin.x, end.y - begin.y])
@@ -121,11 +120,7 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
-    """Compare the arms of a junction, found by its lanes, with the roads of the map.
-
-    Yields a finding for a road that is part of no arm, an arm without a road, or an arm whose
-    driving lanes are not those of its roads.
-    """
+    """Findings on roads that are part of no arm, and arms with other lanes than their roads."""
     found: dict[str, list[LeadingRoad]] = {name: [] for name in junction.arms}
     for road in roads:
         name = arm_of_road(road, junction)

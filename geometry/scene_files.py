@@ -120,11 +120,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
 
 
 def save_scene(folder: str | Path, scene: Scene, *, sources: Sequence[str] = ()) -> None:
-    """Write ``scene.toml`` and ``things.glb`` of a scene into a folder that exists.
-
-    Coordinates are rounded to a millimetre, meshes to single precision. `sources`: names of the
-    files that it was made from.
-    """
+    """Write ``scene.toml``, to a millimetre, and ``things.glb`` into a folder that exists."""
     import tomlkit
 
     folder = Path(folder)
@@ -167,11 +163,7 @@ def save_scene(folder: str | Path, scene: Scene, *, sources: Sequence[str] = ())
 
 
 def load_scene_folder(path: Path) -> Scene:
-    """Read a scene that :func:`save_scene` has written, from its folder or the same as a .zip file.
-
-    Raises InputError: there is none, a field is missing or not of its kind, or the meshes do not
-    fit.
-    """
+    """Read a scene that :func:`save_scene` has written, or the same as a .zip; or InputError."""
     with _as_folder(path) as folder:
         table, where = _read_scene_file(folder, shown=path), f"{path}/{SCENE_FILE}"
         meshes = _read_glb(folder / THINGS_FILE, shown=f"{path}/{THINGS_FILE}")

@@ -110,7 +110,6 @@ def _recognised(
 def _extract(
     archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path, where: str
 ) -> None:
-    """Write files into a folder and count their bytes: the sizes in the archive may be wrong."""
     n_bytes = 0
     for entry in members:
         target = folder / entry.filename
@@ -190,11 +189,7 @@ def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
 
 
 def read_xml(path: Path, *, expected: str) -> Element:
-    """Root of a whole XML document; `expected` names the format: "OpenDRIVE".
-
-    Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
-    well-formed, or has entities or other dangerous parts.
-    """
+    """Root of an XML document in a format, `expected`; InputError: broken, large or dangerous."""
     from defusedxml.ElementTree import parse
 
     with (
@@ -221,7 +216,6 @@ def read_xml_root(path: Path) -> Element:
 
 @contextmanager
 def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
-    """Raise InputError in place of the errors of XML parsers."""
     from defusedxml import DefusedXmlException
 
     with reading(path, well_formed, ParseError, ValueError, LookupError):  # of encodings
@@ -296,7 +290,6 @@ def _entries(header: Mapping[str, Any], key: str, where: str) -> list[Mapping[st
 
 
 def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
-    """Every node has at most one parent, and none is its own ancestor."""
     if len(nodes) > _MAX_NODES:
         raise InputError(f"{where}: nodes", len(nodes), f"at most {_MAX_NODES:,}")
     parent: dict[int, int] = {}
@@ -346,7 +339,6 @@ class _DamagedError(Exception):
 
 
 def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
-    """Kind and unpacked content of each blob."""
     with open_file(path) as file:
         while prefix := file.read(4):
             n_bytes = int.from_bytes(prefix, "big")
@@ -388,7 +380,6 @@ def _texts(block: bytes) -> Iterator[bytes]:
 
 
 def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """Numbers and values of a message's fields."""
     at, end = 0, len(data)
     while at < end:
         key, at = _varint(data, at)

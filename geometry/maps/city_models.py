@@ -130,7 +130,6 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    """Parse the whole file, or each line of a sequence."""
     first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
     try:
         is_sequence = isinstance(json.loads(first), dict)
@@ -156,7 +155,6 @@ def _transform(table: Any, where: str) -> FloatArray:
 
 
 def _vectors(values: Any, where: str) -> FloatArray:
-    """Numbers as (n, 3)."""
     if not isinstance(values, list):
         raise InputError(where, values, "a list of points")
     try:
@@ -209,7 +207,6 @@ def _objects(
     left_out: Counter[str],
     empty: Counter[str],
 ) -> Iterator[CityObject]:
-    """Objects of a known type that have surfaces; the others are counted."""
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: CityObjects", type(table).__name__, "a table of objects")
@@ -255,7 +252,6 @@ def _height_m(attributes: _Table) -> float | None:
 def _best(
     geometries: Any, vertices: FloatArray, templates: _Templates, where: str
 ) -> tuple[list[Polygon3D], float]:
-    """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
     best: tuple[list[Polygon3D], float] = ([], -1.0)
@@ -283,7 +279,6 @@ def _rank(level: float) -> float:
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    """Polygons of a geometry; of solids only those of the outer shells."""
     depth = _SURFACES_AT.get(str(geometry.get("type")))
     if depth is None:
         return []
@@ -369,7 +364,6 @@ def city_map(
 
 
 def _thing(item: CityObject, thing_id: str) -> Thing:
-    """One object as triangles; raises InputError if it has no area."""
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)
@@ -392,7 +386,6 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 
 def _said(skipped: Sequence[Note]) -> str:
-    """List of what was left out, for the end of a message."""
     words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
     return f"; skipped: {words}" if words else ""
 
@@ -429,8 +422,6 @@ def read_citygml(path: Path) -> SourceMap:
 
 
 class _Document:
-    """The elements of a file, and an index of those that others refer to."""
-
     def __init__(self, where: str, root: Element) -> None:
         self.where = where
         self.root = root
@@ -482,7 +473,6 @@ class _Document:
         )
 
     def _shapes(self, element: Element, depth: int) -> Iterator[_Shape]:
-        """Geometries of an object and of the surfaces that bound it."""
         if depth > _MAX_DEPTH:
             refuse(self.where, "elements nested too deeply", _GML)
         for child in element:
@@ -499,7 +489,6 @@ class _Document:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
-        """Polygons of a geometry, following references; of solids only those of the outer shell."""
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
             refuse(self.where, "elements or references nested too deeply", _GML)
@@ -535,7 +524,6 @@ class _Document:
             yield from self._polygons(element, depth, n_dimensions)
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
-        """Points of a ring, (n, 3), in the file's coordinates."""
         words: list[str] = []
         for element in ring.iter():
             name, text = local_name(element), element.text or ""

@@ -115,7 +115,7 @@ def cut_out(
         poles=tuple(poles),
         keeps_left=roads.keeps_left,
         skipped=tuple(skipped),
-        roads=tuple(_leading_roads(junction, frame, roads)),
+        roads=tuple(_moved(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
         zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
         neighbours_m=tuple(_neighbours(roads, junction, frame, radius_m + _NEIGHBOURS_BEYOND_M)),
@@ -152,7 +152,6 @@ def _lowered(
 def _neighbours(
     roads: SourceMap, junction: MapJunction, frame: LocalFrame, reach_m: float
 ) -> Iterator[FloatArray]:
-    """Outlines (n, 2) of the other junctions within reach."""
     for other in roads.junctions:
         if other.id != junction.id:
             outline = frame.take(other.outline_m, roads)
@@ -161,13 +160,10 @@ def _neighbours(
                 yield outline
 
 
-def _leading_roads(
-    junction: MapJunction, frame: LocalFrame, source: SourceMap
-) -> Iterator[LeadingRoad]:
-    for road in junction.roads:
-        begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
-        step = ahead - begin
-        yield replace(road, point_m=begin, direction=step / np.hypot(*step))
+def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
+    begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
+    step = ahead - begin
+    return replace(road, point_m=begin, direction=step / np.hypot(*step))
 
 
 def build_scene(
@@ -216,10 +212,7 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes to the starts of entry lanes where the map has nothing that leads there.
-
-    Straight on, or round the gentlest bend past buildings, the same for all lanes of an arm.
-    """
+    """Lanes to the starts of entry lanes that nothing leads to: straight, or bent past houses."""
     arms = [  # the lanes behind which the map does not go on
         [lane for lane in arm.entry_lanes if np.hypot(*lane.centreline_m[0]) < reach_m - 1.0]
         for arm in build_junction(scene).arms.values()
@@ -401,7 +394,6 @@ def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
 
 
 def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> FloatArray:
-    """Where a segment leaves the circle around the origin."""
     way = outside_m - inside_m
     a, b, c = way @ way, inside_m @ way, inside_m @ inside_m - reach_m**2
     if a == 0.0 or b * b - a * c < 0.0:
@@ -412,13 +404,9 @@ def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> F
 
 def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray) -> FloatArray:
     lines = np.concatenate([frame.take(source.crosswalks_m, source) for source in maps])
-    near = [
-        line
-        for line in lines
-        if distance_to_outline_m(line.mean(axis=0), outline_m) <= _CROSSWALK_WITHIN_M
-        and np.hypot(*(line[1] - line[0])) > 0.0
-    ]
-    return np.array(near).reshape(-1, 2, 2)
+    middles, lengths = lines.mean(axis=1), np.hypot(*(lines[:, 1] - lines[:, 0]).T)
+    off_m = np.array([distance_to_outline_m(middle, outline_m) for middle in middles])
+    return np.asarray(lines[(off_m <= _CROSSWALK_WITHIN_M) & (lengths > 0.0)])
 
 
 def _near_things(
@@ -449,7 +437,6 @@ def _near_things(
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
-    """An id that no other thing has."""
     clean = plain_id(name) or "thing"
     candidates = [clean, f"{source.name}-{clean}"]
     candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]

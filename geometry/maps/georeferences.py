@@ -43,11 +43,10 @@ class LocalFrame:
     origin_m: FloatArray  # (2,), the point in the map's own coordinates
 
     def take(self, points_m: ArrayLike, source: SourceMap) -> FloatArray:
-        """Points (..., 2) or (..., 3) of a map in this frame; heights stay.
+        """Points (..., 2 or 3) of a map in this frame, heights as they are.
 
         A map without a reference system is taken to lie in the coordinates of the map with the
-        junction. Raises InputError if only `source` has a reference system, or points cannot be
-        projected.
+        junction. Raises InputError if only `source` has one, or points cannot be projected.
         """
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
@@ -220,7 +219,6 @@ def crs_name(crs: "CRS") -> str:
 
 
 def _spelling(declared: str) -> str:
-    """A code that pyproj knows, for spellings that it does not."""
     text = declared.strip()[:_MAX_TEXT]
     found = ((re.fullmatch(pattern, text), code) for pattern, code in _SPELLINGS)
     return next((code(match) for match, code in found if match), text)

@@ -89,10 +89,7 @@ class Features:
 
 
 def read_features(path: Path, layer: str = "") -> Features:
-    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
-
-    Raises InputError if it is damaged, has several layers and none is chosen, or too many features.
-    """
+    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip; or InputError."""
     suffix = path.suffix.lower()
     if suffix == ".zip":
         with unpacked(path, SUFFIXES) as member:
@@ -276,7 +273,6 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
 
 
 def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
-    """Kind of a feature; None if it is not solid."""
     if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
@@ -300,7 +296,6 @@ def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
 
 
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
-    """A feature as a solid; raises InputError if it has no area."""
     geometry = shapely.transform(
         shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
     )

@@ -96,7 +96,6 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
 
 
 def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
-    """How many points lie inside each junction or next to it."""
     if not len(points_m):
         return [0] * len(junctions)
     areas = [shapely.make_valid(shapely.Polygon(one.outline_m)) for one in junctions]
@@ -188,18 +187,17 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
 
 def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset[str]:
     """Names of streets that meet, in any order and case, with all their words shortened."""
-    return frozenset(_shortened(part) for part in between.split(name))
-
-
-def _shortened(street: str) -> str:
     words, endings = _short_forms()
-    found = []
-    for word in re.findall(r"[^\W_]+", street.casefold()):
-        for long, short in endings.items():
-            if word.endswith(long) and word != long:
-                word = word.removesuffix(long) + short
-        found.append(words.get(word, word))
-    return " ".join(found)
+    streets = []
+    for street in between.split(name):
+        found = []
+        for word in re.findall(r"[^\W_]+", street.casefold()):
+            for long, short in endings.items():
+                if word.endswith(long) and word != long:
+                    word = word.removesuffix(long) + short
+            found.append(words.get(word, word))
+        streets.append(" ".join(found))
+    return frozenset(streets)
 
 
 @cache
@@ -290,10 +288,7 @@ class ReadingOptions:
 
 
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
-    """Read a map file of any known format; .json, .gml and .xml are told apart by content.
-
-    Raises InputError: the file does not exist, is of no known format, or is damaged.
-    """
+    """Read a map file by its ending, or .json, .gml and .xml by content; InputError: it is none."""
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
     if not path.exists() or path.is_dir():
@@ -359,7 +354,6 @@ def _is_city_json(path: Path) -> bool:
 
 
 def _projected(crs: str) -> str:
-    """Check that a user's coordinate reference system is projected and in metres."""
     from pyproj.exceptions import CRSError
 
     try:
@@ -424,11 +418,7 @@ def read_maps(
 
 
 def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
-    """Make a scene from map files.
-
-    Raises InputError: a file cannot be read, there is no such junction, no lane leads into it, or
-    there is no place for a sensor.
-    """
+    """Make a scene from map files; InputError: no such junction, lane into it, or site."""
     maps, junctions = read_maps(paths, options.reading)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
     imported = cut_scene(maps, chosen, options)
@@ -479,7 +469,6 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
 
 
 def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
-    """Notes on sites where the map itself has no pole."""
     known = {site.id for site in sites}
     same: dict[tuple[str, str], list[str]] = defaultdict(list)
     for pole in poles:
@@ -495,7 +484,6 @@ def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Ite
 
 
 def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
-    """Notes on buildings that the map does not have, or whose heights it does not tell."""
     every = Counter(thing.class_name for thing in things)
     if not every["building"]:
         why = f"none within {radius_m:g} m in the map: none is taken to hide anybody"

@@ -165,7 +165,6 @@ def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
-    """A closed mesh, even if vertices at the same place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
     return is_closed(same.reshape(-1)[triangles].astype(np.int32))
 
@@ -179,7 +178,6 @@ def _name(node: str, geometry: str, stem: str) -> str:
 
 
 def _check_size(things: list[Thing], where: str, unit: str) -> None:
-    """Refuse a size that only a wrong unit explains."""
     low = np.min([thing.vertices_m.min(axis=0) for thing in things], axis=0)
     high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
     size_m = float((high - low).max())

@@ -74,10 +74,7 @@ _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 
 @contextmanager
 def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
-
-    Raises InputError if it claims too many points or more than it has bytes for, or is damaged.
-    """
+    """Open a ``.las``, ``.laz`` or ``.pcd`` file: its CRS, if any, and chunks; or InputError."""
     where = str(path)
     suffix = path.suffix.lower()
     check_one_of(where, suffix, SUFFIXES)
@@ -114,7 +111,6 @@ def _las_reader(path: Path) -> Any:
 
 
 def _check_header(path: Path) -> None:
-    """Raise InputError if a header claims more than the file can contain."""
     where, n_bytes = str(path), path.stat().st_size
     with open_file(path) as file:
         head = file.read(375)
@@ -484,8 +480,6 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
 
 @dataclass(slots=True, kw_only=True)
 class _Scan:
-    """The part of a point cloud that is kept while it is read."""
-
     where: str
     place: Georeference | None = None
     origin_m: FloatArray | None = None

@@ -209,7 +209,6 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
 
 
 def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float) -> FloatArray:
-    """Points (n, 3) of an open data set within a square."""
     if raster.count != 1:
         refuse(where, f"{raster.count} bands", "one band, of heights in metres")
     if raster.crs is None:
@@ -252,7 +251,6 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
 
 
 def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
-    """Raise InputError for more pixels around the place, or larger blocks, than rasters have."""
     if n_pixels > _MAX_PIXELS:
         got = f"{n_pixels:,} pixels around the junction"
         refuse(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")

@@ -157,11 +157,7 @@ def _is_median(
 def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
-    """Drop sites inside a building, and all but one of those within `snap_m` of each other.
-
-    Of close ones the site with more details is kept, then the earlier one. Returns the sites kept,
-    in order, and the others with the reason.
-    """
+    """Drop sites inside buildings, and of those within `snap_m` all but the best known; notes."""
     if not (np.isfinite(snap_m) and snap_m >= 0.0):
         raise InputError("snap_m", snap_m, "metres, at least 0")
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
@@ -197,10 +193,7 @@ def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Th
 
 
 def check_sites(where: str, *, crs: str) -> None:
-    """Raise InputError if `where` sites come from cannot be read, see :func:`choose_sites`.
-
-    `crs` is that of the map with the roads.
-    """
+    """Raise InputError if sites cannot be read, see :func:`choose_sites`; `crs` of the roads."""
     if _is_list(where):
         read_sites(Path(where), crs=crs)
     elif where.startswith(KERB):
@@ -250,10 +243,7 @@ def choose_sites(
 def _settled(
     wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
 ) -> list[SiteWish]:
-    """Sites next to the road, but for what hangs over it; those inside walls are moved out.
-
-    Sites inside buildings stay: :func:`tidy_sites` leaves them out.
-    """
+    """Sites next to the road unless they hang, out of walls; those in buildings stay for later."""
     kept = []
     places = find_places([wish.position_m for wish in wishes], surroundings)
     for wish, place in zip(wishes, places, strict=True):

@@ -14,9 +14,8 @@ from ...errors import InputError, refuse
 from ...lines import along_m, unit
 from ...scene import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
-from .attributes import numbered, take_id
 from .lanes import RoadEnds, SampledSection, lane_kind
-from .roads import NO_JUNCTION, Road, RoadLink
+from .roads import NO_JUNCTION, Road, RoadLink, numbered, take_id
 
 _WITHOUT_SURFACE = {
     "direct": "its roads join without connecting roads: it has no surface of its own",
@@ -77,10 +76,7 @@ def read_junction_records(
 def find_road_ends(
     roads: Mapping[str, Road], junctions: Mapping[str, JunctionRecord], omissions: Omissions
 ) -> dict[str, RoadEnds]:
-    """Junctions at both ends of the roads outside junctions, by id of the road.
-
-    They come from the roads' own links, or else from the connecting roads that lead to them.
-    """
+    """Junctions at both ends of roads, by their links or else by those of connecting roads."""
     led_to: dict[tuple[str, str], str] = {}
     for road in roads.values():
         if road.junction in junctions:
@@ -125,7 +121,6 @@ def leading_roads(
 
 
 def _leading_road(road: Road, section: SampledSection, is_start: bool) -> LeadingRoad | None:
-    """A road at one of its ends; None: it has no driving lane there."""
     index = 0 if is_start else -1
     lanes = [
         lane
@@ -251,7 +246,6 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
 
 
 def _largest(shape: Any) -> Any:
-    """Largest polygon of a shape with its holes filled, or None if it is tiny."""
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)

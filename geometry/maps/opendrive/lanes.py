@@ -12,7 +12,6 @@ from ...arrays import FloatArray
 from ...errors import InputError, refuse
 from ...lines import along_m, length_m, steps_m, true_runs
 from ..source_map import MapLane
-from .attributes import lane_kinds
 from .roads import (
     MAX_COORDINATE_M,
     CrossSections,
@@ -21,6 +20,7 @@ from .roads import (
     PiecewiseCubic,
     Road,
     evaluate,
+    lane_kinds,
 )
 
 MAX_POINTS = 5_000_000  # of a file

@@ -13,8 +13,9 @@ from ...arrays import FloatArray
 from ...errors import InputError
 from ...lines import steps_m
 from ..source_map import Mesh, extrude, join, unit_ball
-from .attributes import (
+from .roads import (
     MAX_SIZE_M,
+    Road,
     assumed,
     load_facts,
     numbered,
@@ -22,7 +23,6 @@ from .attributes import (
     take_number_or,
     take_size,
 )
-from .roads import Road
 
 _SIZES = ("length", "width", "height", "radius")
 _MAX_COPIES = 20_000  # of one <repeat>
@@ -216,11 +216,7 @@ def build_prism(
     holes_m: Sequence[FloatArray] = (),
     where: str,
 ) -> Mesh:
-    """A closed solid over an open outline (n, 2) with floor and roof heights (n,) at its corners.
-
-    With holes, or if the outline crosses itself, floor and roof are level. InputError: no area or
-    height.
-    """
+    """A solid over an outline (n, 2) with heights (n,) at its corners; level if that has holes."""
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
         return extrude(
@@ -337,7 +333,6 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
 
 
 def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[FloatArray]:
-    """The holes of this outline, if an object has several outlines."""
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)

@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
 from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
-from .attributes import Offset, load_facts, take_number, take_number_or, take_size
 from .junctions import JunctionRecord
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
@@ -31,7 +30,7 @@ from .object_shapes import (
     read_outlines,
     read_places,
 )
-from .roads import Road, RoadElement
+from .roads import Offset, Road, RoadElement, load_facts, take_number, take_number_or, take_size
 
 _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
@@ -59,11 +58,7 @@ _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def object_kind(element: Element) -> str | None:
-    """Kind of an object from its type and name; None: none that matters here.
-
-    "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked vehicle", one of
-    ``POLE_KINDS``, or "obstacle" if the standard's type says no more than that.
-    """
+    """Kind of an object from its type and name, "obstacle" if these say no more; or None."""
     object_type, name = element.get("type", ""), element.get("name", "")
     subtype = element.get("subtype", "")
     if has_word((object_type, name, subtype), load_facts()["object_words"]["crosswalk"]):
@@ -434,7 +429,6 @@ def _find_position(
 
 
 def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple[float, float]]:
-    """Edges (right, left) of the driving lanes at a station."""
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
     section = sections[min(index, len(sections) - 1)]
     edges = []

@@ -17,8 +17,7 @@ from ..source_map import SourceMap
 from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
-from .lanes import is_oneway, runs_backward
-from .network import build_network, is_for_cars, lines_of
+from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
 from .things import (
     find_barriers,
     find_bridges,
@@ -50,7 +49,6 @@ def find_driving_side(elements: Elements) -> tuple[bool, str]:
 
 
 def _points(way: Way, elements: Elements) -> list[FloatArray]:
-    """Lines of a way in driving direction."""
     step = -1 if runs_backward(way.tags) else 1
     return [line_m[::step] for line_m in lines_of(way, elements)]
 
@@ -187,10 +185,7 @@ def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements,
 
 # ---------- a public server
 def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
-    """Fetch all OpenStreetMap data within west, south, east, north into a file, by Overpass.
-
-    Raises InputError: the box is wrong or too large, or the server sends no map. MissingExtraError.
-    """
+    """Fetch OpenStreetMap within west, south, east, north by the Overpass API; or InputError."""
     west, south, east, north = box = float_array(bbox, (4,), "bbox")
     online = DEFAULTS["online"]
     size_deg = np.array([east - west, north - south])

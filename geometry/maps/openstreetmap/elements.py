@@ -84,11 +84,7 @@ class Elements:
 
 
 def read_elements(path: Path) -> Elements:
-    """Read OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF, by first bytes.
-
-    Deleted elements are left out; of several versions the last one counts. Raises InputError if it
-    is damaged or too large, or a node lies nowhere on earth.
-    """
+    """Read OpenStreetMap data, by its first bytes; of several versions the last one counts."""
     with reading(path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError):
         return _collect(path, _file_format(path))
 
@@ -212,7 +208,6 @@ def _assemble(
 
 
 def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
-    """Row of each id, -1 where there is none."""
     if not len(node_ids):
         return np.full(len(wanted), -1, dtype=np.int64)
     found = np.minimum(np.searchsorted(node_ids, wanted), len(node_ids) - 1)

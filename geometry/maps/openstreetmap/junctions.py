@@ -62,11 +62,7 @@ class Arm:
 
 
 def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
-    """Find how far from a junction's nodes its arms begin.
-
-    A corner beyond the point where their carriageways have left those of the others and of the
-    streets `inside`; the carriageways of one arm begin side by side.
-    """
+    """Find how far from a junction's nodes its arms begin: a corner beyond all others' surfaces."""
     limits = DEFAULTS["junction"]
     directions = [arm.direction for arm in arms]
     most_m = limits["max_mouth_m"]
@@ -178,14 +174,18 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
     ends = tuple(end for end in ends if not network.edges[end[0]].is_service)
     if len(ends) != 3 or any(network.edges[index].is_roundabout for index, _ in ends):
         return False
+    bearings = {end: network.bearing_deg(end) for end in ends}
+
+    def apart_deg(one: End, other: End) -> float:
+        return abs((bearings[one] - bearings[other] + 180.0) % 360.0 - 180.0)
+
     for stem in ends:
         one, other = (end for end in ends if end != stem)
         edges = [network.edges[end[0]] for end in (one, other, stem)]
         if not (edges[0].is_oneway and edges[1].is_oneway):
             continue
-        bearings = [network.bearing_deg(end) for end in (stem, one, other)]
-        off_stem_deg = min(_apart_deg(bearing, bearings[0]) for bearing in bearings[1:])
-        if _apart_deg(bearings[1], bearings[2]) > _FORK_DEG or off_stem_deg < 90.0:
+        off_stem_deg = min(apart_deg(one, stem), apart_deg(other, stem))
+        if apart_deg(one, other) > _FORK_DEG or off_stem_deg < 90.0:
             continue
         is_split = not edges[2].is_oneway and one[1] != other[1]
         is_ramp = one[1] == other[1] and any(
@@ -195,10 +195,6 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
         if is_split or is_ramp:
             return True
     return False
-
-
-def _apart_deg(one_deg: float, other_deg: float) -> float:
-    return abs((one_deg - other_deg + 180.0) % 360.0 - 180.0)
 
 
 def _join_roundabouts(network: Network, clusters: Clusters) -> None:
@@ -343,8 +339,7 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
-        groups = group_arms(here)
-        group_of = {index: group for group in range(len(groups)) for index in groups[group]}
+        group_of = {index: at for at, group in enumerate(group_arms(here)) for index in group}
         # Streets that end at a fork, by its node.
         branches = {
             int(arm.street.rows[-1]): group_of[index]
@@ -352,13 +347,11 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
             if arm.street.length_m <= island_m
         }
         for index, arm in enumerate(here):
+            own = group_of[index]
             for row, station in zip(arm.street.rows.tolist(), arm.street.stations_m, strict=True):
-                ends = network.ends.get(row, ())
-                if row in clusters.of_row or len(ends) < 3 or not is_fork(network, ends):
-                    continue
-                own = group_of[index]
                 is_island = station <= island_m and branches.get(row, own) != own
-                if station <= arm.mouth_m + 1.0 or is_island:
+                is_near = row not in clusters.of_row and (station <= arm.mouth_m + 1.0 or is_island)
+                if is_near and is_fork(network, network.ends.get(row, ())):
                     taken.append((row, number))
     for row, number in taken:
         clusters.add(row, number)
@@ -372,14 +365,15 @@ def _take_stubs(
     least_m = DEFAULTS["cross_section"]["stub_m"]
     stubs = []
     for number, here in arms.items():
-        arms[number] = []
-        for arm in here:
-            is_dead_end = len(network.ends[int(arm.street.rows[-1])]) == 1
-            if is_dead_end and arm.street.length_m - arm.mouth_m < least_m:
-                stubs.append(arm)
-                inside[number].append(arm.street)
-            else:
-                arms[number].append(arm)
+        ending = [
+            arm
+            for arm in here
+            if len(network.ends[int(arm.street.rows[-1])]) == 1
+            and arm.street.length_m - arm.mouth_m < least_m
+        ]
+        inside[number] += [arm.street for arm in ending]
+        arms[number] = [arm for arm in here if arm not in ending]
+        stubs += ending
     return stubs
 
 
@@ -414,32 +408,30 @@ def _reaches(
     mouths = {(arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here}
     reaches = {}
     for index, street in enumerate(streets):
-        names, cuts = [], []
-        for at, is_begin in ((0, True), (-1, False)):
-            number = clusters.of_row.get(int(street.rows[at]))
-            names.append("" if number is None else ids[number])
-            if number is None:
-                cuts.append(_road_beside_m(network, street, is_begin=is_begin))
-            elif (index, is_begin) in mouths:
-                cuts.append(mouths[index, is_begin])
-        if len(cuts) < 2:
+        numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
+        cuts = [
+            _road_beside_m(network, street, at) if number is None else mouths.get((index, at == 0))
+            for number, at in zip(numbers, (0, -1), strict=True)
+        ]
+        from_m, to_m = cuts
+        if from_m is None or to_m is None:
             continue  # inside a junction
         free_m = max(street.length_m - least_m, 0.0)
-        if sum(cuts) > free_m:  # two junctions so near that both get less
-            cuts = [cut * free_m / sum(cuts) for cut in cuts]
+        if (both_m := from_m + to_m) > free_m:  # two junctions so near that both get less
+            from_m, to_m = from_m * free_m / both_m, to_m * free_m / both_m
+        names = ["" if number is None else ids[number] for number in numbers]
         reaches[index] = Reach(
             street=street,
-            begin_m=cuts[0],
-            end_m=street.length_m - cuts[1],
+            begin_m=from_m,
+            end_m=street.length_m - to_m,
             from_junction=names[0],
             to_junction=names[1],
         )
     return reaches
 
 
-def _road_beside_m(network: Network, street: Street, *, is_begin: bool) -> float:
+def _road_beside_m(network: Network, street: Street, at: int) -> float:
     """Half the width of the road into which a yard leads without a junction, in metres."""
-    at = 0 if is_begin else -1
     if not street.parts[at][0].is_service:
         return 0.0
     others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
@@ -455,10 +447,8 @@ def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
     whole = shapely.union_all(surfaces)
     # Kerbs are rounded, narrow islands belong to the surface.
     rounded = whole.buffer(corner_m, quad_segs=8).buffer(-corner_m, quad_segs=8)
-    beyond = [
-        surface(arm.street, arm.mouth_m, min(arm.mouth_m + 10.0, arm.street.length_m))
-        for arm in arms
-    ]
+    ends_m = [min(arm.mouth_m + 10.0, arm.street.length_m) for arm in arms]
+    beyond = [surface(arm.street, arm.mouth_m, m) for arm, m in zip(arms, ends_m, strict=True)]
     rest = rounded.union(whole).difference(shapely.union_all(beyond))
     smallest = Point(0.0, 0.0).buffer(1.0)
     polygon = max(polygons_of(rest), key=lambda part: part.area, default=smallest)
@@ -467,23 +457,18 @@ def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
 
 def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
     ranks: dict[str, int] = {}
-    counts: Counter[str] = Counter()
     edges = [arm.street.parts[0][0] for arm in arms]
-    counts.update(edge.name for edge in edges)
+    counts = Counter(edge.name for edge in edges)
     edges += [edge for street in inside for edge, _ in street.parts]
-    for edge in edges:
-        if edge.name:
-            rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
-            ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
+    for edge in (edge for edge in edges if edge.name):
+        rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
+        ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
     return " / ".join(sorted(ranks, key=lambda name: (ranks[name], -counts[name], name)))
 
 
 # ---------- where motorways merge or part
 def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
-    """True if only motorways and trunk roads meet, without people on foot and crossing ways.
-
-    `arms`: the part of each road next to the meeting, and whether it runs away from there.
-    """
+    """True if motorways and trunk roads (and whether they lead away) meet, and nobody walks."""
     edges = [(edge, edge.tags["highway"], is_away) for edge, is_away in arms]
     if not edges or any(
         edge.is_service

@@ -12,8 +12,7 @@ from ...lines import along_m, unit
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
-from .lanes import Strip, speed_limit_kmh
-from .network import axis_points, has_no_knot, stations_between
+from .network import Strip, axis_points, has_no_knot, speed_limit_kmh, stations_between
 
 _BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
 _MIN_LENGTH_M = 0.5
@@ -25,8 +24,6 @@ _Group = tuple[str, bool]  # lanes side by side by their common name, and whethe
 
 @dataclass(slots=True)
 class _Piece:
-    """A lane over some parts of a street."""
-
     id: str
     strips: list[Strip] = field(default_factory=list)  # of each part
     spans_m: list[tuple[float, float]] = field(default_factory=list)  # stations of each part
@@ -45,7 +42,6 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
 
 
 def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
-    """Lanes of a street, and whether cars drive both ways next to them."""
     street = reach.street
     spans = [
         (max(low, reach.begin_m), min(high, reach.end_m))
@@ -88,11 +84,7 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
 def _without_stubs(
     parts: Sequence[int], spans: Sequence[tuple[float, float]], reach: Reach
 ) -> tuple[list[int], list[tuple[float, float]]]:
-    """Parts of a street that have lanes of their own, and their stations.
-
-    A way that is cut in two just outside a junction leaves a stub there: the lanes of the part
-    beyond run on to the junction, unless it is driven in other directions.
-    """
+    """Parts of a street with lanes of their own, not cut off just outside a junction; stations."""
     least_m = DEFAULTS["cross_section"]["stub_m"]
     kept, whole = list(parts), list(spans)
     sections = reach.street.sections
@@ -273,7 +265,6 @@ def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
 
 
 def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
-    """Unit vector in driving direction at an end of a lane, (2,)."""
     points = lane.centreline_m[:, :2]
     return unit(points[1] - points[0] if is_begin else points[-1] - points[-2])
 

@@ -4,7 +4,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
 
 import numpy as np
 import shapely
@@ -39,8 +38,7 @@ from .elements import (
     parse_number,
 )
 from .junctions import Reach
-from .lanes import Note
-from .network import Edge, Network, axis_points, known_runs, level, lines_of
+from .network import Edge, Network, Note, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
@@ -129,19 +127,16 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
     for one in tagged:
         element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
         if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
-            feet = chain.from_iterable(_along(line_m) for line_m in lines_of(one, elements))
+            usual, feet = DEFAULTS["tree"], list[FloatArray]()
+            for line_m in lines_of(one, elements):
+                long_m = float(along_m(line_m)[-1])
+                n_trees = min(round(long_m / usual["row_spacing_m"]) + 1, usual["max_in_row"])
+                feet += [*points_at(line_m, np.linspace(0.0, long_m, max(n_trees, 2)))]
             for number, foot in enumerate(feet):
                 note = partial(add, "trees", element)
                 yield _tree(f"w{one.id} tree {number}", foot, one.tags, note)
         if any(one.tags.get(key) == value for key, value in _WOODS):
             add("woods", element, "the positions of its trees and bushes are unknown")
-
-
-def _along(line_m: FloatArray) -> FloatArray:
-    """Positions of the trees of a row, evenly from its start to its end, (n, 2)."""
-    usual, along = DEFAULTS["tree"], along_m(line_m)
-    n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
-    return points_at(line_m, np.linspace(0.0, along[-1], max(n_trees, 2)))
 
 
 def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
@@ -227,7 +222,6 @@ def _kind(tags: Tags) -> str:
 
 
 def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
-    """Feet of the poles of one mapped signal or sign."""
     feet: list[FloatArray] = []
     for reach, station_m in places:
         for is_forward in _directions(reach, station_m, tags):
@@ -404,7 +398,6 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
 
 
 def _is_same(one: FloatArray, other: FloatArray) -> bool:
-    """True if two lines are one crosswalk that is mapped in two ways."""
     apart_m = np.hypot(*(one.mean(axis=0) - other.mean(axis=0)))
     if apart_m > DEFAULTS["crosswalk"]["same_m"]:
         return False
@@ -586,8 +579,6 @@ def _levels(tags: Tags, key: str) -> float | None:
 
 # ---------- passages
 class _Passages:
-    """Ways on the ground that lead through buildings."""
-
     def __init__(self, network: Network) -> None:
         usual = DEFAULTS["building"]
         self._strips: list[BaseGeometry] = []
