@@ -68,8 +68,12 @@ def open_file(
 ) -> BinaryIO:
     """Open a regular file for reading; InputError: it is none, too large, or cannot be opened."""
     check_file(path, max_bytes=max_bytes)  # to open a device may already do something
+
+    def at_once(name: str, flags: int) -> int:  # without waiting for who would write into a pipe
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
     try:
-        file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
+        file = open(path, "rb", opener=at_once)  # noqa: SIM115 - Path has no opener
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(str(path), Unquoted(reason), expected) from None
@@ -79,11 +83,6 @@ def open_file(
         file.close()
         raise
     return file
-
-
-def _open_at_once(name: str, flags: int) -> int:
-    """Open without waiting for whoever would write into a pipe."""
-    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
@@ -400,8 +399,7 @@ def take(table: Table, key: str, where: str) -> Any:
 def take_number(table: Table, key: str, where: str) -> float:
     """Finite number of a key that must be there."""
     value = take(table, key, where)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (is_number and abs(value) <= sys.float_info.max):
+    if isinstance(value, bool) or not (isinstance(value, int | float) and _is_finite(value)):
         raise InputError(f"{where}.{key}", value, "a finite number")
     return float(value)
 
@@ -519,25 +517,21 @@ def writable_by_others(path: Path) -> bool:
 
 
 def _is_open(found: os.stat_result, *, is_last: bool) -> bool:
+    import grp
+    import pwd
+
     if found.st_uid not in (os.getuid(), 0):
         return True
     # What lies in a folder like /tmp can be moved by its owner alone.
     if found.st_mode & stat.S_ISVTX and not is_last:
         return False
-    if found.st_mode & stat.S_IWOTH:
-        return True
-    return bool(found.st_mode & stat.S_IWGRP) and found.st_gid != 0 and not _is_own_group(found)
-
-
-def _is_own_group(found: os.stat_result) -> bool:
-    import grp
-    import pwd
-
+    if found.st_mode & stat.S_IWOTH or not found.st_mode & stat.S_IWGRP or found.st_gid == 0:
+        return bool(found.st_mode & stat.S_IWOTH)
     try:
         owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
     except KeyError:
-        return False
-    return group.gr_name == owner and not set(group.gr_mem) - {owner}
+        return True
+    return group.gr_name != owner or bool(set(group.gr_mem) - {owner})
 
 
 def open_own(path: Path) -> BinaryIO:

@@ -227,12 +227,9 @@ def _spelling(declared: str) -> str:
 def _vertical_unit_m(declared: "str | CRS | None") -> float:
     """Unit of heights in metres: that of the third axis, or else that of the plane."""
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared or "")
-    axes = crs.axis_info
-    if len(axes) > 2:
-        return float(axes[2].unit_conversion_factor)
-    if crs.is_geographic or not axes:
-        return 1.0
-    return float(axes[0].unit_conversion_factor)
+    axes = [one.unit_conversion_factor for one in crs.axis_info]
+    is_plane = len(axes) < 3 and (crs.is_geographic or not axes)
+    return 1.0 if is_plane else float(axes[2 if len(axes) > 2 else 0])
 
 
 def _refuse_degrees(box: FloatArray, where: str) -> None:
@@ -247,14 +244,12 @@ def _refuse_no_degrees(box: FloatArray, where: str) -> None:
     """Refuse coordinates that cannot be longitude and latitude."""
     if (np.abs(box) <= [180.0, 90.0]).all():
         return
-    got = f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
-    expected = (
-        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system in the file"
-    )
     if (np.abs(box[:, ::-1]) <= [180.0, 90.0]).all():
         got = f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"
-        expected = "longitude first, latitude second, in degrees"
-    refuse(where, got, expected)
+        refuse(where, got, "longitude first, latitude second, in degrees")
+    got = f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
+    expected = "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system"
+    refuse(where, got, f"{expected} in the file")
 
 
 def _words(box: FloatArray) -> str:
@@ -269,14 +264,11 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
     lon, lat = transform(point[None, :], crs_name(crs), WGS84)[0]
     if not np.isfinite([lon, lat]).all():
         return False
-    width = (east - west) % 360.0 if east < west else east - west
+    width, height = (east - west) % 360.0 if east < west else east - west, north - south
     beside = (lon - west + 180.0) % 360.0 - 180.0  # east of the western edge
     edge = 0.0 if (np.abs(point) < _ORIGIN_M).all() else _EDGE_SHARE
-    return bool(
-        -edge * width <= beside
-        and (width >= 180.0 or beside <= (1.0 + edge) * width)
-        and south - edge * (north - south) <= lat <= north + edge * (north - south)
-    )
+    is_beside = -edge * width <= beside and (width >= 180.0 or beside <= (1.0 + edge) * width)
+    return bool(is_beside and south - edge * height <= lat <= north + edge * height)
 
 
 def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:

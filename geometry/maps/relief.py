@@ -92,17 +92,13 @@ class Relief:
         """The height in a map that becomes z = 0."""
         if source is self.roads and source.heights == "absolute":
             return self.zero_m if self.roads_m is None else float(self.roads_m.at(np.zeros(2)))
-        if given_m is not None:
-            return given_m
-        if not things:
-            return 0.0
+        if given_m is not None or not things:
+            return given_m or 0.0
         if self.terrain is None:
             return min(float(thing.vertices_m[:, 2].min()) for thing in things)
         # Feet of things above the ground, were heights counted as those of the ground.
-        feet_m = [
-            thing.vertices_m[:, 2].min() - self.at(thing.vertices_m[:, :2]).min()
-            for thing in things
-        ]
+        vertices = [thing.vertices_m for thing in things]
+        feet_m = [one[:, 2].min() - self.at(one[:, :2]).min() for one in vertices]
         off_m = float(np.median(feet_m) - self.zero_m)
         return self.zero_m + (off_m if abs(off_m) > _OTHER_ZERO_M else 0.0)
 

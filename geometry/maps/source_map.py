@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import Literal
+from typing import Any, Literal
 
 import mapbox_earcut
 import msgspec
@@ -89,11 +89,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
         np.round(corners / _SAME_M).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
     vertices, triangles = corners[taken], merged.reshape(-1)[triangles].astype(np.int32)
-    has_area = (
-        (triangles[:, 0] != triangles[:, 1])
-        & (triangles[:, 1] != triangles[:, 2])
-        & (triangles[:, 2] != triangles[:, 0])
-    )
+    has_area = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     triangles = triangles[has_area]
     if is_closed(triangles) and volume_m3(vertices, triangles) < 0.0:
         triangles = triangles[:, ::-1]
@@ -208,18 +204,12 @@ class MapLane:
 
     id: str  # from the source; unique in the map
     kind: str  # one of ``LANE_KINDS``
-    # mean full width; where it varies and the lane leads to a junction, that of the 30 m next to it
-    width_m: float
-    # (n, 3); at least two points in driving direction; lanes without one (walking, parking) have
-    # that of the driving lane next to them
-    centreline_m: FloatArray
-    # ids of the junctions at its ends, where it stops at the outline; empty: none
-    from_junction: str = ""
+    width_m: float  # mean full width; of a lane that leads to a junction along the last 30 m
+    centreline_m: FloatArray  # (n, 3); in driving direction, or that of the next driving lane
+    from_junction: str = ""  # ids of the junctions at whose outlines it stops; empty: none
     to_junction: str = ""
-    # where it leads into a junction, or else out of one; None: the source gives none
-    speed_limit_kmh: float | None = None
-    # where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`
-    turns: tuple[Turn, ...] = ()
+    speed_limit_kmh: float | None = None  # where it leads into a junction, or else out of one
+    turns: tuple[Turn, ...] = ()  # by its markings, see :class:`geometry.scene.Lane`
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
@@ -237,11 +227,9 @@ class MapJunction:
 
     id: str  # from the source; unique in the map
     name: str  # for people, such as the streets that meet; may be empty
-    # (n, 2); outline of its road surface, where the lanes of its arms begin and end
-    outline_m: FloatArray
+    outline_m: FloatArray  # (n, 2); of its road surface, where the lanes of its arms begin and end
     height_m: float = 0.0  # height of the road in its middle, as the map counts heights
-    # roads that lead to it, as the map's network has them: what its arms are compared with
-    roads: tuple[LeadingRoad, ...] = ()
+    roads: tuple[LeadingRoad, ...] = ()  # that lead to it, as the map's network has them
 
     def __post_init__(self) -> None:
         where = f"junction {self.id}."
@@ -280,12 +268,9 @@ class Thing:
         cls, thing_id: str, class_name: str, mesh: Mesh, *, is_height_assumed: bool = False
     ) -> "Thing":
         """Thing with the vertices and triangles of a mesh."""
+        fields: dict[str, Any] = {"vertices_m": mesh[0], "triangles": mesh[1]}
         return cls(
-            id=thing_id,
-            class_name=class_name,
-            vertices_m=mesh[0],
-            triangles=mesh[1],
-            is_height_assumed=is_height_assumed,
+            id=thing_id, class_name=class_name, is_height_assumed=is_height_assumed, **fields
         )
 
 
@@ -318,19 +303,14 @@ class Omissions:
 
     def listed(self) -> tuple[Note, ...]:
         """One entry per kind and reason."""
-        entries = [
-            Note(
-                what=names[0]
-                if len(names) == 1
-                else f"{len(names)} {kind}, such as {names[0]} and {names[1]}",
-                why=why,
-            )
-            for (kind, why), names in self.found.items()
-        ]
+        entries = []
+        for (kind, why), names in self.found.items():
+            many = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
+            entries.append(Note(names[0] if len(names) == 1 else many, why))
         if len(entries) > _MAX_SKIPPED:
             n_more = len(entries) - _MAX_SKIPPED + 1
-            entries = entries[: _MAX_SKIPPED - 1]
-            entries.append(Note(what=f"{n_more} more kinds of things", why="see those above"))
+            more = Note(f"{n_more} more kinds of things", "see those above")
+            entries = [*entries[: _MAX_SKIPPED - 1], more]
         return tuple(entries)
 
 
@@ -350,12 +330,10 @@ def unique_id(wanted: str, taken: Counter[str]) -> str:
     return candidate
 
 
-def shortened(skipped: Sequence[Note], most: int = _MAX_SKIPPED) -> tuple[Note, ...]:
+def shortened(skipped: Sequence[Note]) -> tuple[Note, ...]:
     """The first of many entries, and one that counts the rest."""
-    if len(skipped) <= most:
-        return tuple(skipped)
-    n_more = len(skipped) - most
-    return (*skipped[:most], Note(what=f"{n_more} more", why="for reasons like these"))
+    more = Note(f"{len(skipped) - _MAX_SKIPPED} more", "for reasons like these")
+    return (*skipped[:_MAX_SKIPPED], *([more] if len(skipped) > _MAX_SKIPPED else []))
 
 
 def counted(counts: Counter[str], why: str) -> list[Note]:
@@ -368,22 +346,17 @@ class SourceMap:
     """The content of one map file."""
 
     name: str  # name of the file
-    # projected coordinate reference system of all coordinates here, in metres, for pyproj; empty:
-    # the file does not say where on earth it lies
-    crs: str
+    crs: str  # projected one of all coordinates here, in metres, for pyproj; empty: unknown
     source_crs: str = ""  # the one that the file itself uses, such as "EPSG:4326"
     heights: Heights = "above ground"  # zero of the z axis
     lanes: tuple[MapLane, ...] = ()
-    # lanes through junctions, each from the end of a lane to the start of another; both their
-    # junctions are the one through which they lead. None: the map does not have them.
-    connections: tuple[MapLane, ...] = ()
+    connections: tuple[MapLane, ...] = ()  # lanes through junctions, if the map has them
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
     # (n, 2, 2); lines on which pedestrians cross, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    # (n, 3); points of the ground: of roads' surfaces, nodes with a height, a scan's ground. Their
-    # heights are absolute, whatever those of things are.
+    # (n, 3); points of the ground, with absolute heights, whatever those of things are
     ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     keeps_left: bool = False  # traffic keeps left
     skipped: tuple[Note, ...] = ()  # what was left out, and why
