@@ -169,20 +169,26 @@ class Lane:
 
 # One thing of a scene: instance, vertices (world frame) and triangles.
 Body = tuple[Instance, FloatArray, Any]
+Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
+
+
+def join(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]
+    vertices: FloatArray = np.concatenate([vertices for vertices, _ in meshes])
+    return vertices, np.concatenate(triangles).astype(np.int32)
 
 
 def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
     """One mesh of several bodies, as the fields of a scene."""
-    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    vertices, triangles = join([(vertices, faces) for _, vertices, faces in bodies])
+    counts = [len(faces) for _, _, faces in bodies]
     return {
         "instances": tuple(instance for instance, _, _ in bodies),
-        "vertices_m": np.concatenate([vertices for _, vertices, _ in bodies]),
-        "triangles": np.concatenate(
-            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
-        ),
-        "triangle_instance": np.repeat(
-            np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]
-        ),
+        "vertices_m": vertices,
+        "triangles": triangles,
+        "triangle_instance": np.repeat(np.arange(len(bodies)), counts),
     }
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted, refuse
@@ -180,21 +180,14 @@ def load_scene_folder(path: Path) -> Scene:
         refuse(f"{where}: things", "none", "at least the ground")
     for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
         check_crs(crs, f"{where}: {key}")
+    fields = structs.asdict(table)
+    for name in ("crosswalks", "things", "skipped"):  # these have other forms in a scene
+        del fields[name]
     return Scene(
-        name=table.name,
+        **fields,
         **join_bodies(bodies),
-        sites=table.sites,
-        outline_m=table.outline_m,
-        lanes=table.lanes,
-        crs=table.crs,
         crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
-        road_network=table.road_network,
-        keeps_left=table.keeps_left,
-        source_crs=table.source_crs,
-        source_origin_m=table.source_origin_m,
-        zero_height_m=table.zero_height_m,
         notes=table.skipped,
-        roads=table.roads,
     )
 
 

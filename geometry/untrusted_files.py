@@ -265,10 +265,9 @@ def check_gltf(path: Path) -> None:
                 raise InputError(f"{where}: bufferViews.{key}", value, "a number of bytes")
     _check_tree(_entries(header, "nodes", where), where)
     required = header.get("extensionsRequired")
-    if isinstance(required, list):
-        compressed = [str(name) for name in required if "compression" in str(name).lower()]
-        if compressed:
-            refuse(where, f"compression {compressed[0]}", "a plain glTF")
+    for name in map(str, required if isinstance(required, list) else ()):
+        if "compression" in name.lower():
+            refuse(where, f"compression {name}", "a plain glTF")
 
 
 def _binary_header(path: Path) -> bytes:

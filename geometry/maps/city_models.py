@@ -5,6 +5,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -17,6 +18,7 @@ from ..arrays import FloatArray
 from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import read_text
 from ..notes import Note
+from ..scene import join
 from ..untrusted_files import local_name, parse_object, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
 from .source_map import (
@@ -26,7 +28,6 @@ from .source_map import (
     Thing,
     counted,
     extrude,
-    join,
     kind_from_name,
     kind_of_class,
     shortened,
@@ -513,13 +514,12 @@ class _Document:
             if rings and len(rings[0]):
                 yield rings
         elif name == "OrientableSurface":
-            is_turned = element.attrib.get("orientation") == "-"
+            way = -1 if element.attrib.get("orientation") == "-" else 1
             for polygon in self._polygons(element, depth, n_dimensions):
-                yield [ring[::-1] for ring in polygon] if is_turned else polygon
+                yield [ring[::way] for ring in polygon]
         elif name == "Solid":
-            for child in element:
-                if local_name(child) == "exterior":
-                    yield from self._polygons(child, depth, n_dimensions)
+            for child in (child for child in element if local_name(child) == "exterior"):
+                yield from self._polygons(child, depth, n_dimensions)
         elif name not in ("ImplicitGeometry", "MultiCurve", "MultiPoint"):
             yield from self._polygons(element, depth, n_dimensions)
 
@@ -559,16 +559,13 @@ def _n_dimensions(element: Element) -> int:
 def _measured_height_m(feature: Element) -> float | None:
     """Height that an object declares; None if it declares none, or one in an unknown unit."""
     for child in feature:
-        name = local_name(child)
-        values = [child] if name == "measuredHeight" else []
-        if name == "height":  # CityGML 3.0: con:height/con:Height/con:value
+        values = [child] if local_name(child) == "measuredHeight" else []
+        if local_name(child) == "height":  # CityGML 3.0: con:height/con:Height/con:value
             values = [value for value in child.iter() if local_name(value) == "value"]
         for value in values:
             unit = value.attrib.get("uom", "m").rpartition("#")[2].rpartition(":")[2].lower()
-            try:
+            with suppress(ValueError, KeyError):
                 return float((value.text or "").strip()) * _HEIGHT_UNITS_M[unit]
-            except (ValueError, KeyError):
-                continue
     return None
 
 
@@ -576,19 +573,13 @@ def _reference_system(root: Element, where: str) -> tuple[str, bool]:
     """The one declared reference system, and whether coordinates follow its order of axes."""
     from pyproj.exceptions import ProjError
 
-    declared: dict[str, None] = {}
-    for element in root.iter():
-        text = element.attrib.get("srsName", "").strip()
-        if text and not text.startswith("#"):
-            declared.setdefault(text)
+    texts = (element.attrib.get("srsName", "").strip() for element in root.iter())
+    declared = dict.fromkeys(text for text in texts if text and not text.startswith("#"))
     planes: dict[str, str] = {}
     for text in list(declared)[:_MAX_DEPTH]:
-        try:
-            crs = horizontal_crs(text)
-        except ProjError:
-            continue
-        if crs is not None:
-            planes.setdefault(crs_name(crs), text)
+        with suppress(ProjError):
+            if (crs := horizontal_crs(text)) is not None:
+                planes.setdefault(crs_name(crs), text)
     if len(planes) > 1:
         got = "several coordinate reference systems: " + ", ".join(list(planes)[:5])
         refuse(where, got, "one in a file")

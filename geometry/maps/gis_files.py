@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import check_file, open_file, read_text, reading
 from ..notes import Note
-from ..scene import CLASS_NAMES
+from ..scene import CLASS_NAMES, join
 from ..untrusted_files import parse_object, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .source_map import (
@@ -30,7 +30,6 @@ from .source_map import (
     ThingKind,
     counted,
     extrude_polygon,
-    join,
     kind_from_name,
     kind_of_class,
     shortened,

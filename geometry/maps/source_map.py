@@ -19,10 +19,10 @@ from ..arrays import FloatArray, float_array, freeze, set_arrays
 from ..errors import InputError, check_one_of, refuse
 from ..files import load_toml, pick
 from ..notes import Note
-from ..scene import LeadingRoad, Turn
+from ..scene import LeadingRoad, Mesh, Turn, join
 
 Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
-Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
+
 
 _SAME_M = 1e-3  # corners closer than this are one
 _MIN_AREA_M2 = 1e-6  # of a polygon in space
@@ -166,14 +166,6 @@ def polygons_of(shape: BaseGeometry, *, above_m2: float = 0.0) -> list[Polygon]:
     if pieces is not None:
         return [part for piece in pieces for part in polygons_of(piece, above_m2=above_m2)]
     return [shape] if shape.geom_type == "Polygon" and shape.area > above_m2 else []
-
-
-def join(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one."""
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]
-    vertices: FloatArray = np.concatenate([vertices for vertices, _ in meshes])
-    return vertices, np.concatenate(triangles).astype(np.int32)
 
 
 @cache

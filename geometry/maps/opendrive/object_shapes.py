@@ -12,7 +12,8 @@ import shapely
 from ...arrays import FloatArray
 from ...errors import InputError
 from ...lines import steps_m
-from ..source_map import Mesh, extrude, join, unit_ball
+from ...scene import Mesh, join
+from ..source_map import extrude, unit_ball
 from .roads import (
     MAX_SIZE_M,
     Road,

@@ -67,7 +67,7 @@ def object_kind(element: Element) -> str | None:
         return None
     if element.find("parkingSpace") is not None:
         return "parking space"
-    plain = "".join(words(object_type))
+    plain = "".join(_words(object_type))
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
@@ -96,7 +96,7 @@ def signal_kind(element: Element) -> str | None:
     return "sign"
 
 
-def words(text: str) -> list[str]:
+def _words(text: str) -> list[str]:
     """Words of a name in lower case: "streetLamp_3" has street and lamp."""
     return [word.lower() for word in _WORD.findall(text[:_MAX_CHARACTERS])]
 
@@ -108,7 +108,7 @@ def has_word(texts: Iterable[str], wanted: Sequence[str]) -> bool:
 
 @lru_cache(maxsize=4096)
 def _phrases(text: str) -> frozenset[str]:
-    found = words(text)
+    found = _words(text)
     return frozenset(
         "".join(found[begin:end]).removesuffix(plural)
         for begin in range(len(found))
@@ -210,10 +210,8 @@ def read_space(
         if found is None:
             return None
         _, corners = found
-    (first_m, right_m), (last_m, left_m) = (
-        corners.min(axis=0).tolist(),
-        corners.max(axis=0).tolist(),
-    )
+    first_m, right_m = corners.min(axis=0).tolist()
+    last_m, left_m = corners.max(axis=0).tolist()
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
     return Space(first_m=first_m, last_m=last_m, right_m=right_m, left_m=left_m)

@@ -2,7 +2,8 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,16 +23,18 @@ _BEND_M = 15.0
 _Group = tuple[str, bool]  # lanes side by side by their common name, and whether their starts
 
 
-@dataclass(slots=True)
-class _Piece:
-    id: str
-    strips: list[Strip] = field(default_factory=list)  # of each part
-    spans_m: list[tuple[float, float]] = field(default_factory=list)  # stations of each part
-    # its middle, left of the street, at both ends of each part
-    ends_left_m: list[tuple[float, float]] = field(default_factory=list)
-    levels: list[int] = field(default_factory=list)  # layer of each part
-    limits_kmh: list[float | None] = field(default_factory=list)  # of each part
-    is_two_way: bool = False
+class _Part(NamedTuple):
+    """A lane on one part of a street."""
+
+    strip: Strip
+    span_m: tuple[float, float]  # its stations
+    ends_left_m: tuple[float, float]  # its middle, left of the street, at both ends
+    level: int
+    limit_kmh: float | None
+    is_two_way: bool
+
+
+_Piece = tuple[str, list[_Part]]  # id of a lane, and its parts one after the other
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
@@ -52,33 +55,27 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
     open_pieces: dict[tuple[str, str, int], _Piece] = {}
     done: list[_Piece] = []
     for at, index in enumerate(parts):
-        edge, is_along = street.parts[index]
-        strips = street.sections[index].strips
+        (edge, is_along), section = street.parts[index], street.sections[index]
         before = street.sections[parts[at - 1]].strips if at else ()
         after = street.sections[parts[at + 1]].strips if at + 1 < len(parts) else ()
         following: dict[tuple[str, str, int], _Piece] = {}
-        for strip in strips:
-            begin_m, is_continued = _at_break(strip, strips, before)
-            end_m, _ = _at_break(strip, strips, after)
+        for strip in section.strips:
+            begin_m, is_continued = _at_break(strip, section.strips, before)
+            end_m, _ = _at_break(strip, section.strips, after)
             key = strip.kind, strip.place, strip.number
+            limit_kmh = speed_limit_kmh(edge.tags, is_forward=strip.is_forward == is_along)
+            is_two_way = len(section.directions) > 1
+            part = _Part(strip, spans[index], (begin_m, end_m), edge.level, limit_kmh, is_two_way)
             piece = open_pieces.pop(key, None) if is_continued else None
-            if piece is None:
-                piece = _Piece(f"{edge.id} {strip.kind} {strip.place} {strip.number}")
-            piece.strips.append(strip)
-            piece.spans_m.append(spans[index])
-            piece.ends_left_m.append((begin_m, end_m))
-            piece.levels.append(edge.level)
-            is_forward = strip.is_forward == is_along
-            piece.limits_kmh.append(speed_limit_kmh(edge.tags, is_forward=is_forward))
-            piece.is_two_way = len(street.sections[index].directions) > 1
-            following[key] = piece
+            following[key] = piece or (f"{edge.id} {strip.kind} {strip.place} {strip.number}", [])
+            following[key][1].append(part)
         done += open_pieces.values()
         open_pieces = following
     done += open_pieces.values()
-    for piece in done:
-        lane = _lane(piece, reach)
+    for name, found in done:
+        lane = _lane(name, found, reach)
         if lane is not None:
-            yield lane, piece.is_two_way
+            yield lane, found[-1].is_two_way
 
 
 def _without_stubs(
@@ -119,26 +116,21 @@ def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tu
     return 0.5 * (here[number].left_m + there[number].left_m), len(here) == len(there)
 
 
-def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
+def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     taper = DEFAULTS["cross_section"]["taper"]
     points_of_lefts: list[tuple[float, float]] = []  # stations, and how far left of the street
-    for strip, (low, high), (begin_left, end_left) in zip(
-        piece.strips, piece.spans_m, piece.ends_left_m, strict=True
-    ):
-        half = 0.5 * (high - low)
-        first, last = (
-            min(max(taper * abs(left - strip.left_m), 1.0), half) for left in (begin_left, end_left)
-        )
+    for strip, (low, high), ends_left, *_ in parts:
+        half, (begin_left, end_left) = 0.5 * (high - low), ends_left
+        first, last = (min(max(taper * abs(m - strip.left_m), 1.0), half) for m in ends_left)
         points_of_lefts += [(low, begin_left), (low + first, strip.left_m)]
         points_of_lefts += [(high - last, strip.left_m), (high, end_left)]
     stations, lefts = zip(*points_of_lefts, strict=True)
-    begin_m, end_m = piece.spans_m[0][0], piece.spans_m[-1][1]
+    begin_m, end_m = parts[0].span_m[0], parts[-1].span_m[1]
     if end_m - begin_m < _MIN_LENGTH_M:
         return None
-    is_level = np.ptp(lefts) < 1e-9
-    heights = _heights(piece)
-    extra = [] if is_level else list(stations)
-    extra += [station for station, _ in heights] if any(piece.levels) else []
+    heights = _heights(parts)
+    extra = [] if np.ptp(lefts) < 1e-9 else list(stations)
+    extra += [station for station, _ in heights] if any(part.level for part in parts) else []
     at = stations_between(reach.street, begin_m, end_m, extra)
     middle, across = axis_points(reach.street, at)
     line = middle + np.interp(at, stations, lefts)[:, None] * across
@@ -146,36 +138,37 @@ def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
     at, line = at[is_kept], line[is_kept]
     if len(line) < 2 or np.hypot(*(line[-1] - line[0])) < 1e-3:
         return None
-    widths = [strip.width_m for strip in piece.strips]
-    lengths = [high - low for low, high in piece.spans_m]
-    is_forward = piece.strips[0].is_forward
+    lengths = [part.span_m[1] - part.span_m[0] for part in parts]
     points = np.column_stack([line, np.interp(at, *np.transpose(heights))])
     from_junction = reach.from_junction if begin_m <= reach.begin_m + 1e-6 else ""
     to_junction = reach.to_junction if end_m >= reach.end_m - 1e-6 else ""
+    is_forward = parts[0].strip.is_forward
     if not is_forward:
         points = points[::-1]
         from_junction, to_junction = to_junction, from_junction
     return MapLane(
-        id=piece.id,
-        kind=piece.strips[0].kind,
-        width_m=float(np.average(widths, weights=lengths)),
+        id=name,
+        kind=parts[0].strip.kind,
+        width_m=float(np.average([part.strip.width_m for part in parts], weights=lengths)),
         centreline_m=points,
         from_junction=from_junction,
         to_junction=to_junction,
-        speed_limit_kmh=piece.limits_kmh[-1 if is_forward == bool(to_junction) else 0],
-        turns=piece.strips[-1 if is_forward else 0].turns,
+        speed_limit_kmh=parts[-1 if is_forward == bool(to_junction) else 0].limit_kmh,
+        turns=parts[-1 if is_forward else 0].strip.turns,
     )
 
 
-def _heights(piece: _Piece) -> list[tuple[float, float]]:
+def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
     """Stations and heights: bridges and tunnels are as high as their layer, with short ramps."""
     heights: list[tuple[float, float]] = []
-    step_m, levels = DEFAULTS["cross_section"]["level_m"], piece.levels
-    around = zip([levels[0], *levels], levels, [*levels[1:], levels[-1]], strict=False)
-    for (low, high), (before, level, after) in zip(piece.spans_m, around, strict=True):
+    step_m = DEFAULTS["cross_section"]["level_m"]
+    for before, part, after in zip(
+        [parts[0], *parts], parts, [*parts[1:], parts[-1]], strict=False
+    ):
+        (low, high), level = part.span_m, part.level
         run = min(10.0, 0.5 * (high - low))
-        heights += [(low, 0.5 * step_m * (before + level)), (low + run, step_m * level)]
-        heights += [(high - run, step_m * level), (high, 0.5 * step_m * (level + after))]
+        heights += [(low, 0.5 * step_m * (before.level + level)), (low + run, step_m * level)]
+        heights += [(high - run, step_m * level), (high, 0.5 * step_m * (level + after.level))]
     return heights
 
 

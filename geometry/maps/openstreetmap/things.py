@@ -13,13 +13,13 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import FloatArray
 from ...errors import InputError
 from ...lines import along_m, points_at, unit
+from ...scene import join
 from ..source_map import (
     Omissions,
     Pole,
     Thing,
     extrude,
     extrude_polygon,
-    join,
     polygons_of,
     unit_ball,
     unit_cylinder,
@@ -581,9 +581,8 @@ def _levels(tags: Tags, key: str) -> float | None:
 class _Passages:
     def __init__(self, network: Network) -> None:
         usual = DEFAULTS["building"]
-        self._strips: list[BaseGeometry] = []
-        self._clear_m: list[float] = []
-        self._is_marked: list[bool] = []  # by itself; else only gates are open there
+        # Area of each way, its clear height, and whether it is marked; else only gates are open.
+        self._ways: list[tuple[BaseGeometry, float, bool]] = []
         for edge in network.edges:
             if edge.level == 0:
                 self._add(edge.points_m, edge.section.width_m, edge.tags, usual["clear_height_m"])
@@ -592,28 +591,27 @@ class _Passages:
                 for line_m in lines_of(way, network.elements):
                     width_m = usual["foot_way_width_m"]
                     self._add(line_m, width_m, way.tags, usual["foot_clear_height_m"])
-        self._tree = STRtree(self._strips)
+        self._tree = STRtree([strip for strip, *_ in self._ways])
 
     def _add(self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float) -> None:
+        strip = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
         tagged_m = parse_length_m(tags.get("maxheight", ""))
-        self._strips.append(LineString(line_m).buffer(0.5 * width_m, cap_style="flat"))
-        self._clear_m.append(tagged_m or clear_m)
-        self._is_marked.append(_leads_through(tags))
+        self._ways.append((strip, tagged_m or clear_m, _leads_through(tags)))
 
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
         """Area of the ways that lead through a building, and their clear height."""
         is_gate = area.tags.get("historic") in _GATES or _building_kind(area.tags) in _GATES
         whole = make_valid(area.polygon)
+        near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
         found = [
-            index
-            for index in self._tree.query(area.polygon).tolist()
-            if (is_gate or self._is_marked[index])
-            and whole.intersection(self._strips[index]).area > 1.0
+            (strip, clear_m)
+            for strip, clear_m, is_marked in near
+            if (is_gate or is_marked) and whole.intersection(strip).area > 1.0
         ]
         if not found:
             return None, 0.0
-        ways = shapely.union_all([self._strips[index] for index in found])
-        return ways, max(self._clear_m[index] for index in found)
+        ways = shapely.union_all([strip for strip, _ in found])
+        return ways, max(clear_m for _, clear_m in found)
 
 
 def _leads_through(tags: Tags) -> bool:
