@@ -38,11 +38,7 @@ _YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 # ---------- the door: every file of a user's is opened, read and written by these functions
 def check_file(path: Path, *, max_bytes: int | None = None) -> None:
-    """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
-
-    A pipe or a device could keep its reader waiting for ever. What does not exist or may not be
-    looked at, and a folder, is left to whoever opens it.
-    """
+    """Raise InputError unless a path is a regular file, not too large, or is not there."""
     try:
         found = path.stat()
     except (OSError, ValueError):  # ValueError: a zero byte in the name

@@ -266,11 +266,7 @@ def curve_between(before: Line, after: Line) -> FloatArray:
 
 
 def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> list[_End]:
-    """Lanes of some kinds that lead into the junction or out of it.
-
-    Of a piece so short that both its ends are at the outline the nearer end counts; stubs that end
-    nowhere are left out.
-    """
+    """Lanes of some kinds into or out of the junction, at the nearer of their ends; no stubs."""
     ends = []
     for lane in (lane for lane in scene.lanes if lane.kind in kinds):
         off_m = {
@@ -378,11 +374,7 @@ def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
 
 
 def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]:
-    """Lane ends by arm: those that lie side by side and lead the same way, chained.
-
-    Carriageways into the junction are joined with those out of it that a median of up to 25 m
-    divides: neighbours on the sides on which traffic keeps, the nearest such pairs first.
-    """
+    """Lane ends by arm: side by side the same way, or the two carriageways of one road."""
     mouths = [_mouth(*end) for end in ends]
 
     def is_pair(one: int, other: int) -> bool:

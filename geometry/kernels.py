@@ -116,10 +116,13 @@ class _Cached(FunctionCache):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
+        beside = Path(function.__code__.co_filename).parent.glob("*_kernels.py")
+        stats = [(file.name, file.stat()) for file in sorted(beside)]  # they may call one another
+        stamps = [(name, found.st_mtime_ns, found.st_size) for name, found in stats]
         self._cache_file: IndexDataCacheFile = _CheckedFile(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=(self._impl.locator.get_source_stamp(), *_stamps_beside(function)),
+            source_stamp=(self._impl.locator.get_source_stamp(), *stamps),
         )
 
     @property
@@ -155,13 +158,6 @@ class _Cached(FunctionCache):  # type: ignore[misc]
         except Exception as error:  # a disk that is full, a folder that went, a damaged index
             reason = getattr(error, "strerror", None) or error
             _tell_once(f"machine code not cached: {compiled_folder()}: {reason}")
-
-
-def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
-    """Names, times and sizes of kernel files whose change asks for a new compilation."""
-    files = sorted(Path(function.__code__.co_filename).parent.glob("*_kernels.py"))
-    status = [(file.name, file.stat()) for file in files]
-    return [(name, of_file.st_mtime_ns, of_file.st_size) for name, of_file in status]
 
 
 @cache

@@ -100,11 +100,7 @@ class LidarDetection:
 
 
 def beam_directions(lidar: LidarModel) -> FloatArray:
-    """Unit vectors of one frame's beams, (n_lines, n_columns, 3), in the body frame.
-
-    From the lowest line up, from right to left, each in the middle of its cell of azimuth and
-    elevation: at 360 degrees the seam is straight behind.
-    """
+    """Unit vectors of a frame's beams, (n_lines, n_columns, 3): upwards, from right to left."""
     elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[:, None]
     azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
     level = np.cos(elevation)

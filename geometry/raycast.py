@@ -178,12 +178,7 @@ def open3d_problem() -> str | None:
 def build_caster(
     vertices_m: ArrayLike, triangles: ArrayLike, *, library: str | None = None
 ) -> RayCaster:
-    """Prepare triangles for rays, which may be cast from any thread.
-
-    `vertices_m` (n, 3): world or body frame, near the origin: rays are cast in single precision.
-    `triangles` (m, 3): vertex indices; none at all is allowed. `library`: one of ``RAYS``. Raises
-    InputError: a vertex is not finite, a triangle points outside, or the library cannot load.
-    """
+    """Prepare triangles (m, 3) of vertices (n, 3) near the origin for rays in float32."""
     return CASTERS[caster_name(library or "auto", where="library")](vertices_m, triangles)
 
 

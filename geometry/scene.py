@@ -193,11 +193,10 @@ def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
 
 
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
-    """The building, wall, plant or parked vehicle that a point lies in; None in the open air.
+    """The solid thing that a point lies in, but for posts; None in the open air.
 
-    Posts and masts carry sensors and are not looked at. The triangles of a closed mesh around a
-    point fill the whole sphere: A. van Oosterom, J. Strackee, "The solid angle of a plane
-    triangle", 1983.
+    The triangles of a closed mesh around a point fill the whole sphere: A. van Oosterom, J.
+    Strackee, "The solid angle of a plane triangle", 1983.
     """
     point = float_array(position_m, (3,), "position_m")
     for index, instance in enumerate(scene.instances):

@@ -87,12 +87,7 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
 
 
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
-    """Project points (n, 3) of the world frame into the image of a camera.
-
-    Returns (n, 3): column and row in pixels (the centre of the first pixel is (0.5, 0.5)) and the
-    depth along the optical axis in metres; column and row are NaN where the depth is not positive.
-    R. Hartley, A. Zisserman, "Multiple View Geometry", section 6.1.
-    """
+    """Columns and rows [px] and depths [m] of points (n, 3) in an image; NaN behind the camera."""
     offsets = np.asarray(points_m, dtype=np.float64) - pose.position_m
     in_camera = offsets @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
     depth = in_camera[:, 2]

@@ -205,11 +205,7 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
 
 
 def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
-    """Terrain of a square around the origin from points (n, 3) of the ground, in metres.
-
-    Linear between the points, by their Delaunay triangulation; beyond them as high as the nearest
-    place between them. Lines are `step_m` apart, or farther where there would be too many.
-    """
+    """Terrain of a square from points (n, 3): Delaunay's, beyond them that of the nearest. [m]."""
     from scipy.interpolate import NearestNDInterpolator
     from scipy.ndimage import distance_transform_edt
 

@@ -162,11 +162,7 @@ def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
 
 @contextmanager
 def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
-    """Open a Parquet file, a ``pyarrow.parquet.ParquetFile``; texts come as dictionaries.
-
-    Raises InputError if it is damaged (also while it is read), or if its values take more than 200
-    times the bytes of the file: run lengths make billions of rows out of nothing.
-    """
+    """Open a Parquet file, texts as dictionaries; InputError: damaged, or out of too few bytes."""
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -198,12 +198,7 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
 def run_import(
     files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
-    """Make a scene of map files and write it: ``scene.toml``, ``things.glb`` and two pictures.
-
-    `files`: "town05" alone is the study's junction. `bbox`: west, south, east, north: fetch
-    OpenStreetMap there. `out`: a folder, or a .zip file. Raises InputError, see
-    :func:`geometry.maps.importing.import_scene`; or `out` cannot be written or is not ours.
-    """
+    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError."""
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
     progress.kept = f"nothing was written to {out}"
@@ -282,12 +277,7 @@ def _fetch(bbox: str, path: Path) -> Path:
 def import_into_cache(
     question: Question, *, cache: Path, progress: StageProgress
 ) -> tuple[str, SceneResult]:
-    """Import a junction of a map unless that was done before, for a command that goes on with it.
-
-    Options of the import: see :func:`placement.question.map_options`. Scenes are cached below
-    `cache` by a hash of map and options. Returns the scene's folder and a summary. Raises
-    InputError: the question's scene is no map with roads, or has no such junction.
-    """
+    """Folder and summary of a map's junction, imported below `cache` unless it was before."""
     path, options = Path(question.scene), map_options(question)
     if not question.scene or not path.is_file() or has_scene(path):
         got = question.scene or "the study's junction"
@@ -321,12 +311,7 @@ def run_show(
     progress: StageProgress,
     sort: str = "arms",
 ) -> SceneResult:
-    """Summarise a scene or a map, and draw it.
-
-    `paths`: a scene, or map files; none: the study's junction. `out`: folder for pictures. `sort`:
-    order of a map's junctions. Raises InputError: a file cannot be read; a picture of a map without
-    junctions is asked for.
-    """
+    """Summarise a scene or map files, or else the study's junction; draw it into `out`."""
     if out is not None:
         check_folder(out)
     progress("read", 0, 0)

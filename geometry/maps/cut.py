@@ -103,6 +103,7 @@ def cut_out(
                 pole_id = _unique(pole.id, source, taken)
                 poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
+    others = [frame.take(one.outline_m, roads) for one in roads.junctions if one.id != junction.id]
     if through:
         why = "lanes are led straight on through them on smooth curves: assumed"
         skipped.append(Note("other junctions around it", why, kind="roads"))
@@ -118,7 +119,7 @@ def cut_out(
         roads=tuple(_moved(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
         zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
-        neighbours_m=tuple(_neighbours(roads, junction, frame, radius_m + _NEIGHBOURS_BEYOND_M)),
+        neighbours_m=tuple(one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M),
     )
 
 
@@ -147,17 +148,6 @@ def _lowered(
         skipped.append(Note(f"{n_floating} buildings in {source.name}", why, kind="heights"))
     for name, count in is_low.items():
         skipped.append(Note(f"{count} x {name} in {source.name}", "not above the road"))
-
-
-def _neighbours(
-    roads: SourceMap, junction: MapJunction, frame: LocalFrame, reach_m: float
-) -> Iterator[FloatArray]:
-    for other in roads.junctions:
-        if other.id != junction.id:
-            outline = frame.take(other.outline_m, roads)
-            nearest = np.clip(0.0, outline.min(axis=0), outline.max(axis=0))
-            if np.hypot(*nearest) <= reach_m:
-                yield outline
 
 
 def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
@@ -421,9 +411,7 @@ def _near_things(
     every = frame.take(np.concatenate([thing.vertices_m for thing in source.things]), source)
     for thing, vertices in zip(source.things, np.split(every, np.cumsum(counts)[:-1]), strict=True):
         if len(vertices) and len(thing.triangles):
-            flat = vertices[:, :2]
-            nearest = np.clip(0.0, flat.min(axis=0), flat.max(axis=0))  # of the box around it
-            if np.hypot(*nearest) > radius_m:
+            if _off_m(vertices[:, :2]) > radius_m:
                 n_far += 1
             else:
                 near.append(replace(thing, vertices_m=vertices))
@@ -434,6 +422,11 @@ def _near_things(
             why = f"{lies} roads they lie {why}: name it (such as EPSG:25832), or move them"
         skipped.append(Note(f"{n_far} things in {source.name}", why))
     return near
+
+
+def _off_m(points_m: FloatArray) -> float:
+    """Distance of the origin from the box around points (n, 2)."""
+    return float(np.hypot(*np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))))
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:

@@ -43,11 +43,7 @@ class LocalFrame:
     origin_m: FloatArray  # (2,), the point in the map's own coordinates
 
     def take(self, points_m: ArrayLike, source: SourceMap) -> FloatArray:
-        """Points (..., 2 or 3) of a map in this frame, heights as they are.
-
-        A map without a reference system is taken to lie in the coordinates of the map with the
-        junction. Raises InputError if only `source` has one, or points cannot be projected.
-        """
+        """Points (..., 2 or 3) of a map, or else in the roads' system, here; heights stay."""
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
             refuse(

@@ -104,7 +104,11 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        rows = list(_csv_rows(path))
+        rows = list(read_csv_rows(path))
+        names = list(rows[0][1]) if rows else []
+        fields = known_columns(names, str(path))
+        tell_unknown(names, fields, path)
+        rows = [(here, {fields[name]: row[name] for name in fields}) for here, row in rows]
     elif suffix in SUFFIXES:
         rows = list(_geojson_rows(path, crs))
     else:
@@ -164,15 +168,6 @@ def read_csv_rows(path: Path) -> Iterator[_Row]:
             yield here, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}
     except csv.Error as error:
         raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "CSV") from None
-
-
-def _csv_rows(path: Path) -> Iterator[_Row]:
-    fields: dict[str, str] | None = None
-    for here, cells in read_csv_rows(path):
-        if fields is None:
-            fields = known_columns(list(cells), str(path))
-            tell_unknown(cells, fields, path)
-        yield here, {fields[name]: cell for name, cell in cells.items() if name in fields}
 
 
 def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> None:
@@ -348,16 +343,13 @@ class Counts:
 def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
     """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates; or InputError."""
     table = read_features(path)
-    areas = [
-        Area(
-            where=feature.where,
-            name=_name(feature, f"area {number}"),
-            geometry=_in_crs(feature, table, crs),
-            values={key.strip().lower(): value for key, value in feature.values.items()},
-        )
-        for number, feature in enumerate(table.features, start=1)
-        if feature.geometry is not None and not feature.geometry.is_empty
-    ]
+    areas = []
+    for number, feature in enumerate(table.features, start=1):
+        if feature.geometry is not None and not feature.geometry.is_empty:
+            values = {str(key).strip().lower(): value for key, value in feature.values.items()}
+            name = next((str(values[key]) for key in _NAMES if key in values), f"area {number}")
+            place = _in_crs(feature, table, crs)
+            areas.append(Area(where=feature.where, name=name, geometry=place, values=values))
     if not areas:
         refuse(str(path), "no geometry", "polygons")
     return tuple(areas)
@@ -392,15 +384,14 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
     elif places is None:
-        places = [_place(row, where, crs) for where, row in rows]
+        fields = [known_columns(list(row), where) for where, row in rows]
+        places = [
+            read_position({known[name]: row[name] for name in known}, where, crs)
+            for (where, row), known in zip(rows, fields, strict=True)
+        ]
     positions = None if places is None else np.array(places).reshape(-1, 2)
     values = np.array(counts)
     return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
-
-
-def _place(row: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    fields = known_columns(list(row), where)
-    return read_position({fields[name]: row[name] for name in fields}, where, crs)
 
 
 def _column(names: Mapping[str, str], column: str, path: Path) -> str:
@@ -436,11 +427,6 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
     if not np.isfinite(shapely.get_coordinates(moved)).all():
         refuse(feature.where, "a place that is nowhere", f"places in {crs}")
     return moved
-
-
-def _name(feature: Feature, otherwise: str) -> str:
-    plain = {str(key).strip().lower(): value for key, value in feature.values.items()}
-    return next((str(plain[name]) for name in _NAMES if name in plain), otherwise)
 
 
 def snap(

@@ -723,11 +723,7 @@ def columns_to(
 def faces(
     keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The closed surface of sorted voxels: rectangles as large as possible, of two triangles each.
-
-    `origin_m` (3,) is the lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from
-    outside. Raises InputError if there are more than `max_triangles`.
-    """
+    """The closed surface of sorted voxels in large rectangles, counter-clockwise from outside."""
     quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
     if 2 * len(quads) > max_triangles:
         refuse(where, f"{2 * len(quads):,} triangles", "a larger voxel, or fewer points")

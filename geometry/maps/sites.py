@@ -55,12 +55,7 @@ _ISLAND_M2 = 4.0  # smaller gaps between lanes are no place to stand
 def kerb_sites(
     lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float
 ) -> tuple[SiteWish, ...]:
-    """Sites along both kerbs of a junction's arms, from its corners outwards.
-
-    A kerb is the outer edge of a driving or parking lane that no other such lane borders on;
-    medians have none. Arms are followed for 60 m. Ids name lane, side and distance. Raises
-    InputError if the spacing or the outline is not valid.
-    """
+    """Sites along the outer kerbs of a junction's arms, from its corners 60 m outwards."""
     if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
         raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
     outline = float_array(outline_m, (-1, 2), "outline_m")
@@ -230,7 +225,10 @@ def choose_sites(
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
     is_asked_for = not where.startswith(KERB) and where != AUTO
-    placed = _settled(_with_plain_ids(wishes), surroundings, notes if is_asked_for else [])
+    taken: Counter[str] = Counter()  # ids that a comma-separated list can name
+    ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
+    wishes = [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
+    placed = _settled(wishes, surroundings, notes if is_asked_for else [])
     kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
     left_out = [*dropped]
     sites = tuple(_site(wish) for wish in _below_roofs(kept, surroundings, left_out))
@@ -381,13 +379,6 @@ def _spacing_m(where: str) -> float:
     return spacing_m
 
 
-def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
-    """Sites with unique ids that a comma-separated list can name."""
-    taken: Counter[str] = Counter()
-    ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
-    return [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
-
-
 def _kind_of(wish: SiteWish) -> PoleKind:
     kinds = load_pole_kinds()
     return kinds.get(wish.kind, kinds["pole"])
@@ -427,11 +418,7 @@ class Place(NamedTuple):
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
-    """Nearest places next to the road and outside walls for things at (n, 2), in metres.
-
-    What stands on a lane or in the junction is moved half a metre behind the nearest kerb, what
-    stands inside a building or wall out of it; not farther than 15 m, or from inside a wall 2 m.
-    """
+    """Nearest places off the road and out of walls for things at (n, 2), 15 m or 2 m away."""
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 2)
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
@@ -524,12 +511,7 @@ def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
 
 
 def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:
-    """Put the poles of a map, which may lie where their signals hang, where poles can stand.
-
-    A signal or sign over the road is left to the pole that the map has within 12 m; other poles on
-    the road or inside walls are moved to the nearest place, see :func:`find_places`, or left out if
-    there is none. Also returns notes on each that was moved or left out.
-    """
+    """Put poles where they can stand; signals over the road are left to a mast within 12 m."""
     if not surroundings.poles:
         return surroundings, ()
     feet = np.array([pole.position_m[:2] for pole in surroundings.poles])

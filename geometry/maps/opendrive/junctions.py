@@ -158,11 +158,7 @@ def build_junctions(
     omissions: Omissions,
     where: str,
 ) -> tuple[list[MapJunction], list[MapLane]]:
-    """Junctions with their outlines, and lanes without links to missing junctions.
-
-    An outline is that of the union of the driving lanes of the connecting roads, without holes; the
-    ends of driving and parking lanes that lead there lie on it.
-    """
+    """Junctions with the outlines of their roads' surface, and lanes with links to these alone."""
     members: dict[str, list[str]] = {}
     for road in roads.values():
         members.setdefault(road.junction, []).append(road.id)

@@ -292,11 +292,7 @@ def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) ->
 def build_body(
     road: Road, kind: str, spot: Spot, outlines: Sequence[Outline], *, turn_rad: float, where: str
 ) -> tuple[Mesh, bool] | None:
-    """Body of an object at one of its places, and whether its height is assumed; None: no extent.
-
-    `kind` "obstacle" is a wall if the file gives its height. `turn_rad` is the heading against the
-    road. Raises InputError if an outline surrounds nothing, or there is no height.
-    """
+    """Body of an object at a place, and whether its height is assumed; None: no extent."""
     height_m = spot.height_m
     has_outline = any(outline.is_outer for outline in outlines)
     has_corner_heights = has_outline and any(outline.height_m.any() for outline in outlines)

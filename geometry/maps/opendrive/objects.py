@@ -123,11 +123,7 @@ def _phrases(text: str) -> frozenset[str]:
 def crosswalk_line(
     road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
-    """Line (2, 2) on which pedestrians cross, or None if the object has no extent.
-
-    It runs through the middle of the smallest box the long way; if that is nearly a square, across
-    the road. Two corners are the line itself.
-    """
+    """Line (2, 2) the long way through the smallest box, or across the road; None: no extent."""
     corners, _ = _corners(road, spot, outlines, turn_rad) or (np.empty((0, 2)), None)
     if len(corners) == 2:
         return corners if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M else None

@@ -70,8 +70,12 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
     middle = [surface(street, 0.0, street.length_m) for street in inside]
 
     def is_in_way(one: int, other: int) -> bool:
-        is_same_way = directions[one] @ directions[other] >= _SAME_ARM_COSINE
-        return one != other and not (is_same_way and _is_one_road(arms[one], arms[other]))
+        if one == other or directions[one] @ directions[other] < _SAME_ARM_COSINE:
+            return one != other
+        # Carriageways of one road may overlap.
+        (edge, is_along), (beside, runs_along) = (arms[at].street.parts[0] for at in (one, other))
+        is_pair = edge.is_oneway and beside.is_oneway and is_along != runs_along
+        return not is_pair and (edge.name == "" or edge.name != beside.name)
 
     placed = []
     for index, arm in enumerate(arms):
@@ -101,13 +105,6 @@ def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
         return bool(is_same_way and across_m <= reach_m * np.hypot(*mean))
 
     return chained(len(arms), is_pair)
-
-
-def _is_one_road(one: Arm, other: Arm) -> bool:
-    """Two arms in the same direction are carriageways of one road, which may overlap."""
-    edges = [one.street.parts[0], other.street.parts[0]]
-    is_pair = all(edge.is_oneway for edge, _ in edges) and edges[0][1] != edges[1][1]
-    return is_pair or (edges[0][0].name != "" and edges[0][0].name == edges[1][0].name)
 
 
 def _clear_from_m(street: Street, others: BaseGeometry) -> float:
@@ -150,11 +147,7 @@ class Clusters:
 
 
 def find_clusters(network: Network) -> Clusters:
-    """Nodes where roads meet, those of one junction together.
-
-    They have three or more ends of roads on the ground, or of roads and yards at a signal, unless a
-    road only forks. Nodes are joined along short streets, and all of a roundabout.
-    """
+    """Nodes where roads meet, or roads and yards at a signal; those of one junction together."""
     clusters = Clusters()
     for row, ends in network.ends.items():
         edges = [network.edges[index] for index, _ in ends]
@@ -226,7 +219,10 @@ def _join_near(network: Network, clusters: Clusters) -> None:
     for street in trace_streets(network, of_row.__contains__):
         begin, end = int(street.rows[0]), int(street.rows[-1])
         if begin in of_row and end in of_row:
-            is_wide = is_between_carriageways(network, street)
+            # Whether it links the carriageways of another street, across its median.
+            edges = [[network.edges[index] for index, _ in network.ends[at]] for at in (begin, end)]
+            names = [{one.name for one in here if one.is_oneway and one.name} for here in edges]
+            is_wide = bool(names[0] & names[1] - {street.parts[0][0].name})
             if street.length_m <= limits["join_carriageways_m" if is_wide else "join_m"]:
                 links.append((street.length_m, begin, end))
     for _, begin, end in sorted(links):
@@ -238,14 +234,6 @@ def _join_near(network: Network, clusters: Clusters) -> None:
             network.edges[index].is_roundabout for row in rows for index, _ in network.ends[row]
         ):
             clusters.join(one, other)
-
-
-def is_between_carriageways(network: Network, street: Street) -> bool:
-    """It links the two one-way carriageways of another street, across its median."""
-    ends = (network.ends[int(row)] for row in street.rows[[0, -1]])
-    edges = [[network.edges[index] for index, _ in here] for here in ends]
-    names = [{edge.name for edge in here if edge.is_oneway and edge.name} for here in edges]
-    return bool(names[0] & names[1] - {street.parts[0][0].name})
 
 
 # ---------- junctions

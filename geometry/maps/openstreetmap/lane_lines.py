@@ -173,11 +173,7 @@ def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
 
 
 def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
-    """Let lanes of carriageways that part or merge begin where the lanes before them end.
-
-    From the kerb each goes on into the one of its number, the rest into the last one. They meet on
-    the lanes of a road with two directions (ids `two_way`), or else half-way.
-    """
+    """Let lanes of carriageways that part or merge begin where those before them end."""
     led = list(lanes)
     groups: dict[_Group, list[int]] = defaultdict(list)
     for index, lane in enumerate(lanes):

@@ -313,7 +313,12 @@ def find_crosswalks(network: Network) -> FloatArray:
         lines.append(_across(network, row, at_row[row], limits["beyond_kerb_m"]))
     taken: list[FloatArray] = []
     for line in lines:
-        if not any(_is_same(line, other) for other in taken):
+        middle, along = line.mean(axis=0), unit(line[1] - line[0])
+        if not any(  # one crosswalk that is mapped in two ways
+            np.hypot(*(middle - other.mean(axis=0))) <= limits["same_m"]
+            and abs(along @ unit(other[1] - other[0])) > _PARALLEL
+            for other in taken
+        ):
             taken.append(line)
     return np.array(taken).reshape(-1, 2, 2)
 
@@ -395,15 +400,6 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
     return np.asarray(points[at] + half_m * np.stack([-left, left]))
-
-
-def _is_same(one: FloatArray, other: FloatArray) -> bool:
-    apart_m = np.hypot(*(one.mean(axis=0) - other.mean(axis=0)))
-    if apart_m > DEFAULTS["crosswalk"]["same_m"]:
-        return False
-    step, other_step = one[1] - one[0], other[1] - other[0]
-    cosine = abs(step @ other_step) / (np.hypot(*step) * np.hypot(*other_step))
-    return bool(cosine > _PARALLEL)
 
 
 # ---------- buildings, from the ground or above those who pass below
@@ -620,11 +616,7 @@ def _leads_through(tags: Tags) -> bool:
 
 # ---------- bridges over roads
 def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
-    """Decks of roads, footways and railways over roads on the ground.
-
-    Where a road on a bridge leads to a junction nearby, its deck would be above its road users, and
-    is left out, which is noted.
-    """
+    """Decks over roads on the ground, unless they lead to a junction near on the bridge."""
     usual, elements = DEFAULTS["bridge"], network.elements
     below = STRtree([LineString(edge.points_m) for edge in network.edges if edge.level == 0])
 
