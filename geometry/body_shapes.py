@@ -19,14 +19,12 @@ from .errors import InputError, MissingExtraError, refuse
 from .files import Table, load_toml, pick, take, take_list, take_number, take_text, write_atomically
 
 DATA = Path(__file__).parent / "data"
-
 _N_SHAPES = 8  # per cycle of a gait
 _THIN_M = 0.03  # radius below which a sphere's 12 vertices do; thicker ones have 42
 _SECTIONS = 24  # of a wheel
 _TYRE_SECTIONS = 8
 _TOLERANCE_M = 2.0e-3  # of the surface, when small triangles are merged
 _BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
-
 # Of a bone, in the frame of the body: rotation and joint.
 _Frame = tuple[FloatArray, FloatArray]
 _SIDES = (-1.0, 1.0)

@@ -27,8 +27,6 @@ from .errors import InputError, Unquoted, refuse
 Table = Mapping[str, Any]
 Text = Annotated[str, msgspec.Meta(min_length=1)]  # of a field that must not be empty
 _T = TypeVar("_T")
-
-
 MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
 MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
 _PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
@@ -424,8 +422,6 @@ def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
 
 
 # ---------- temporary files and folders: whose process is alive?
-
-
 @contextmanager
 def lock_while_alive(path: Path) -> Iterator[None]:
     """Lock a file or folder, where the system can, until the process ends, however it ends."""

@@ -467,8 +467,6 @@ def distance_to_outline_m(point_m: FloatArray, outline_m: FloatArray) -> float:
 
 
 # ---------- where things stand, in words
-
-
 def compass_point(way_m: FloatArray) -> str:
     """The nearest of eight points of the compass."""
     return COMPASS[round(np.degrees(np.arctan2(way_m[1], way_m[0])) / 45.0) % 8]

@@ -137,8 +137,6 @@ CASTERS: dict[str, type[Open3dCaster] | type[EmbreexCaster]] = {
     EmbreexCaster.name: EmbreexCaster,
     Open3dCaster.name: Open3dCaster,
 }
-
-
 RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
 """Names that a user may ask for; "auto" is the fastest library that loads."""
 

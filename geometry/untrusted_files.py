@@ -158,8 +158,6 @@ def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
 
 
 # ---------- Parquet
-
-
 @contextmanager
 def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
     """Open a Parquet file, texts as dictionaries; InputError: damaged, or out of too few bytes."""
@@ -182,8 +180,6 @@ def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
 
 
 # ---------- XML
-
-
 def read_xml(path: Path, *, expected: str) -> Element:
     """Root of an XML document in a format, `expected`; InputError: broken, large or dangerous."""
     from defusedxml.ElementTree import parse
@@ -227,8 +223,6 @@ def local_name(element: Element) -> str:
 
 
 # ---------- JSON
-
-
 def parse_object(text: str, where: str, expected: str) -> Mapping[str, Any]:
     """Parse a JSON object; raises InputError if it is none, or is nested too deeply."""
     try:
@@ -241,8 +235,6 @@ def parse_object(text: str, where: str, expected: str) -> Mapping[str, Any]:
 
 
 # ---------- glTF
-
-
 def check_gltf(path: Path) -> None:
     """Raise InputError for claims of a glTF 2 file before memory is given to them."""
     where = str(path)
@@ -306,8 +298,6 @@ def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
 
 
 # ---------- PBF of OpenStreetMap
-
-
 def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
     """Raise InputError if a PBF file is one that osmium cannot be trusted with.
 

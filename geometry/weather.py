@@ -14,7 +14,6 @@ from .files import load_toml, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Contrast that remains at the visibility (meteorological optical range, WMO-No. 8)."""
-
 _DB_PER_NEPER = 10.0 / math.log(10.0)
 
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from .run import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
 _MAX_LISTED = 20
-
-
 # Where a command lists its options in sections, --help-all alone shows these.
 _fact = partial(option, is_common=False)
 _READING_OPTIONS = (

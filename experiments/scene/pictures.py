@@ -35,7 +35,6 @@ _SKY = (0.97, 0.98, 1.0)
 _SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
 _WIDTH_PX, _HEIGHT_PX = 1200, 800
 _VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
-
 _MAX_TRIANGLES = 400_000  # of buildings; more are not drawn
 _ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
 _BEYOND = 0.08  # of the span of the junctions, around them
@@ -152,8 +151,6 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
 
 
 # ---------- maps
-
-
 def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> Axes:
     """Streets and buildings of maps with all junctions of the first, numbered in their order."""
     places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)

@@ -54,8 +54,6 @@ IMPORT_VERSION = 2
 
 
 # ---------- summaries
-
-
 class ArmRecord(Record, frozen=True, kw_only=True):
     """An arm of a junction."""
 
@@ -193,8 +191,6 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
 
 
 # ---------- import
-
-
 def run_import(
     files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
@@ -301,8 +297,6 @@ def import_into_cache(
 
 
 # ---------- show and check
-
-
 def run_show(
     paths: Sequence[str],
     reading: ReadingOptions,

@@ -43,7 +43,6 @@ _SURFACES_AT |= {"CompositeSolid": 2}
 _HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
 _WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
-
 # Class of thing by the type of an object.
 CLASS_OF_TYPE = {
     "Building": "building",
@@ -55,7 +54,6 @@ CLASS_OF_TYPE = {
     "SolitaryVegetationObject": "vegetation",
     "PlantCover": "vegetation",
 }
-
 _Table = Mapping[str, Any]
 _GML = "CityGML"
 _OTHER_TYPES = (
@@ -392,8 +390,6 @@ def _said(skipped: Sequence[Note]) -> str:
 
 
 # ---------- CityGML
-
-
 def read_citygml(path: Path) -> SourceMap:
     """Read a CityGML file as :func:`read_cityjson` does; a solid counts more than surfaces."""
     where = str(path)

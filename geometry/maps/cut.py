@@ -439,8 +439,6 @@ def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
 
 
 # ---------- many junctions out of maps that are read once
-
-
 def _boxes(source: SourceMap) -> dict[str, FloatArray]:
     """Lowest and highest x and y of what a map has, (n, 2, 2); without points it is nowhere."""
     lines = {

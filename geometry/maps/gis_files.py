@@ -224,8 +224,6 @@ def _refuse_many(n_features: int, where: str) -> None:
 
 
 # ---------- footprints
-
-
 def read_footprints(path: Path, *, class_name: str = "building", layer: str = "") -> SourceMap:
     """Read footprints and raise them to solids.
 

@@ -270,8 +270,6 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
 
 
 # ---------- reading maps
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
     """Answers to questions that map files leave open."""
@@ -366,8 +364,6 @@ def _projected(crs: str) -> str:
 
 
 # ---------- scenes
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
     """Which part of the maps becomes the scene."""

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
-
 SUFFIXES = (".csv", ".geojson", ".json")
 _MAX_SITES = 50_000
 # Field to the names it goes by, without units, in lower case with _ between words.
@@ -317,8 +316,6 @@ def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
 
 
 # ---------- areas, and counts at places
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Area:
     """A polygon, or a place that something is near to."""

@@ -37,7 +37,6 @@ CHUNK_POINTS = 1_000_000
 _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
 # Of the types that are packed in layers: how many; 0: one for every byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
-
 Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
 _MAX_HEADER_BYTES = 65_536
 _MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
@@ -364,8 +363,6 @@ def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
 
 
 # ---------- the ground
-
-
 class LowestPoints:
     """Lowest point of every square metre, collected a chunk at a time."""
 
@@ -433,8 +430,6 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
 
 
 # ---------- things
-
-
 def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
 

@@ -172,8 +172,6 @@ def _on_level(
 
 
 # ---------- heights of the ground from GeoTIFF rasters
-
-
 def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:
     """Read the heights of a raster in the square around a place, `half_m` to each side.
 

@@ -185,8 +185,6 @@ def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Th
 
 
 # ---------- the sites of a scene
-
-
 def check_sites(where: str, *, crs: str) -> None:
     """Raise InputError if sites cannot be read, see :func:`choose_sites`; `crs` of the roads."""
     if _is_list(where):
@@ -408,8 +406,6 @@ def _site(wish: SiteWish) -> Site:
 
 
 # ---------- where poles and sites can stand
-
-
 class Place(NamedTuple):
     """Where something can stand: its place (2,) or None, and why it is not where it was."""
 

@@ -22,8 +22,6 @@ from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
 
 Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
-
-
 _SAME_M = 1e-3  # corners closer than this are one
 _MIN_AREA_M2 = 1e-6  # of a polygon in space
 _MIN_FOOTPRINT_M2 = 0.01
@@ -188,8 +186,6 @@ def unit_cylinder(n_sides: int) -> Mesh:
 
 
 # ---------- content of a map file
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapLane:
     """One lane between two junctions, or from one to where it ends."""
@@ -364,8 +360,6 @@ class SourceMap:
 
 
 # ---------- kinds of things and poles
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThingKind:
     """A kind of thing."""

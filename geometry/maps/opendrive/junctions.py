@@ -148,8 +148,6 @@ def _leading_road(road: Road, section: SampledSection, is_start: bool) -> Leadin
 
 
 # ---------- outlines
-
-
 def build_junctions(
     records: Mapping[str, JunctionRecord],
     roads: Mapping[str, Road],

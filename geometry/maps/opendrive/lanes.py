@@ -213,8 +213,6 @@ def _count_steps(
 
 
 # ---------- lanes
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadEnds:
     """Junctions at the ends of a road; empty: none."""
@@ -355,8 +353,6 @@ def _runs(
 
 
 # ---------- short roads at the mouth of a junction
-
-
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
     """Join very short lanes at a junction to those of their kind that go on within half a metre."""
     joined = list(lanes)

@@ -207,8 +207,6 @@ def box_corners(spot: Spot, length_m: float, width_m: float, turn_rad: float) ->
 
 
 # ---------- solids
-
-
 def build_prism(
     outline_m: FloatArray,
     *,

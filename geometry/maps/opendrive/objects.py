@@ -118,8 +118,6 @@ def _phrases(text: str) -> frozenset[str]:
 
 
 # ---------- crosswalks
-
-
 def crosswalk_line(
     road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
@@ -175,8 +173,6 @@ def cross_paths(
 
 
 # ---------- parking spaces
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
     """A parking space as a box along its road: s from first to last, t from right to left."""
@@ -250,8 +246,6 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
 
 
 # ---------- all objects
-
-
 @dataclass(frozen=True, slots=True)
 class Found:
     """Objects along the roads."""
@@ -344,8 +338,6 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
 
 
 # ---------- signals
-
-
 def read_signals(
     roads: Mapping[str, Road],
     sampled: Mapping[str, Sequence[SampledSection]],
@@ -435,8 +427,6 @@ def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple
 
 
 # ---------- poles
-
-
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     """Join poles within half a metre: as high as the highest, of the most telling kind."""
     if len(poles) < 2:

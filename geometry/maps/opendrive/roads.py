@@ -87,8 +87,6 @@ def numbered(parent: Element | None, tag: str, where: str) -> Iterator[tuple[Ele
 
 
 # ---------- the header
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
     """Offset from a file's coordinates to those of its projection; rotation is applied first."""
@@ -236,8 +234,6 @@ def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
 
 
 # ---------- the reference line
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReferenceLine:
     """Pieces one after the other.
@@ -422,8 +418,6 @@ def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
 
 
 # ---------- roads
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadLink:
     """The road or junction at an end of a road."""

@@ -28,8 +28,6 @@ from .things import (
 )
 
 __all__ = ["fetch_openstreetmap", "read_openstreetmap"]
-
-
 _CLEAR = 0.8  # of all that shows a side
 _CARRIAGEWAYS_M = (3.0, 30.0)  # apart
 

@@ -24,10 +24,7 @@ from ..source_map import Omissions
 
 DEFAULTS: dict[str, Any] = load_toml(files("geometry.maps") / "data" / "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
-
-
 Tags = dict[str, str]
-
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
@@ -321,8 +318,6 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
 
 
 # ---------- values of tags
-
-
 def parse_length_m(text: str) -> float | None:
     r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
 

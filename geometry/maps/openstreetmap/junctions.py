@@ -123,8 +123,6 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
 
 
 # ---------- nodes of junctions
-
-
 @dataclass(slots=True)
 class Clusters:
     """Nodes of junctions, joined step by step."""
@@ -237,8 +235,6 @@ def _join_near(network: Network, clusters: Clusters) -> None:
 
 
 # ---------- junctions
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reach:
     """The part of a street that has lanes, and the junctions at its ends."""
@@ -478,8 +474,6 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
 
 
 # ---------- roads that lead to a junction
-
-
 def find_leading_roads(
     network: Network, rows: Iterable[int], outline_m: FloatArray
 ) -> tuple[LeadingRoad, ...]:

@@ -125,8 +125,6 @@ def count_lanes(tags: Tags, note: Note) -> LaneCounts:
 
 
 # ---------- strips next to the driving lanes
-
-
 def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
     """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
@@ -383,8 +381,6 @@ def _listed_turns(
 
 
 # ---------- speed limits
-
-
 def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:
     """Speed limit of a direction of a road in km/h; None: the tags give none, or no number.
 
@@ -675,8 +671,6 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
 
 
 # ---------- lines and areas next to a street
-
-
 def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Points of a street's axis, and the step for each metre to the left; (n, 2)."""
     stations = np.asarray(stations_m, dtype=np.float64)

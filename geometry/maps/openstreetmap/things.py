@@ -113,8 +113,6 @@ def _tagged_m(
 
 
 # ---------- trees
-
-
 def find_trees(elements: Elements) -> Iterator[Thing]:
     """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
     add = elements.omissions.add
@@ -163,8 +161,6 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
 
 
 # ---------- poles
-
-
 def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
     """Poles next to roads that could carry sensors; lamps without a pole are noted.
 
@@ -267,8 +263,6 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
 
 
 # ---------- crosswalks
-
-
 def find_crosswalks(network: Network) -> FloatArray:
     """Lines (n, 2, 2) on which pedestrians cross carriageways, a little beyond the kerbs.
 
@@ -403,8 +397,6 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
 
 
 # ---------- buildings, from the ground or above those who pass below
-
-
 def find_buildings(network: Network) -> Iterator[Thing]:
     """Buildings as prisms from the ground, or from their tagged bottom.
 
@@ -505,8 +497,6 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
 
 
 # ---------- heights
-
-
 def _span(area: Area, omissions: Omissions) -> _Span | None:
     """Heights of a building; None: they make no sense, which is noted."""
     usual, kind = DEFAULTS["building"], _building_kind(area.tags)
