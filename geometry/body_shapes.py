@@ -25,8 +25,7 @@ _SECTIONS = 24  # of a wheel
 _TYRE_SECTIONS = 8
 _TOLERANCE_M = 2.0e-3  # of the surface, when small triangles are merged
 _BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
-# Of a bone, in the frame of the body: rotation and joint.
-_Frame = tuple[FloatArray, FloatArray]
+_Frame = tuple[FloatArray, FloatArray]  # Of a bone, in the frame of the body: rotation and joint.
 _SIDES = (-1.0, 1.0)
 _MAX_STRETCH = 0.04
 

@@ -121,8 +121,7 @@ class Junction:
     name: str  # of the scene
     arms: dict[str, Arm]  # by name, counter-clockwise from the east
     keeps_left: bool = False  # traffic keeps left
-    # lanes through the junction, and through others around it
-    connections: tuple[Lane, ...] = ()
+    connections: tuple[Lane, ...] = ()  # lanes through the junction, and through others around it
     # lanes that are assumed, from beyond the map to the start of an entry lane
     beyond: tuple[Lane, ...] = ()
 

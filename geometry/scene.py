@@ -85,8 +85,7 @@ class LeadingRoad:
     name: str  # of the street, or else the id that the map gives it
     point_m: Point2  # (2,); where it meets the junction's outline, or a little farther out
     direction: Point2  # (2,); unit vector away from the junction
-    # driving lanes into the junction and out of it, by the map's own words
-    lanes_in: int
+    lanes_in: int  # driving lanes into the junction and out of it, by the map's own words
     lanes_out: int
 
     def __post_init__(self) -> None:

@@ -32,8 +32,7 @@ _MAX_CELLS = 150  # along each side
 class Terrain:
     """Heights of the ground on a grid."""
 
-    # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
-    east_m: FloatArray
+    east_m: FloatArray  # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
     north_m: FloatArray
     # (n_rows, n_columns); of its nodes; the ground between them is two triangles per cell
     height_m: FloatArray

@@ -24,11 +24,9 @@ class Weather:
     name: str  # "day", "night", "rain" or "fog"
     visibility_m: float  # meteorological optical range of haze and fog, without rain
     rain_rate_mmph: float  # rain
-    # where the sun stands: above the horizon, counter-clockwise from east
-    sun_elevation_deg: float
+    sun_elevation_deg: float  # where the sun stands: above the horizon, counter-clockwise from east
     sun_yaw_deg: float
-    # on a surface that faces the sun, and on level ground from the sky
-    sun_lux: float
+    sun_lux: float  # on a surface that faces the sun, and on level ground from the sky
     sky_lux: float
     has_lamps: bool  # street lamps and headlights are on
     # of a VRU against what is behind it, before the air takes its part; 1 in full daylight
