@@ -30,8 +30,8 @@ class Note:
 def assumptions(notes: Sequence[Note]) -> tuple[Note, ...]:
     """Notes on what was assumed, the most important kind first.
 
-    >>> masts = Note(what="masts", why="none in the map", kind="sites")
-    >>> [note.what for note in assumptions([Note(what="way 1", why="no road"), masts])]
+    >>> masts = Note("masts", "none in the map", kind="sites")
+    >>> [note.what for note in assumptions([Note("way 1", "no road"), masts])]
     ['masts']
     """
     order = get_args(Kind)

@@ -10,6 +10,7 @@ from matplotlib.patheffects import withStroke
 
 from geometry.arrays import FloatArray
 from geometry.junction import build_junction
+from geometry.lines import points_at
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import Surveyed
 from geometry.maps.source_map import SourceMap
@@ -96,12 +97,7 @@ def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:
 
 def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
     """An arrow along a lane, some metres from its mouth."""
-    mouth_first = points_m[::-1] if is_in else points_m
-    steps = np.append(0.0, np.cumsum(np.hypot(*np.diff(mouth_first, axis=0).T)))
-    far, near = (
-        np.array([np.interp(min(at_m, steps[-1]), steps, mouth_first[:, axis]) for axis in (0, 1)])
-        for at_m in (9.0, 4.0)
-    )
+    far, near = points_at(points_m[::-1] if is_in else points_m, np.array([9.0, 4.0]))
     start, end = (far, near) if is_in else (near, far)
     axes.annotate(
         "",

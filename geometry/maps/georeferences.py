@@ -178,7 +178,7 @@ def georeference(
         else:
             area = crs.area_of_use.name if crs.area_of_use else "its area"
             why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
-            note = Note(what=f"coordinate reference system {name}", why=why)
+            note = Note(f"coordinate reference system {name}", why)
             return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
         if _is_in_metres(crs, middle):
             return Georeference(

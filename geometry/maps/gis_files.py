@@ -257,7 +257,7 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
         try:
             things.append(_raised(feature, kind, thing_id, place))
         except InputError as error:
-            failed.append(Note(what=f"{kind.kind} {thing_id}", why=str(error)))
+            failed.append(Note(f"{kind.kind} {thing_id}", str(error)))
     if not things:
         refuse(where, f"no footprint with an area; {failed[0].why}", "polygons")
     return SourceMap(

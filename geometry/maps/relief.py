@@ -147,7 +147,7 @@ def find_relief(
         source=name,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        notes=(Note(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),),
+        notes=(Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),),
     )
 
 

@@ -326,7 +326,7 @@ def shortened(skipped: Sequence[Note]) -> tuple[Note, ...]:
 
 def counted(counts: Counter[str], why: str) -> list[Note]:
     """One entry per kind of thing: "3 Bridge"."""
-    return [Note(what=f"{n} {kind}", why=why) for kind, n in sorted(counts.items())]
+    return [Note(f"{n} {kind}", why) for kind, n in sorted(counts.items())]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
