@@ -7,27 +7,23 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from typing import Any
 
 import numpy as np
 from msgspec import Struct, structs
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
-from .errors import InputError, Unquoted
+from .errors import InputError, Unquoted, refuse
 from .files import Table, Text, load_toml, pick, read_tables
 from .poses import Pose
 
 _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
+_REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shape:
-    """A body at one instant of its gait: one closed mesh.
-
-    `vertices_m` (n_vertices, 3) are in the body frame: origin on the road under the middle of the
-    box, x ahead, y left. Normals of the `triangles` (n_triangles, 3) point outwards.
-    """
+    """One closed mesh of a body, (n, 3) in its frame with triangles (m, 3) that face outwards."""
 
     vertices_m: FloatArray
     triangles: NDArray[np.int32]
@@ -42,40 +38,21 @@ class Shape:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actor:
-    """A body with its bounding box.
+    """A body with its bounding box; lengths in metres, in the body frame."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the catalogue.
-    class_name : str
-        "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or "car" (that the VUT
-        meets).
-    length_m, width_m, height_m : float
-        Bounding box of all shapes together, along x, y, z of the body frame. [m]
-    shapes : tuple of Shape
-        Evenly spaced over one cycle of the gait; the first is how the body stands at rest. One
-        where nothing moves.
-    cycle_m : float
-        Distance covered in one cycle of the gait; 0 where nothing moves. [m]
-    reference_ahead_m : float
-        Hip, crank shaft or the flank's point of a car that crosses, ahead of the middle of the box
-        (negative: behind it). [m]
-    wheelbase_m, front_axle_ahead_m : float
-        Of a vehicle or motorcycle; the front axle ahead of the middle of the box. 0 for all
-        others. [m]
-    """
-
-    name: str
+    name: str  #: in the catalogue
+    #: "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or "car"
     class_name: str
-    length_m: float
-    width_m: float
-    height_m: float
+    length_m: float  #: of the bounding box of all shapes together, along x
+    width_m: float  #: along y
+    height_m: float  #: along z
+    #: evenly spaced over one cycle of the gait; the first is how it stands at rest
     shapes: tuple[Shape, ...]
-    cycle_m: float = 0.0
+    cycle_m: float = 0.0  #: distance covered in one cycle of the gait; 0 where nothing moves
+    #: hip, crank shaft or the flank's point of a car that crosses, ahead of the box's middle
     reference_ahead_m: float = 0.0
-    wheelbase_m: float = 0.0
-    front_axle_ahead_m: float = 0.0
+    wheelbase_m: float = 0.0  #: of a vehicle or motorcycle; 0 for all others, as the next one
+    front_axle_ahead_m: float = 0.0  #: ahead of the middle of the box
 
     def __post_init__(self) -> None:
         where = f"actor {self.name}"
@@ -83,7 +60,7 @@ class Actor:
             if not getattr(self, field) > 0.0:
                 raise InputError(f"{where}.{field}", getattr(self, field), "> 0 metres")
         if not self.shapes:
-            raise InputError(f"{where}.shapes", Unquoted("none"), "at least one shape")
+            refuse(f"{where}.shapes", "none", "at least one shape")
         if not 0.0 <= self.cycle_m < np.inf or (len(self.shapes) > 1) != (self.cycle_m > 0.0):
             got = self.cycle_m
             raise InputError(f"{where}.cycle_m", got, "> 0 metres for several shapes, 0 for one")
@@ -96,9 +73,8 @@ class Actor:
         distance = np.asarray(distance_m, dtype=np.float64)
         if self.cycle_m == 0.0:
             return np.zeros(distance.shape, dtype=np.int64)
-        n_shapes = len(self.shapes)
-        steps = (distance / self.cycle_m * n_shapes).round(_SHAPE_DECIMALS)
-        return np.floor(steps + 0.5).astype(np.int64) % n_shapes
+        steps = (distance / self.cycle_m * len(self.shapes)).round(_SHAPE_DECIMALS)
+        return np.floor(steps + 0.5).astype(np.int64) % len(self.shapes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,10 +94,8 @@ class PlacedActor:
 class MovingActor:
     """A body that moves on the road, frame by frame."""
 
-    actor: Actor  # the body
-    # (n_frames, 2); middle of the footprint; not a number in frames in which it is not there. World
-    # frame.
-    position_m: FloatArray
+    actor: Actor
+    position_m: FloatArray  # (n_frames, 2); middle of the footprint; NaN where it is not there
     yaw_deg: FloatArray  # (n_frames,); heading
 
     def __post_init__(self) -> None:
@@ -129,18 +103,17 @@ class MovingActor:
         yaw = np.array(self.yaw_deg, dtype=np.float64)
         where = f"moving {self.actor.name}"
         if position.ndim != 2 or position.shape != (len(yaw), 2):
-            raise InputError(where, Unquoted(f"shape {position.shape}"), f"({len(yaw)}, 2)")
+            refuse(where, f"shape {position.shape}", f"({len(yaw)}, 2)")
         is_there = ~np.isnan(position).any(axis=1)
         if not (np.isfinite(position[is_there]).all() and np.isfinite(yaw[is_there]).all()):
-            raise InputError(where, Unquoted("infinite"), "positions and headings, or no number")
+            refuse(where, "infinite", "positions and headings, or no number")
         object.__setattr__(self, "position_m", freeze(position))
         object.__setattr__(self, "yaw_deg", freeze(yaw))
 
     @property
     def is_there(self) -> BoolArray:
         """Frames in which it is there, (n_frames,)."""
-        is_missing = np.asarray(np.isnan(self.position_m).any(axis=1), dtype=bool)
-        return ~is_missing
+        return ~np.asarray(np.isnan(self.position_m).any(axis=1), dtype=bool)
 
 
 @cache
@@ -151,26 +124,29 @@ def load_actors() -> dict[str, Actor]:
 
 
 def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
-    """Bodies of a catalogue laid out as ``data/actors.toml``, by name.
-
-    `source` has the shapes that ``geometry.body_shapes`` has built from it. Raises InputError: a
-    field is missing, or the shapes were built from another description.
-    """
+    """Bodies of a catalogue by name, with the shapes in `source`; InputError: of another one."""
     try:
         with source.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {key: stored[key] for key in stored.files}
     except FileNotFoundError:
         raise InputError(str(source), Unquoted("no such file"), _REMEDY) from None
     if str(arrays.get("fingerprint")) != fingerprint(table):
-        raise InputError(str(source), Unquoted("shapes of another actors.toml"), _REMEDY)
+        refuse(str(source), "shapes of another actors.toml", _REMEDY)
     entries = read_tables(table, _ActorEntry, "actors.toml")
     return {
-        name: Actor(name=name, shapes=_stored_shapes(name, arrays), **structs.asdict(entry))
+        name: Actor(
+            name=name,
+            shapes=tuple(
+                Shape(
+                    vertices_m=arrays[f"{name}/{index}/vertices_m"],
+                    triangles=arrays[f"{name}/{index}/triangles"],
+                )
+                for index in range(int(arrays[f"{name}/n_shapes"]))
+            ),
+            **structs.asdict(entry),
+        )
         for name, entry in entries.items()
     }
-
-
-_REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
 def fingerprint(table: Table) -> str:
@@ -197,24 +173,10 @@ class _ActorEntry(Struct, frozen=True, kw_only=True):
     front_axle_ahead_m: float = 0.0
 
 
-def _stored_shapes(name: str, arrays: dict[str, NDArray[Any]]) -> tuple[Shape, ...]:
-    return tuple(
-        Shape(
-            vertices_m=arrays[f"{name}/{index}/vertices_m"],
-            triangles=arrays[f"{name}/{index}/triangles"],
-        )
-        for index in range(int(arrays[f"{name}/n_shapes"]))
-    )
-
-
 def park_row(
     actors: Sequence[Actor], *, first_bumper_m: FloatArray, yaw_deg: float, gap_m: float
 ) -> tuple[PlacedActor, ...]:
-    """Place bodies nose to tail, from the first to the last, all looking the same way.
-
-    `first_bumper_m` (2,) is the middle of the first one's front bumper in the world frame; `gap_m`
-    leads from bumper to bumper.
-    """
+    """Place bodies nose to tail behind a point (2,), `gap_m` from bumper to bumper, world frame."""
     yaw = np.radians(yaw_deg)
     backwards = -np.array([np.cos(yaw), np.sin(yaw)])
     bumper = np.asarray(first_bumper_m, dtype=np.float64)

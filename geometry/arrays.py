@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError, Unquoted
+from .errors import InputError, refuse
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -30,8 +30,6 @@ def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatAr
 
     Raises InputError: the shape differs, or a value is not a finite number; `name` says where.
 
-    Examples
-    --------
     >>> float_array([1, 2, 3], (3,), "position_m")
     array([1., 2., 3.])
     """
@@ -42,7 +40,7 @@ def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatAr
     if array.ndim != len(shape) or any(
         want not in (-1, have) for want, have in zip(shape, array.shape, strict=True)
     ):
-        raise InputError(name, Unquoted(f"shape {array.shape}"), f"shape {shape}")
+        refuse(name, f"shape {array.shape}", f"shape {shape}")
     if not np.isfinite(array).all():
         raise InputError(name, array.tolist(), "finite numbers")
     array.setflags(write=False)

@@ -15,37 +15,23 @@ from numpy.typing import NDArray
 
 from .actors import Shape, fingerprint
 from .arrays import FloatArray, float_array
-from .errors import InputError, MissingExtraError, Unquoted
-from .files import (
-    Table,
-    load_toml,
-    pick,
-    take,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from .errors import InputError, MissingExtraError, refuse
+from .files import Table, load_toml, pick, take, take_list, take_number, take_text, write_atomically
 
 DATA = Path(__file__).parent / "data"
-
 _N_SHAPES = 8  # per cycle of a gait
 _THIN_M = 0.03  # radius below which a sphere's 12 vertices do; thicker ones have 42
 _SECTIONS = 24  # of a wheel
 _TYRE_SECTIONS = 8
 _TOLERANCE_M = 2.0e-3  # of the surface, when small triangles are merged
 _BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
-
-# Of a bone, in the frame of the body: rotation and joint.
-_Frame = tuple[FloatArray, FloatArray]
+_Frame = tuple[FloatArray, FloatArray]  # Of a bone, in the frame of the body: rotation and joint.
+_SIDES = (-1.0, 1.0)
+_MAX_STRETCH = 0.04
 
 
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
-    """Shapes of a body of ``data/actors.toml`` over one cycle of its gait.
-
-    Each stands on the road, and together they fill exactly the body's box. Raises InputError: the
-    description is wrong; `where` names the body. MissingExtraError: manifold3d is not installed.
-    """
+    """Shapes of a body over one cycle of its gait; InputError: the description is wrong."""
     turns_deg = _take_turns(entry, where)
     n_shapes = _N_SHAPES if turns_deg else 1
     meshes = [_build_mesh(entry, turns_deg, index, where) for index in range(n_shapes)]
@@ -103,7 +89,7 @@ def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
     ankle = shaft + crank_m * _hanging(crank_deg) + _turn_deg(foot_deg)[::2, ::2] @ from_pedal
     reach = np.hypot(*(ankle - hip).T)
     if (reach >= thigh_m + shin_m).any() or (reach <= abs(thigh_m - shin_m)).any():
-        raise InputError(where, Unquoted("a foot that does not reach its pedal"), "longer legs")
+        refuse(where, "a foot that does not reach its pedal", "longer legs")
     # Law of cosines; the knee bends forwards.
     at_hip = np.arccos((thigh_m**2 + reach**2 - shin_m**2) / (2.0 * thigh_m * reach))
     thigh_deg = _angle_deg(ankle - hip) + np.degrees(at_hip)
@@ -159,14 +145,10 @@ def _bone_frames(
     return frames
 
 
-_SIDES = (-1.0, 1.0)
-
-
 # ---------- solids
 def _build_mesh(
     entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """One closed mesh of all parts at one instant: vertices and triangles."""
     frames = _bone_frames(entry, turns_deg, index, where)
     library = _manifold3d()
     body = library.Manifold()
@@ -177,7 +159,7 @@ def _build_mesh(
     pieces = body.simplify(_TOLERANCE_M).decompose()
     outside = [piece for piece in pieces if piece.volume() > 0.0]  # the rest are hollows inside
     if len(outside) != 1:
-        raise InputError(where, Unquoted(f"{len(outside)} pieces"), "parts that touch")
+        refuse(where, f"{len(outside)} pieces", "parts that touch")
     mesh = outside[0].to_mesh64()
     return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, dtype=np.int32)
 
@@ -185,7 +167,6 @@ def _build_mesh(
 def _place_part(
     part: Table, frames: Mapping[tuple[str, float], _Frame], where: str
 ) -> Iterator[Any]:
-    """Solids of one part: one, or one on each side."""
     on = part.get("on", _BODY)
     known = {bone: bone for bone, _ in frames}
     is_twice = pick(known, on, f"{where}.on") != _BODY or part.get("mirror", False)
@@ -211,69 +192,47 @@ def _solid(part: Table, where: str) -> tuple[FloatArray, NDArray[np.int64]]:
         points = spheres[:, None, :3] + spheres[:, None, 3:] * ball
         mesh = trimesh.convex.convex_hull(points.reshape(-1, 3))
         return np.array(mesh.vertices), np.array(mesh.faces)
-    kinds = {"ring": _ring, "wheel": _wheel}
-    kind = next((key for key in kinds if key in part), None)
-    if kind is None:
+    kind = "ring" if "ring" in part else "wheel"
+    if kind not in part:
         raise InputError(where, sorted(part), "spheres, ring or wheel")
-    mesh = kinds[kind](part[kind], f"{where}.{kind}")
+    wheel, where = part[kind], f"{where}.{kind}"
+    radius_m = take_number(wheel, "radius", where)
+    if kind == "ring":
+        tyre_m = take_number(wheel, "tyre", where)
+        mesh = trimesh.creation.torus(radius_m - tyre_m, tyre_m, _SECTIONS, _TYRE_SECTIONS)
+    else:
+        width_m = take_number(wheel, "width", where)
+        mesh = trimesh.creation.cylinder(radius=radius_m, height=width_m, sections=_SECTIONS)
     # trimesh lays wheels flat; these stand, axle along y.
     mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, [1.0, 0.0, 0.0]))
-    centre = float_array(take_list(part[kind], "centre", where), (3,), f"{where}.{kind}.centre")
+    centre = float_array(take_list(wheel, "centre", where), (3,), f"{where}.centre")
     return np.array(mesh.vertices) + centre, np.array(mesh.faces)
-
-
-def _ring(entry: Table, where: str) -> Any:
-    import trimesh
-
-    tyre_m = take_number(entry, "tyre", where)
-    return trimesh.creation.torus(
-        major_radius=take_number(entry, "radius", where) - tyre_m,
-        minor_radius=tyre_m,
-        major_sections=_SECTIONS,
-        minor_sections=_TYRE_SECTIONS,
-    )
-
-
-def _wheel(entry: Table, where: str) -> Any:
-    import trimesh
-
-    return trimesh.creation.cylinder(
-        radius=take_number(entry, "radius", where),
-        height=take_number(entry, "width", where),
-        sections=_SECTIONS,
-    )
 
 
 def _fit_to_box(
     vertices: FloatArray, entry: Table, where: str
 ) -> Callable[[FloatArray], FloatArray]:
     """Stretch of all shapes together to the box, in which the reference point stays."""
-    length, width, height = (take_number(entry, f"{side}_m", where) for side in _SIDES_OF_BOX)
+    length, width, height = (
+        take_number(entry, f"{side}_m", where) for side in ("length", "width", "height")
+    )
     reference_m = float(entry.get("reference_ahead_m", 0.0))
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     ahead = (0.5 * length - reference_m) / high[0]
     behind = (0.5 * length + reference_m) / -low[0]
-    factors = {
-        "ahead": ahead,
-        "behind": behind,
-        "across": width / (high[1] - low[1]),
-        "up": height / high[2],
-    }
-    for name, factor in factors.items():
+    across, up = width / (high[1] - low[1]), height / high[2]
+    for name, factor in zip(
+        ("ahead", "behind", "across", "up"), (ahead, behind, across, up), strict=True
+    ):
         if abs(factor - 1.0) > _MAX_STRETCH:
-            got = Unquoted(f"{factor:.3f} x {name} to fit the box")
-            raise InputError(where, got, "outlines near its size")
+            refuse(where, f"{factor:.3f} x {name} to fit the box", "outlines near its size")
 
     def fit(points: FloatArray) -> FloatArray:
         x = points[:, 0] * np.where(points[:, 0] > 0.0, ahead, behind) + reference_m
-        y = (points[:, 1] - 0.5 * (low[1] + high[1])) * factors["across"]
-        return np.stack([x, y, points[:, 2] * factors["up"]], axis=1)
+        y = (points[:, 1] - 0.5 * (low[1] + high[1])) * across
+        return np.stack([x, y, points[:, 2] * up], axis=1)
 
     return fit
-
-
-_SIDES_OF_BOX = ("length", "width", "height")
-_MAX_STRETCH = 0.04
 
 
 @cache

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError, Unquoted
+from .errors import InputError, refuse
 from .files import load_toml, pick, read_tables
 from .lidar import LidarModel, load_lidars
 from .sensors import CameraModel
@@ -31,31 +31,19 @@ def load_cameras() -> dict[str, CameraModel]:
 
 
 def load_catalogue(path: str | Path) -> dict[str, Sensor]:
-    """A user's own sensor models, by name.
-
-    Parameters
-    ----------
-    path : str or Path
-        TOML with tables ``[cameras.NAME]`` and ``[lidars.NAME]``, whose fields are those of
-        ``data/sensors.toml`` and ``data/lidars.toml``.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, has no model, or a field is missing or not of its kind.
-    """
+    """A user's own sensor models by name: tables ``[cameras.NAME]`` and ``[lidars.NAME]``."""
     table = load_toml(Path(path))
     models: dict[str, Sensor] = {}
     expected = "[cameras.NAME] or [lidars.NAME]"
     for group, entries in table.items():
         if group not in ("cameras", "lidars") or not isinstance(entries, Mapping):
-            raise InputError(f"{path}: {group}", Unquoted("it"), expected)
+            refuse(f"{path}: {group}", "it", expected)
     for name, entry in table.get("cameras", {}).items():
         _check_pinhole(entry, f"{path}: cameras.{name}")
     for kind, group in (("camera", "cameras"), ("lidar", "lidars")):
         models |= read_tables(table.get(group, {}), _KINDS[kind], str(path))
     if not models:
-        raise InputError(str(path), Unquoted("no model"), expected)
+        refuse(str(path), "no model", expected)
     return models
 
 
@@ -94,10 +82,7 @@ def pick_camera(name: str, where: str) -> CameraModel:
 
 
 def pick_sensor(name: str, where: str, *, kind: str | None = None) -> Sensor:
-    """Sensor model by name, of one of ``SENSOR_KINDS`` or of any; `where` says what named it.
-
-    Raises InputError: the name is unknown.
-    """
+    """Sensor model by name, of one of ``SENSOR_KINDS`` or of any; InputError: it is unknown."""
     known: dict[str, Sensor] = {}
     if kind != "lidar":
         known |= load_cameras()

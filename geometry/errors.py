@@ -1,6 +1,7 @@
 """Errors that a user can mend: one line each, no traceback, exit code 2."""
 
 from collections.abc import Collection
+from typing import NoReturn
 
 _MAX_CHARACTERS = 200  # of a value in a message
 _MAX_WORDS = 2_000  # characters of our own words, such as a list of all names that exist
@@ -18,8 +19,6 @@ class InputError(ValueError):
     expected : str
         What would have been accepted; other arguments stand in backticks.
 
-    Examples
-    --------
     >>> str(InputError("budget", 0, "a whole number of units, at least 1"))
     'budget: got 0; expected a whole number of units, at least 1'
     """
@@ -31,6 +30,11 @@ class InputError(ValueError):
         shown = _one_line(got) if isinstance(got, Unquoted) else _shorten(got)
         place, wanted = _one_line(where, 2 * _MAX_CHARACTERS), _one_line(expected, _MAX_WORDS)
         super().__init__(f"{place}: got {shown}; expected {wanted}")
+
+
+def refuse(where: str, words: object, expected: str) -> NoReturn:
+    """Raise InputError about something that is told in words, not shown as a value."""
+    raise InputError(where, Unquoted(words), expected)
 
 
 def check_one_of(where: str, got: object, known: Collection[str]) -> None:

@@ -22,24 +22,21 @@ from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_ori
 
 import msgspec
 
-from .errors import InputError, Unquoted
+from .errors import InputError, Unquoted, refuse
 
 Table = Mapping[str, Any]
 Text = Annotated[str, msgspec.Meta(min_length=1)]  # of a field that must not be empty
 _T = TypeVar("_T")
-
-
 MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
 MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
+_PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
+_STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
+_YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 
 # ---------- the door: every file of a user's is opened, read and written by these functions
 def check_file(path: Path, *, max_bytes: int | None = None) -> None:
-    """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
-
-    A pipe or a device could keep its reader waiting for ever. A file that does not exist, or may
-    not be looked at, is left to whoever opens it, and so is a folder.
-    """
+    """Raise InputError unless a path is a regular file, not too large, or is not there."""
     try:
         found = path.stat()
     except (OSError, ValueError):  # ValueError: a zero byte in the name
@@ -50,31 +47,27 @@ def check_file(path: Path, *, max_bytes: int | None = None) -> None:
 
 def _check_found(found: os.stat_result, where: str, max_bytes: int | None) -> None:
     if not stat.S_ISREG(found.st_mode):
-        raise InputError(where, Unquoted(_kind(found.st_mode)), "a regular file")
+        refuse(where, _kind(found.st_mode), "a regular file")
     if max_bytes is not None and found.st_size > max_bytes:
-        got = Unquoted(f"{found.st_size:,} bytes")
-        raise InputError(where, got, f"at most {max_bytes:,}; cut it out first")
+        refuse(where, f"{found.st_size:,} bytes", f"at most {max_bytes:,}; cut it out first")
 
 
 def _kind(mode: int) -> str:
-    """Kind of a path that is no regular file, in words."""
-    kinds = {
-        **{stat.S_IFDIR: "a folder", stat.S_IFLNK: "a link", stat.S_IFIFO: "a pipe"},
-        stat.S_IFSOCK: "a socket",
-    }
-    return kinds.get(stat.S_IFMT(mode), "a device")
+    kinds = {stat.S_IFDIR: "folder", stat.S_IFLNK: "link", stat.S_IFIFO: "pipe"}
+    return "a " + (kinds | {stat.S_IFSOCK: "socket"}).get(stat.S_IFMT(mode), "device")
 
 
 def open_file(
     path: Path, *, max_bytes: int | None = None, expected: str = "a readable file"
 ) -> BinaryIO:
-    """Open a regular file for reading; a link to one is followed.
-
-    Raises InputError if it cannot be opened, is no regular file, or is larger than `max_bytes`.
-    """
+    """Open a regular file for reading; InputError: it is none, too large, or cannot be opened."""
     check_file(path, max_bytes=max_bytes)  # to open a device may already do something
+
+    def at_once(name: str, flags: int) -> int:  # without waiting for who would write into a pipe
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
     try:
-        file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
+        file = open(path, "rb", opener=at_once)  # noqa: SIM115 - Path has no opener
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(str(path), Unquoted(reason), expected) from None
@@ -86,26 +79,28 @@ def open_file(
     return file
 
 
-def _open_at_once(name: str, flags: int) -> int:
-    """Open without waiting for whoever would write into a pipe."""
-    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-
-
 def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """Content of a file; raises InputError as :func:`open_file` does."""
-    with open_file(path, max_bytes=max_bytes) as file:
-        try:
-            return file.read() or b""
-        except OSError as error:
-            reason = Unquoted(error.strerror or error)
-            raise InputError(str(path), reason, "a readable file") from None
+    with open_file(path, max_bytes=max_bytes) as file, reading(path):
+        return file.read() or b""
+
+
+@contextmanager
+def reading(path: Path, expected: str = "", *damage: type[BaseException]) -> Iterator[None]:
+    """Raise InputError in place of what the system raises, and what readers do about `damage`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except damage as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
+        raise InputError(str(path), Unquoted(reason or type(error).__name__), expected) from None
+    except OSError as error:
+        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
 
 
 def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Text of a UTF-8 file; `kind` is what it holds, such as "JSON".
-
-    Raises InputError if it cannot be read, is too large, or is not UTF-8.
-    """
+    """Text of a UTF-8 file that holds a `kind` of text, "JSON"; raises InputError as above."""
     data = read_bytes(path, max_bytes=max_bytes)
     try:
         return data.decode("utf-8-sig")
@@ -125,13 +120,9 @@ def write_new(path: Path, text: str) -> None:
 
 
 def check_target(path: Path) -> None:
-    """Raise InputError if a file cannot be written under a name for what is there already.
-
-    Nothing but a regular file is replaced; nothing is written through a link, into a pipe or onto
-    a device. A folder is left to whoever writes.
-    """
+    """Raise InputError if a name belongs to anything but a regular file, which is replaced."""
     if what := _obstacle(path):
-        raise InputError(str(path), Unquoted(what), "a regular file's name, or one that is free")
+        refuse(str(path), what, "a regular file's name, or one that is free")
 
 
 def _obstacle(path: Path) -> str:
@@ -149,17 +140,13 @@ def _obstacle(path: Path) -> str:
 
 
 def write_atomically(
-    path: Path,
-    content: bytes | str | Callable[[BinaryIO], object],
-    *,
-    is_private: bool = False,
+    path: Path, content: bytes | str | Callable[[BinaryIO], object], *, is_private: bool = False
 ) -> None:
-    """Write a file under a temporary name in the same folder and move it into place.
+    """Write a file under a temporary name in the same folder, which exists, and move it into place.
 
-    The folder exists; temporary files that a killed process left for it are removed. A callable
-    writes the content to an open file; whatever it raises leaves `path` as it was. A private file
-    is for this user alone, whatever the umask. Raises OSError: something is in the way, see
-    :func:`check_target`, or the system says no.
+    Temporary files that a killed process left are removed. A callable writes the content to an open
+    file; whatever it raises leaves `path` as it was. A private file is for this user alone. Raises
+    OSError: something is in the way, see :func:`check_target`, or the system says no.
     """
     if what := _obstacle(path):
         raise FileExistsError(errno.EEXIST, f"{what}, no regular file", str(path))
@@ -185,10 +172,7 @@ def write_atomically(
 
 # ---------- TOML
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
-    """Read a TOML file, or a data file of a package, as a whole.
-
-    Raises InputError: the file cannot be read, is larger than 20 MB, or is not TOML.
-    """
+    """Read a TOML file, or a data file of a package; InputError: it is none, or too large."""
     if isinstance(source, Path):
         text = read_text(source, "valid TOML", max_bytes=MAX_TOML_BYTES)
     else:
@@ -241,10 +225,9 @@ def read_table(table: object, kind: type[_T], where: str) -> _T:
     """Convert a table of a TOML or JSON file to a value; numbers are finite.
 
     `kind`: a frozen dataclass or msgspec.Struct whose fields have the names of the table's keys, or
-    a list or tuple of such. Arrays state their shape: ``ndarray[tuple[int, Literal[2]], ...]``, as
-    in :mod:`geometry.arrays`. Ranges stand in ``Annotated[float, msgspec.Meta(gt=0)]``; a
-    description there is what the message says to be expected. Keys that are no field are ignored,
-    except by a Struct with ``forbid_unknown_fields``.
+    a list or tuple of such. Arrays state their shape, as in :mod:`geometry.arrays`. Ranges stand in
+    ``Annotated[float, msgspec.Meta(gt=0)]``; a description there is what the message says to be
+    expected. Keys that are no field are ignored, unless a Struct says ``forbid_unknown_fields``.
 
     `where`: "sensors.toml", or "sensors.toml: wide" for an entry of it. Raises InputError: names
     the file, the field, the value and what is expected. One that a value raises itself with an
@@ -285,7 +268,6 @@ def _check_finite(value: object, where: str) -> None:
 
 
 def _is_finite(value: object) -> bool:
-    """True if a number, or each number in a list of lists, is finite."""
     if isinstance(value, list):
         return all(map(_is_finite, value))
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
@@ -309,10 +291,6 @@ def _read_array(kind: Any, value: object) -> Any:
     if not isinstance(value, list):
         raise InputError("", value, "a list")
     return float_array(value, shape, "")
-
-
-_PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
-_STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
 
 
 def _input_error(
@@ -354,7 +332,6 @@ def _members(node: msgspec.inspect.UnionType) -> list[Any]:
 
 
 def _step_into(node: Any, step: re.Match[str], value: Any) -> Any:
-    """Type of a field or of an item of a value."""
     if isinstance(node, msgspec.inspect.UnionType) and len(_members(node)) > 1:
         by_tag = {one.tag: one for one in _members(node)}  # tables that one field tells apart
         tag_field = _members(node)[0].tag_field
@@ -387,9 +364,8 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
         case msgspec.inspect.FloatType() | msgspec.inspect.IntType() as number:
             is_whole = isinstance(number, msgspec.inspect.IntType)
             limits = "" if is_other_type else _limits(number)
-            if limits:
-                return ("a whole number" if is_whole else "a number") + limits
-            return "a whole number" if is_whole else "a finite number"
+            plain = "a number" if limits else "a finite number"
+            return ("a whole number" if is_whole else plain) + limits
         case msgspec.inspect.StrType():
             return "text"
         case msgspec.inspect.BoolType():
@@ -403,26 +379,21 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
 
 
 def _limits(node: msgspec.inspect.FloatType | msgspec.inspect.IntType) -> str:
-    """Range of a number: " > 0", or ", at least 0, at most 1"."""
-    more_than = "" if node.gt is None else f" > {node.gt:g}"
-    less_than = "" if node.lt is None else f" < {node.lt:g}"
-    at_least = "" if node.ge is None else f", at least {node.ge:g}"
-    at_most = "" if node.le is None else f", at most {node.le:g}"
-    return more_than + less_than + at_least + at_most
+    signs = ((" > ", node.gt), (" < ", node.lt), (", at least ", node.ge), (", at most ", node.le))
+    return "".join(f"{sign}{limit:g}" for sign, limit in signs if limit is not None)
 
 
 def take(table: Table, key: str, where: str) -> Any:
     """Value of a key that must be there."""
     if key not in table:
-        raise InputError(f"{where}.{key}", Unquoted("nothing"), "a value")
+        refuse(f"{where}.{key}", "nothing", "a value")
     return table[key]
 
 
 def take_number(table: Table, key: str, where: str) -> float:
     """Finite number of a key that must be there."""
     value = take(table, key, where)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (is_number and abs(value) <= sys.float_info.max):
+    if isinstance(value, bool) or not (isinstance(value, int | float) and _is_finite(value)):
         raise InputError(f"{where}.{key}", value, "a finite number")
     return float(value)
 
@@ -451,15 +422,9 @@ def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
 
 
 # ---------- temporary files and folders: whose process is alive?
-_YOUNG_S = 60.0  # a process may have made it and not locked it yet
-
-
 @contextmanager
 def lock_while_alive(path: Path) -> Iterator[None]:
-    """Lock a file or folder; the system lifts the lock when the process ends, however it ends.
-
-    Where the system has no such locks, :func:`is_abandoned` never holds.
-    """
+    """Lock a file or folder, where the system can, until the process ends, however it ends."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -475,10 +440,7 @@ def lock_while_alive(path: Path) -> Iterator[None]:
 
 
 def is_abandoned(path: Path, *, min_age_s: float = _YOUNG_S) -> bool:
-    """True if no living process holds a temporary file or folder; False where that is not known.
-
-    `min_age_s` may be 0 when nobody makes any there.
-    """
+    """True if no living process holds a temporary file or folder; False where that is not known."""
     try:
         import fcntl
 
@@ -498,8 +460,6 @@ def is_abandoned(path: Path, *, min_age_s: float = _YOUNG_S) -> bool:
 
 
 # ---------- folders whose content is believed
-
-
 def user_cache_folder() -> Path:
     """The program's folder in the user's cache; a relative XDG_CACHE_HOME does not count."""
     from platformdirs import user_cache_path
@@ -522,10 +482,7 @@ def trouble_with(folder: Path) -> str:
 
 @cache
 def private_temporary_folder() -> Path:
-    """A folder of this user alone among the temporary ones: the same in every call, if it can be.
-
-    If somebody else holds that name, it is a new one, which goes when the process ends.
-    """
+    """A temporary folder of this user alone, the same in every call if it can be, or a new one."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"place-rsus-{user}"
     if not trouble_with(folder):
@@ -538,9 +495,9 @@ def private_temporary_folder() -> Path:
 def writable_by_others(path: Path) -> bool:
     """True if other users may change a file or folder, or put another one in its place.
 
-    Every folder on the way, behind all links, is judged by owner and rights. A user's own group,
-    which has the user's name and no other members, is nobody else; root may do anything. False
-    where the system has no such rights, or there is no such file.
+    Every folder on the way, behind all links, is judged by owner and rights. A user's own group
+    without other members is nobody else; root may do anything. False where there are no such
+    rights, or no such file.
     """
     if not hasattr(os, "getuid"):  # Windows
         return False
@@ -552,33 +509,25 @@ def writable_by_others(path: Path) -> bool:
 
 
 def _is_open(found: os.stat_result, *, is_last: bool) -> bool:
-    """True if others may change a file or folder."""
+    import grp
+    import pwd
+
     if found.st_uid not in (os.getuid(), 0):
         return True
     # What lies in a folder like /tmp can be moved by its owner alone.
     if found.st_mode & stat.S_ISVTX and not is_last:
         return False
-    if found.st_mode & stat.S_IWOTH:
-        return True
-    return bool(found.st_mode & stat.S_IWGRP) and found.st_gid != 0 and not _is_own_group(found)
-
-
-def _is_own_group(found: os.stat_result) -> bool:
-    import grp
-    import pwd
-
+    if found.st_mode & stat.S_IWOTH or not found.st_mode & stat.S_IWGRP or found.st_gid == 0:
+        return bool(found.st_mode & stat.S_IWOTH)
     try:
         owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
     except KeyError:
-        return False
-    return group.gr_name == owner and not set(group.gr_mem) - {owner}
+        return True
+    return group.gr_name != owner or bool(set(group.gr_mem) - {owner})
 
 
 def open_own(path: Path) -> BinaryIO:
-    """Open a file for reading that this user or root alone can have written.
-
-    Raises PermissionError: somebody else owns it, or may write to it. OSError: it cannot be read.
-    """
+    """Open a file that this user or root alone can have written; or PermissionError, or OSError."""
     file = path.open("rb")
     found = os.fstat(file.fileno())  # what is judged is what is read
     if hasattr(os, "getuid") and _is_open(found, is_last=True):

@@ -11,10 +11,7 @@ from .arrays import FloatArray
 def footprint_corners(
     centre_m: ArrayLike, yaw_deg: ArrayLike, *, length_m: float, width_m: float
 ) -> FloatArray:
-    """Corners of oriented rectangles, (..., 4, 2), counter-clockwise from front left.
-
-    `centre_m` is (..., 2); the length points along `yaw_deg`, counter-clockwise from east.
-    """
+    """Corners of rectangles around (..., 2), (..., 4, 2), counter-clockwise from front left."""
     centre = np.asarray(centre_m, dtype=np.float64)
     yaw = np.radians(np.asarray(yaw_deg, dtype=np.float64))[..., None]
     ahead = 0.5 * length_m * np.array([1.0, -1.0, -1.0, 1.0])
@@ -27,12 +24,10 @@ def footprint_corners(
 def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> FloatArray:
     """Largest gap in metres between two rectangles along any of their sides' normals.
 
-    Corners are (..., 4, 2), in order around each rectangle. Zero or less means that they touch, by
-    the separating axis theorem; negative is minus the depth of the overlap. For rectangles that do
-    not touch it is a lower bound of their distance, and equal to it unless two corners face.
+    Corners are (..., 4, 2), in order around each rectangle. By the separating axis theorem they
+    touch at zero or less: minus the depth of the overlap. Of rectangles that do not touch it is a
+    lower bound of their distance, and equal to it unless two corners face.
 
-    Examples
-    --------
     >>> a = footprint_corners([0.0, 0.0], 0.0, length_m=2.0, width_m=2.0)
     >>> b = footprint_corners([5.0, 0.0], 0.0, length_m=2.0, width_m=2.0)
     >>> float(footprint_separation(a, b).round(12))
@@ -47,10 +42,8 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
     sides = [
         (side[..., 0], side[..., 1])
         for corners in (a, b)
-        for side in (
-            corners[..., 1, :] - corners[..., 0, :],
-            corners[..., 2, :] - corners[..., 1, :],
-        )
+        for at in (0, 1)
+        for side in [corners[..., at + 1, :] - corners[..., at, :]]
     ]
     separation = np.full(np.broadcast(apart_east, apart_north).shape, -np.inf)
     for normal_east, normal_north in sides:  # each side is the normal of its neighbour
@@ -74,11 +67,11 @@ class FootprintSizes:
 def gaps_between(
     offset_m: ArrayLike, yaw_a_deg: ArrayLike, yaw_b_deg: ArrayLike, *, sizes: FootprintSizes
 ) -> FloatArray:
-    """Gaps between two rectangles along each of their sides' normals, (4, ...), in metres.
+    """Gaps between two rectangles along the length and width of a, then of b, (4, ...), in metres.
 
-    Along the length and the width of a, then of b; negative where they overlap. The largest is what
-    :func:`footprint_separation` finds from corners, several times as slowly. `offset_m` (..., 2)
-    leads from the middle of a to the middle of b; leading axes broadcast.
+    Negative where they overlap; the largest is what :func:`footprint_separation` finds from
+    corners, several times as slowly. `offset_m` (..., 2) leads from the middle of a to the middle
+    of b.
     """
     offset = np.asarray(offset_m, dtype=np.float64)
     yaw_a = np.radians(np.asarray(yaw_a_deg, dtype=np.float64))

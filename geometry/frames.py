@@ -13,23 +13,21 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 _FLIP_NORTH = np.array([1.0, -1.0, 1.0])
+_PATH = re.compile(r"(?:[=,]\s*@?|^\s*)(?:\w:)?(?:[/\\~]|\.\.?[/\\])")
 
 
 def from_carla_points(points_carla_m: ArrayLike) -> FloatArray:
     """Points (..., 2 or 3) from CARLA's left-handed frame (x east, y south) to the world (ENU).
 
-    Examples
-    --------
     >>> from_carla_points([1.0, 2.0])
     array([ 1., -2.])
     """
     points = np.asarray(points_carla_m, dtype=np.float64)
-    flipped: FloatArray = points * _FLIP_NORTH[: points.shape[-1]]
-    return flipped
+    return np.asarray(points * _FLIP_NORTH[: points.shape[-1]])
 
 
 def to_carla_points(points_m: ArrayLike) -> FloatArray:
-    """Points from the world (ENU) to CARLA's left-handed frame; its own inverse."""
+    """Points from the world (ENU) to CARLA's left-handed frame."""
     return from_carla_points(points_m)
 
 
@@ -64,16 +62,11 @@ def from_gltf_points(points_m: ArrayLike) -> FloatArray:
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 
 
-_PATH = re.compile(r"(?:[=,]\s*@?|^\s*)(?:\w:)?(?:[/\\~]|\.\.?[/\\])")
-
-
 def parse_crs(declared: "str | CRS") -> "CRS":
     """A coordinate reference system, as a file or a user declares it.
 
     Raises pyproj's CRSError if it is unknown, or names a file by its path: PROJ would open it.
 
-    Examples
-    --------
     >>> parse_crs("EPSG:25832").name
     'ETRS89 / UTM zone 32N'
     """
@@ -86,11 +79,7 @@ def parse_crs(declared: "str | CRS") -> "CRS":
 
 
 def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
-    """Longitude and latitude (WGS 84, degrees), (n, 2), of points of the world frame.
-
-    `points_m` are east, north(, up) in the coordinate reference system `crs`: anything that pyproj
-    accepts.
-    """
+    """Longitude and latitude (n, 2), WGS 84, degrees, of points of the world frame in a `crs`."""
     from pyproj import Transformer
 
     points = np.asarray(points_m, dtype=np.float64)

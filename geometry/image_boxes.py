@@ -22,8 +22,6 @@ def clip_boxes(boxes_px: ArrayLike, *, width_px: int, height_px: int) -> FloatAr
 def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
     """Intersection over union of boxes (..., 4), pairwise; 0 where either is empty.
 
-    Examples
-    --------
     >>> float(iou([0, 0, 2, 2], [1, 0, 3, 2]).round(4))
     0.3333
     """
@@ -44,10 +42,7 @@ def _area(size_px: FloatArray) -> FloatArray:
 
 
 def mask_box(mask: ArrayLike) -> FloatArray:
-    """Box (4,) around the set pixels of a mask (h, w); zeros if there is none.
-
-    Pixel (row, column) covers the unit square from (column, row).
-    """
+    """Box (4,) around the set pixels, unit squares, of a mask (h, w); zeros if there is none."""
     rows, columns = np.nonzero(np.asarray(mask, dtype=bool))
     if not len(rows):
         return np.zeros(4)

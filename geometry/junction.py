@@ -24,8 +24,7 @@ ARM_NAMES = (
 COMPASS = ARM_NAMES[::2]
 CONNECTING = "connecting"  # kind of a lane through the junction
 ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
-_ROAD_KINDS = ("driving", "parking")
-_CYCLE_KINDS = ("cycling",)
+_End = tuple[bool, Lane]  # a lane at the junction, and whether it leads into it
 _AT_OUTLINE_M = 1.5  # lanes end at the junction's outline but for the rounding of the map
 _CYCLES_AT_OUTLINE_M = 6.0  # cycleways run next to it, behind a shoulder or a strip of grass
 _SAME_POINT_M = 0.5  # between one piece of a lane and the next
@@ -40,7 +39,8 @@ _SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
 _SAME_WAY = 0.5  # cosine of the angle between them
 _LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
-# Euro NCAP's junction: arms begin 11.5 m from the centre, pedestrians cross 9.5 m from it.
+_CORNER_M = 15.0  # from the outline of the junction's road surface
+_STRAIGHT = 0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,8 +52,7 @@ class Line:
 
     def __post_init__(self) -> None:
         set_arrays(self, "", point_m=(2,), direction=(2,))
-        direction = freeze(self.direction / np.hypot(*self.direction))
-        object.__setattr__(self, "direction", direction)
+        object.__setattr__(self, "direction", freeze(self.direction / np.hypot(*self.direction)))
 
     @property
     def left(self) -> FloatArray:
@@ -89,17 +88,13 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm:
-    """A road that ends at a junction."""
+    """A road that ends at a junction; its lanes are listed from the kerb to the road's axis."""
 
     name: str  # where it lies, seen from the junction: "north", "east", ..
-    # into the junction and out of it, whole as far as the map goes; from the kerb to the road's
-    # axis, parking lanes too
-    lanes_in: tuple[Lane, ...]
+    lanes_in: tuple[Lane, ...]  # whole as far as the map goes; parking lanes too
     lanes_out: tuple[Lane, ...]
     crosswalk: Line  # where pedestrians cross the arm
-    # where cyclists ride into the junction and out of it, next to or between the lanes; from the
-    # kerb to the road's axis
-    cycleways_in: tuple[Lane, ...] = ()
+    cycleways_in: tuple[Lane, ...] = ()  # next to or between the lanes
     cycleways_out: tuple[Lane, ...] = ()
 
     @property
@@ -124,13 +119,10 @@ class Junction:
     """Arms of a scene's junction."""
 
     name: str  # of the scene
-    arms: dict[str, Arm]  # By name, counter-clockwise from the east
+    arms: dict[str, Arm]  # by name, counter-clockwise from the east
     keeps_left: bool = False  # traffic keeps left
-    # lanes through the junction, each from the end of an entry lane to the start of an exit lane,
-    # and through others around it
-    connections: tuple[Lane, ...] = ()
-    # lanes that are assumed, from beyond the map to the start of an entry lane: straight ones of
-    # two points, or bent past buildings
+    connections: tuple[Lane, ...] = ()  # lanes through the junction, and through others around it
+    # lanes that are assumed, from beyond the map to the start of an entry lane
     beyond: tuple[Lane, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:
@@ -172,25 +164,17 @@ def _led_on(before: Lane, entry: Lane) -> Lane:
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 
-    Lanes belong to one arm that lie side by side and lead the same way, and so do two carriageways,
-    one into the junction and one out of it, with a median of up to 25 m between. An arm is named
-    after one of four points of the compass, or of eight or sixteen where two arms would share a
-    name; if even these do, numbers tell them apart. Where it has no crosswalk of its own,
-    pedestrians cross 2 m inside the mouth, as at Euro NCAP's junction. Raises InputError: no lane
-    begins or ends at the outline of the junction's road surface.
+    An arm is named after one of four points of the compass, or of eight or sixteen where two arms
+    would share a name; if even these do, numbers tell them apart. Raises InputError: no lane begins
+    or ends at the outline of the junction's road surface.
     """
-    ends = _ends_at_outline(scene, _ROAD_KINDS)
+    ends = _ends_at_outline(scene, ("driving", "parking"), _AT_OUTLINE_M)
     if not ends:
         got = len(scene.lanes)
         raise InputError(f"{scene.name}: lanes", got, "lanes that begin or end at the outline")
     groups = _group_by_arm(ends, keeps_left=scene.keeps_left)
-    cycleways = _beside_arms(
-        _ends_at_outline(scene, _CYCLE_KINDS, within_m=_CYCLES_AT_OUTLINE_M), groups
-    )
-    ways = [
-        np.mean([_mouth(lane, is_in=is_in).direction for is_in, lane in group], axis=0)
-        for group in groups
-    ]
+    cycleways = _beside_arms(_ends_at_outline(scene, ("cycling",), _CYCLES_AT_OUTLINE_M), groups)
+    ways = [np.mean([_mouth(*end).direction for end in group], axis=0) for group in groups]
     bearings = np.degrees(np.arctan2(*np.transpose(ways)[::-1]))
     order = np.argsort(np.round(np.mod(bearings, 360.0), 6) % 360.0, kind="stable")
     names = _arm_names(bearings[order])
@@ -211,21 +195,17 @@ def arm_of_road(road: LeadingRoad, junction: Junction) -> str | None:
     """The arm of whose lanes one begins or ends next to a road; None: there is none."""
     nearest, least_m = None, _SAME_ROAD_M
     for name, arm in junction.arms.items():
-        tips = [(lane.centreline_m[-1], lane.centreline_m[-2]) for lane in arm.entry_lanes]
-        tips += [(lane.centreline_m[0], lane.centreline_m[1]) for lane in arm.exit_lanes]
-        for tip, beyond in tips:
-            along = (beyond - tip) @ road.direction / np.hypot(*(beyond - tip))
+        lines = [lane.centreline_m[::-1] for lane in arm.entry_lanes]
+        for line in [*lines, *(lane.centreline_m for lane in arm.exit_lanes)]:
+            tip, way = line[0], line[1] - line[0]
             distance_m = float(np.hypot(*(tip - road.point_m)))
-            if along > _SAME_WAY and distance_m < least_m:
+            if way @ road.direction / np.hypot(*way) > _SAME_WAY and distance_m < least_m:
                 nearest, least_m = name, distance_m
     return nearest
 
 
 def mirrored(junction: Junction) -> Junction:
-    """A junction as seen in a mirror that swaps north and south: traffic keeps the other side.
-
-    Names of arms and lanes stay.
-    """
+    """A junction mirrored north to south, where traffic keeps the other side; names stay."""
 
     def turn_over(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
         return tuple(
@@ -254,20 +234,14 @@ def mirrored(junction: Junction) -> Junction:
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
-    """Straight line along the part of a lane next to the junction, and how far the lane leaves it.
-
-    The line runs through the lane's mouth in driving direction. At most `length_m` of the lane
-    count, and no more than it has; the largest distance from the line is in metres.
-    """
+    """Straight line along a lane's metres next to the junction, and the most it leaves it. [m]."""
     points = lane.centreline_m if is_in else lane.centreline_m[::-1]  # the mouth comes last
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    to_mouth = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+    to_mouth = np.append(np.cumsum(np.hypot(*np.diff(points, axis=0).T)[::-1])[::-1], 0.0)
     begin_m = min(length_m, float(to_mouth[0]))
     start = np.array([np.interp(-begin_m, -to_mouth, points[:, axis]) for axis in (0, 1)])
     direction = points[-1] - start if is_in else start - points[-1]
     line = Line(point_m=points[-1], direction=direction)
-    near = points[to_mouth <= begin_m]
-    return line, float(np.abs(line.coordinates(near)[:, 1]).max())
+    return line, float(np.abs(line.coordinates(points[to_mouth <= begin_m])[:, 1]).max())
 
 
 def lane_length_m(lane: Lane) -> float:
@@ -276,33 +250,22 @@ def lane_length_m(lane: Lane) -> float:
 
 
 def curve_between(before: Line, after: Line) -> FloatArray:
-    """Points (n, 2) from one line's point to another's: a cubic Hermite curve.
-
-    At its ends it has the lines' directions. Raises ValueError: the other line's point does not lie
-    ahead: more than 60 degrees aside of a direction.
-    """
+    """Points (n, 2) of a cubic from line to line; ValueError: one is not ahead of the other."""
     begin, end = before.point_m, after.point_m
     length_m = float(np.hypot(*(end - begin)))
     if min((end - begin) @ before.direction, (end - begin) @ after.direction) <= 0.5 * length_m:
         raise ValueError(f"line at {end.tolist()}: got one aside; expected one ahead of the other")
     share = np.linspace(0.0, 1.0, max(8, int(length_m)))[:, None]
-    curve: FloatArray = (
+    return np.asarray(
         (2.0 * share**3 - 3.0 * share**2 + 1.0) * begin
         + (share**3 - 2.0 * share**2 + share) * length_m * before.direction
         + (3.0 * share**2 - 2.0 * share**3) * end
         + (share**3 - share**2) * length_m * after.direction
     )
-    return curve
 
 
-def _ends_at_outline(
-    scene: Scene, kinds: Sequence[str], *, within_m: float = _AT_OUTLINE_M
-) -> list[tuple[bool, Lane]]:
-    """Lanes of some kinds that lead into the junction (True) or out of it.
-
-    Of a piece so short that both its ends are at the outline the nearer end counts; stubs that end
-    nowhere are left out.
-    """
+def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> list[_End]:
+    """Lanes of some kinds into or out of the junction, at the nearer of their ends; no stubs."""
     ends = []
     for lane in (lane for lane in scene.lanes if lane.kind in kinds):
         off_m = {
@@ -321,62 +284,43 @@ def _ends_at_outline(
     return ends
 
 
-def _beside_arms(
-    ends: Sequence[tuple[bool, Lane]], groups: Sequence[Sequence[tuple[bool, Lane]]]
-) -> list[list[tuple[bool, Lane]]]:
+def _beside_arms(ends: Sequence[_End], groups: Sequence[Sequence[_End]]) -> list[list[_End]]:
     """Lane ends by the arm next to whose lanes they lie; others are left out."""
-    beside: list[list[tuple[bool, Lane]]] = [[] for _ in groups]
-    mouths = [[_mouth(lane, is_in=is_in) for is_in, lane in group] for group in groups]
+    beside: list[list[_End]] = [[] for _ in groups]
+    mouths = [[_mouth(*end) for end in group] for group in groups]
     for is_in, lane in ends:
-        mouth = _mouth(lane, is_in=is_in)
-        reach_m = 0.5 * lane.width_m + _SAME_ARM_GAP_M
-        near = [
-            index
-            for index, others in enumerate(mouths)
-            if any(_is_beside(mouth, other, reach_m) for other in others)
-        ]
-        if near:
-            beside[near[0]].append((is_in, lane))
+        mouth, reach_m = _mouth(is_in, lane), 0.5 * lane.width_m + _SAME_ARM_GAP_M
+        for found, others in zip(beside, mouths, strict=True):
+            if any(_is_beside(mouth, other, reach_m) for other in others):
+                found.append((is_in, lane))
+                break
     return beside
 
 
-def _build_arm(
-    name: str,
-    members: Sequence[tuple[bool, Lane]],
-    cycleways: Sequence[tuple[bool, Lane]],
-    scene: Scene,
-) -> Arm:
-    lanes_in, lanes_out, cycleways_in, cycleways_out = (
-        _from_kerb(
-            [_whole(lane, scene.lanes, is_in=wanted) for is_in, lane in ends if is_in == wanted],
-            is_in=wanted,
-            keeps_left=scene.keeps_left,
-        )
-        for ends in (members, cycleways)
-        for wanted in (True, False)
-    )
-    crosswalk = _crosswalk(lanes_in, lanes_out, scene)
+def _build_arm(name: str, members: Sequence[_End], cycleways: Sequence[_End], scene: Scene) -> Arm:
+    def from_kerb(ends: Sequence[_End], *, is_in: bool) -> tuple[Lane, ...]:
+        own = [lane for leads_in, lane in ends if leads_in == is_in]
+        lanes = [_whole(lane, scene.lanes, is_in=is_in) for lane in own]
+        lines = [lane_line(lane, is_in=is_in, length_m=10.0)[0] for lane in lanes]
+        # The kerb is on the right, or where traffic keeps left on the left: smaller to the other
+        # side of the first lane means nearer to it.
+        inwards = -1.0 if scene.keeps_left else 1.0
+        order = np.argsort([inwards * lines[0].coordinates(line.point_m)[1] for line in lines])
+        return tuple(lanes[index] for index in order)
+
+    lanes_in, lanes_out = (from_kerb(members, is_in=is_in) for is_in in (True, False))
     return Arm(
         name=name,
         lanes_in=lanes_in,
         lanes_out=lanes_out,
-        crosswalk=crosswalk,
-        cycleways_in=cycleways_in,
-        cycleways_out=cycleways_out,
+        crosswalk=_crosswalk(lanes_in, lanes_out, scene),
+        cycleways_in=from_kerb(cycleways, is_in=True),
+        cycleways_out=from_kerb(cycleways, is_in=False),
     )
 
 
-def _from_kerb(lanes: Sequence[Lane], *, is_in: bool, keeps_left: bool) -> tuple[Lane, ...]:
-    lines = [lane_line(lane, is_in=is_in, length_m=10.0)[0] for lane in lanes]
-    # The kerb is on the right, or where traffic keeps left on the left: smaller to the other side
-    # of the first lane means nearer to it.
-    inwards = -1.0 if keeps_left else 1.0
-    order = np.argsort([inwards * lines[0].coordinates(line.point_m)[1] for line in lines])
-    return tuple(lanes[index] for index in order)
-
-
 def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene) -> Line:
-    """The scene's crosswalk that leads over the arm's mouth, or a line inside the mouth."""
+    """The scene's crosswalk over the arm's mouth, or a line 2 m inside, as at Euro NCAP's."""
     mouths = np.array(
         [lane.centreline_m[-1] for lane in lanes_in] + [lane.centreline_m[0] for lane in lanes_out]
     )
@@ -397,10 +341,7 @@ def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: S
 
 
 def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
-    """The lane with the pieces that lead to its start, or on from its end.
-
-    Through other junctions it is followed along their connecting lanes, as straight on as they go.
-    """
+    """The lane with the pieces before or behind it, straight on through other junctions."""
     pieces = [lane]
     while True:
         last = pieces[0 if is_in else -1]
@@ -431,41 +372,15 @@ def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
     return -float(ahead @ lane_line(after, is_in=False, length_m=5.0)[0].direction)
 
 
-def _group_by_arm(
-    ends: Sequence[tuple[bool, Lane]], *, keeps_left: bool
-) -> list[list[tuple[bool, Lane]]]:
-    """Lane ends that lie side by side and lead the same way, chained from one to the next."""
-    mouths = [_mouth(lane, is_in=is_in) for is_in, lane in ends]
+def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]:
+    """Lane ends by arm: side by side the same way, or the two carriageways of one road."""
+    mouths = [_mouth(*end) for end in ends]
 
     def is_pair(one: int, other: int) -> bool:
         reach_m = 0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
         return _is_beside(mouths[one], mouths[other], reach_m)
 
     groups = [[ends[index] for index in group] for group in chained(len(ends), is_pair)]
-    return _with_both_carriageways(groups, keeps_left=keeps_left)
-
-
-def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
-    """Groups of 0 to n - 1 in which each is the pair of another one, in the order of the first."""
-    group = list(range(n))
-    for one in range(n):
-        for other in range(one):
-            if group[one] != group[other] and is_pair(one, other):
-                old, new = group[one], group[other]
-                group = [new if number == old else number for number in group]
-    return [
-        [index for index, number in enumerate(group) if number == wanted]
-        for wanted in dict.fromkeys(group)
-    ]
-
-
-def _with_both_carriageways(
-    groups: list[list[tuple[bool, Lane]]], *, keeps_left: bool
-) -> list[list[tuple[bool, Lane]]]:
-    """Join carriageways into the junction with those out of it that a wide median divides.
-
-    They are neighbours, on the sides on which traffic keeps, and the nearest such pairs are joined.
-    """
     pairs = []
     for one, group in enumerate(groups):
         for other, leaving in enumerate(groups):
@@ -482,18 +397,29 @@ def _with_both_carriageways(
     return joined + [group for index, group in enumerate(groups) if index not in used]
 
 
+def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
+    """Groups of 0 to n - 1 in which each is the pair of another one, in the order of the first."""
+    group = list(range(n))
+    for one in range(n):
+        for other in range(one):
+            if group[one] != group[other] and is_pair(one, other):
+                old, new = group[one], group[other]
+                group = [new if number == old else number for number in group]
+    return [
+        [index for index, number in enumerate(group) if number == wanted]
+        for wanted in dict.fromkeys(group)
+    ]
+
+
 def _median_m(
-    entering: Sequence[tuple[bool, Lane]],
-    leaving: Sequence[tuple[bool, Lane]],
-    *,
-    keeps_left: bool,
+    entering: Sequence[_End], leaving: Sequence[_End], *, keeps_left: bool
 ) -> float | None:
     """Width of the median between two carriageways of one arm; None: they are not one arm's."""
     least_m = np.inf
     for is_in, lane in entering:
-        mouth = _mouth(lane, is_in=is_in)
+        mouth = _mouth(is_in, lane)
         for other_is_in, other_lane in leaving:
-            other = _mouth(other_lane, is_in=other_is_in)
+            other = _mouth(other_is_in, other_lane)
             if mouth.direction @ other.direction < np.cos(np.radians(_SAME_ARM_DEG)):
                 return None
             between = replace(mouth, direction=mouth.direction + other.direction)
@@ -508,7 +434,7 @@ def _median_m(
     return least_m if least_m <= _MEDIAN_M else None
 
 
-def _mouth(lane: Lane, *, is_in: bool) -> Line:
+def _mouth(is_in: bool, lane: Lane) -> Line:
     """Line through the end of a lane at the junction, away from that."""
     line, _ = lane_line(lane, is_in=is_in, length_m=10.0)
     return line.turned(180.0) if is_in else line
@@ -540,10 +466,6 @@ def distance_to_outline_m(point_m: FloatArray, outline_m: FloatArray) -> float:
 
 
 # ---------- where things stand, in words
-_CORNER_M = 15.0  # from the outline of the junction's road surface
-_STRAIGHT = 0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
-
-
 def compass_point(way_m: FloatArray) -> str:
     """The nearest of eight points of the compass."""
     return COMPASS[round(np.degrees(np.arctan2(way_m[1], way_m[0])) / 45.0) % 8]
@@ -552,8 +474,6 @@ def compass_point(way_m: FloatArray) -> str:
 def compass_bearing_deg(yaw_deg: float) -> float:
     """A direction clockwise from north, at least 0 and below 360, as installers read it.
 
-    Examples
-    --------
     >>> compass_bearing_deg(0.0), compass_bearing_deg(135.0)
     (90.0, 315.0)
     """
@@ -572,11 +492,10 @@ def street_names(scene: Scene) -> dict[str, str]:
 
 
 def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
-    """Places at a junction in words, such as "north-west corner, Mill Lane and High Street".
+    """Places (n, 2) at a junction in words: "north-west corner, Mill Lane and High Street".
 
-    `scene`: the junction. `positions_m` (n, 2): places in the world frame. Returns `words`: within
-    15 m of the junction's outline a corner, with the streets of the arms on either side; farther
-    out the nearest arm, with its street. Empty where the scene has no arms.
+    Within 15 m of the junction's outline a corner, with the streets of the arms on either side;
+    farther out the nearest arm, with its street. Empty where the scene has no arms.
     """
     positions = float_array(positions_m, (-1, 2), "positions_m")
     try:
@@ -585,14 +504,18 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
         return [""] * len(positions)
     streets = street_names(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    lines = {name: _lanes(arm) for name, arm in arms.items()}
+    lines = {
+        name: shapely.MultiLineString([one.centreline_m for one in (*arm.lanes_in, *arm.lanes_out)])
+        for name, arm in arms.items()
+    }
     bearings = {name: _bearing(arm_mouth(arm) - middle) for name, arm in arms.items()}
     found = []
     for position in positions:
         away_m = distance_to_outline_m(position, scene.outline_m)
         if away_m <= _CORNER_M:
             way = position - middle
-            beside = _beside(_bearing(way), bearings)
+            turns = {name: (at - _bearing(way)) % (2.0 * np.pi) for name, at in bearings.items()}
+            beside = [max(turns, key=turns.__getitem__), min(turns, key=turns.__getitem__)]
             known = [streets[name] for name in beside if name in streets]
             # Halfway between two arms, unless they lead nearly straight on.
             sides = [bearings[name] for name in beside]
@@ -609,22 +532,11 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
     return found
 
 
-def _lanes(arm: Arm) -> Any:
-    lanes = (*arm.lanes_in, *arm.lanes_out)
-    return shapely.MultiLineString([lane.centreline_m for lane in lanes])
-
-
 def arm_mouth(arm: Arm) -> FloatArray:
     """Middle of an arm's lanes where they meet the junction, (2,)."""
     ends = [lane.centreline_m[-1] for lane in arm.lanes_in]
-    middle: FloatArray = np.mean([*ends, *(lane.centreline_m[0] for lane in arm.lanes_out)], axis=0)
-    return middle
+    return np.asarray(np.mean([*ends, *(lane.centreline_m[0] for lane in arm.lanes_out)], axis=0))
 
 
 def _bearing(way_m: FloatArray) -> float:
     return float(np.arctan2(way_m[1], way_m[0]))
-
-
-def _beside(bearing: float, arms: dict[str, float]) -> Sequence[str]:
-    turns = {name: (angle - bearing) % (2.0 * np.pi) for name, angle in arms.items()}
-    return [max(turns, key=turns.__getitem__), min(turns, key=turns.__getitem__)]

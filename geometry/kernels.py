@@ -33,6 +33,7 @@ from .files import (
 
 F = TypeVar("F", bound=Callable[..., Any])
 _log = logging.getLogger(__name__)
+_begun_s: list[float] = []  # compiling one function may begin with others that it calls
 
 
 def kernel(function: F) -> F:
@@ -61,11 +62,7 @@ def is_compiled(function: Callable[..., Any]) -> bool:
 
 @cache
 def compiled_folder() -> Path:
-    """Where machine code is cached: NUMBA_CACHE_DIR, or the user's cache, or a temporary folder.
-
-    Code of others would run as ours: a folder into which they may write is not used. Processes
-    that this one starts use the same folder.
-    """
+    """Where machine code is cached: NUMBA_CACHE_DIR, the user's cache or a temporary folder."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(chosen) if chosen else user_cache_folder() / "compiled"
     trouble = trouble_with(folder)
@@ -119,10 +116,13 @@ class _Cached(FunctionCache):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
+        beside = Path(function.__code__.co_filename).parent.glob("*_kernels.py")
+        stats = [(file.name, file.stat()) for file in sorted(beside)]  # they may call one another
+        stamps = [(name, found.st_mtime_ns, found.st_size) for name, found in stats]
         self._cache_file: IndexDataCacheFile = _CheckedFile(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=(self._impl.locator.get_source_stamp(), *_stamps_beside(function)),
+            source_stamp=(self._impl.locator.get_source_stamp(), *stamps),
         )
 
     @property
@@ -150,29 +150,14 @@ class _Cached(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Cache code, or say why not."""
-        _stop_clock()
+        began_s = _begun_s.pop()
+        if not _begun_s:  # the compiler, which works for one thread at a time, has no time limit
+            stand_still_s(time.monotonic() - began_s)
         try:
             super().save_overload(signature, data)
         except Exception as error:  # a disk that is full, a folder that went, a damaged index
             reason = getattr(error, "strerror", None) or error
             _tell_once(f"machine code not cached: {compiled_folder()}: {reason}")
-
-
-def _stamps_beside(function: Callable[..., Any]) -> list[tuple[str, int, int]]:
-    """Names, times and sizes of kernel files whose change asks for a new compilation."""
-    files = sorted(Path(function.__code__.co_filename).parent.glob("*_kernels.py"))
-    status = [(file.name, file.stat()) for file in files]
-    return [(name, of_file.st_mtime_ns, of_file.st_size) for name, of_file in status]
-
-
-_begun_s: list[float] = []  # compiling one function may begin with others that it calls
-
-
-def _stop_clock() -> None:
-    """Take the time of the compiler, which works for one thread at a time, from all time limits."""
-    began_s = _begun_s.pop()
-    if not _begun_s:
-        stand_still_s(time.monotonic() - began_s)
 
 
 @cache

@@ -10,15 +10,7 @@ from typing import Any
 def lazy_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the stub next to its file.
-
-    The stub is the one list of names: type checkers read the same file. It holds nothing but a
-    docstring and lines such as ``from .poses import Pose as Pose``.
-
-    References
-    ----------
-    .. [1] Scientific Python SPEC 1, "Lazy Loading of Submodules and Functions".
-    """
+    """``__getattr__``, ``__dir__``, ``__all__`` of a package, by its stub: SPEC 1, lazy loading."""
     stub = ast.parse(Path(file).with_suffix(".pyi").read_bytes())
     homes = {
         alias.name: f"{'.' * statement.level}{statement.module}"

@@ -17,12 +17,9 @@ _NEWTON_STEPS = 50
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrownConrady:
-    """Radial and tangential distortion; all zeros: none.
+    """Radial and tangential distortion; all zeros: none. Order and signs as in OpenCV.
 
-    References
-    ----------
-    .. [1] D. Brown, "Decentering distortion of lenses", 1966; order and signs as OpenCV's
-       ``distCoeffs``.
+    D. Brown, "Decentering distortion of lenses", 1966.
     """
 
     k1: float = 0.0
@@ -32,11 +29,7 @@ class BrownConrady:
     k3: float = 0.0
 
     def distort(self, points: FloatArray) -> FloatArray:
-        """Points (n, 2) at depth 1 as the lens shows them.
-
-        Not a number beyond the radius up to which the lens keeps their order: the polynomial would
-        fold them back into the image.
-        """
+        """Points (n, 2) at depth 1 as the lens shows them; NaN where it would fold them back."""
         x, y = points.T
         square = x**2 + y**2
         radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
@@ -58,11 +51,9 @@ class BrownConrady:
 class TsaiRadial:
     """Radial distortion by one term: undistorted = distorted x (1 + kappa r_distorted^2).
 
-    References
-    ----------
-    .. [1] R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine vision
-       metrology", 1987. His kappa1 is per mm^2 of the sensor; here it is times the focal length
-       squared, for points at depth 1.
+    R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine vision
+    metrology", 1987. His kappa1 is per mm^2 of the sensor; here it is times the focal length
+    squared, for points at depth 1.
     """
 
     kappa: float
@@ -81,23 +72,19 @@ class TsaiRadial:
                 break
         share = np.divide(shown, radius, out=np.ones_like(radius), where=radius > 0.0)
         off = abs(shown * (1.0 + self.kappa * shown**2) - radius) > 1.0e-9 * (1.0 + radius)
-        placed: FloatArray = np.where(off[:, None], np.nan, points * share[:, None])
-        return placed
+        return np.asarray(np.where(off[:, None], np.nan, points * share[:, None]))
 
     def undistort(self, points: FloatArray) -> FloatArray:
         """The inverse of :meth:`distort`, (n, 2)."""
-        straight: FloatArray = points * (1.0 + self.kappa * (points**2).sum(axis=1, keepdims=True))
-        return straight
+        return np.asarray(points * (1.0 + self.kappa * (points**2).sum(axis=1, keepdims=True)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fisheye:
     """A fisheye: an angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
 
-    References
-    ----------
-    .. [1] J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional,
-       wide-angle, and fish-eye lenses", 2006; as ``cv::fisheye`` and ROS's "equidistant".
+    J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional,
+    wide-angle, and fish-eye lenses", 2006; as ``cv::fisheye`` and ROS's "equidistant".
     """
 
     k1: float = 0.0
@@ -113,8 +100,7 @@ class Fisheye:
         shown = np.polyval(terms, angle)
         share = np.divide(shown, radius, out=np.ones_like(radius), where=radius > 0.0)
         share[angle > _first_turn(np.polyder(terms))] = np.nan
-        distorted: FloatArray = points * share[:, None]
-        return distorted
+        return np.asarray(points * share[:, None])
 
 
 def _first_turn(slope: ArrayLike) -> float:
@@ -129,26 +115,16 @@ Lens = BrownConrady | TsaiRadial | Fisheye
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibratedCamera:
-    """A camera as its calibration file has it; a point is at R (p - position) in its frame.
-
-    Attributes
-    ----------
-    fx_px, fy_px, cx_px, cy_px : float
-        Focal lengths and principal point. [px]
-    R_camera_world : (3, 3) float
-        Takes directions of the world to the camera frame (x right, y down, z ahead).
-    position_m : (3,) float
-        Of the lens, world frame. [m]
-    """
+    """A camera as its calibration file has it; a point is at R (p - position) in its frame."""
 
     width_px: int
     height_px: int
-    fx_px: float
+    fx_px: float  # focal lengths and principal point
     fy_px: float
     cx_px: float
     cy_px: float
-    R_camera_world: FloatArray
-    position_m: FloatArray
+    R_camera_world: FloatArray  # (3, 3), from the world to the camera (x right, y down, z ahead)
+    position_m: FloatArray  # (3,), of the lens, world frame
     lens: Lens = field(default_factory=BrownConrady)
 
     def __post_init__(self) -> None:
@@ -165,10 +141,7 @@ def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArr
 
     Returns (n, 3): column and row in the calibration's pixels, and depth along the optical axis in
     metres; column and row are NaN where the depth is not positive, or the lens shows no such point.
-
-    References
-    ----------
-    .. [1] OpenCV, ``cv::projectPoints`` for :class:`BrownConrady`, ``cv::fisheye`` for its own.
+    As ``cv::projectPoints`` and ``cv::fisheye`` of OpenCV.
     """
     offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
     in_camera = offsets @ camera.R_camera_world.T
@@ -181,10 +154,7 @@ def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArr
 
 
 def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
-    """Points (n, 3) of the plane z = 0 that a camera with Tsai's lens shows at pixels (n, 2).
-
-    NaN above the horizon. [m]
-    """
+    """Points (n, 3) of the plane z = 0 at pixels of a Tsai lens; NaN above the horizon."""
     if not isinstance(camera.lens, TsaiRadial):
         raise ValueError(f"lens: got {camera.lens}; expected Tsai's, whose inverse is known")
     middle, focal = np.array([camera.cx_px, camera.cy_px]), np.array([camera.fx_px, camera.fy_px])
@@ -192,5 +162,4 @@ def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
     rays = np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
     is_below = rays[:, 2] * camera.position_m[2] < 0.0
     far = -camera.position_m[2] / np.where(is_below, rays[:, 2], np.nan)
-    points: FloatArray = camera.position_m + far[:, None] * rays
-    return points
+    return np.asarray(camera.position_m + far[:, None] * rays)

@@ -16,62 +16,37 @@ from .errors import check_field
 from .files import Table, load_toml, read_table, read_tables
 from .sensors import load_limits
 
+_INDEX_SLACK = 1.0e-9
+_FILE = "lidars.toml"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarModel:
     """A LiDAR without moving base: lines and columns at equal steps of angle, all at one instant.
 
-    Attributes
-    ----------
-    name : str
-        Name in the catalogue.
-    horizontal_fov_deg : float
-        Full angle, more than 0 and up to 360: then it scans all round. [deg]
-    vertical_fov_deg : float
-        Full angle, as much up as down; more than 0 and less than 180. [deg]
-    n_lines : int
-        Scan lines, one above the other.
-    points_per_second : float
-        Pulses, whether they come back or not. [1/s]
-    frame_rate_hz : float
-        Scans per second. [Hz]
-    range_m : float
-        Nothing farther is reported. [m]
-    reference_range_m, reference_reflectivity, reference_probability : float
-        A surface of this reflectivity, met squarely in clear air at this distance, sends a pulse
-        back with this probability. [m]
-    threshold_width : float
-        Of the logistic step between no return and return, in the logarithm of the signal.
-    wavelength_nm : float
-        Of the laser. [nm]
-    range_noise_m : float
-        One standard deviation. [m]
-    near_m : float
-        Nothing nearer is reported. [m]
-    price_eur : float
-        Price of one unit. [EUR]
+    A surface of `reference_reflectivity`, met squarely in clear air at `reference_range_m`, sends a
+    pulse back with `reference_probability`.
     """
 
-    name: str
-    horizontal_fov_deg: float
-    vertical_fov_deg: float
-    n_lines: int
-    points_per_second: float
-    frame_rate_hz: float
-    range_m: float
+    name: str  #: in the catalogue
+    horizontal_fov_deg: float  #: full angle, more than 0 and up to 360: then it scans all round
+    vertical_fov_deg: float  #: full angle, as much up as down; more than 0 and less than 180
+    n_lines: int  #: scan lines, one above the other
+    points_per_second: float  #: pulses, whether they come back or not
+    frame_rate_hz: float  #: scans per second
+    range_m: float  #: nothing farther is reported
     reference_range_m: float
     reference_reflectivity: float
     reference_probability: float
-    threshold_width: float
-    wavelength_nm: float
-    range_noise_m: float
-    near_m: float
-    price_eur: float
+    threshold_width: float  #: of the logistic step to a return, in the logarithm of the signal
+    wavelength_nm: float  #: of the laser
+    range_noise_m: float  #: one standard deviation
+    near_m: float  #: nothing nearer is reported
+    price_eur: float  #: of one unit
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)
-        is_wide = 0.0 < self.horizontal_fov_deg <= 360.0
-        check("horizontal_fov_deg", is_wide, "0 < degrees <= 360")
+        check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg <= 360.0, "0 < degrees <= 360")
         check("vertical_fov_deg", 0.0 < self.vertical_fov_deg < 180.0, "0 < degrees < 180")
         is_count = isinstance(self.n_lines, int) and not isinstance(self.n_lines, bool)
         check("n_lines", is_count and self.n_lines > 0, "a whole number of lines, > 0")
@@ -118,24 +93,14 @@ class LidarModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarDetection:
-    """Points and reflectivity that let a road user be found in a point cloud, by class.
-
-    `min_points` has the points in one frame of a "pedestrian", "child", "cyclist",
-    "motorcyclist" and "car", `reflectivity` the share of the light that comes back diffusely,
-    0 .. 1.
-    """
+    """Points in one frame and reflectivity, 0 .. 1, that let a road user be found, by class."""
 
     min_points: Mapping[str, int]
     reflectivity: Mapping[str, float]
 
 
 def beam_directions(lidar: LidarModel) -> FloatArray:
-    """Unit vectors of one frame's beams, (n_lines, n_columns, 3), in the body frame.
-
-    From the lowest line up, from right to left; x ahead, y left, z up. Each beam is in the middle
-    of its cell of azimuth and elevation: at 360 degrees the columns stand evenly on the circle, and
-    the seam is straight behind.
-    """
+    """Unit vectors of a frame's beams, (n_lines, n_columns, 3): upwards, from right to left."""
     elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[:, None]
     azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
     level = np.cos(elevation)
@@ -147,8 +112,7 @@ def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> I
     """Beams within boxes of angles, (..., 2) azimuth to the left and elevation; limits included.
 
     A box over the seam behind a LiDAR that scans all round has limits beyond 180 degrees, such as
-    170 to 190. Returns (..., 4): first line, first column, and the line and column after the last,
-    as in ``beam_directions(lidar)[window[0]:window[2], window[1]:window[3]]``; equal where there
+    170 to 190. Returns (..., 4): first line and column, and those after the last; equal where there
     are none. Of a LiDAR that scans all round columns count modulo ``n_columns``: the first one is
     in the circle, the end may be beyond it, and none is in the window twice.
     """
@@ -164,9 +128,6 @@ def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> I
     start = np.where(is_open, np.clip(first, 0, counts), first % counts)
     length = np.where(is_open, np.clip(end, start, counts) - start, np.clip(end - first, 0, counts))
     return np.concatenate([start, start + length], axis=-1).astype(np.int64)
-
-
-_INDEX_SLACK = 1.0e-9
 
 
 def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:
@@ -187,15 +148,10 @@ def return_probability(
 ) -> FloatArray:
     """How likely a pulse that hits something comes back strong enough to be reported.
 
-    It is `reference_probability` where the signal is that of the reference, and 0 outside
-    `near_m` .. `range_m`. `incidence_cos` is the cosine between beam and surface normal; the
-    extinction of the air counts one way. All arrays broadcast.
-
-    References
-    ----------
-    .. [1] R. Rasshofer et al., "Influences of weather phenomena on automotive laser radar systems",
-       Adv. Radio Sci. 9, 2011: LiDAR equation for a diffuse target larger than the beam,
-       reflectivity x cos(incidence) / distance^2 x exp(-2 extinction x distance).
+    It is `reference_probability` where the signal is that of the reference, and 0 outside `near_m`
+    .. `range_m`. `incidence_cos` is that between beam and surface normal; the extinction of the air
+    counts one way. All arrays broadcast. LiDAR equation for a diffuse target larger than the beam:
+    R. Rasshofer et al., "Influences of weather phenomena on automotive laser radar systems", 2011.
     """
     from scipy.special import expit, logit
 
@@ -221,13 +177,8 @@ def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Genera
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _DetectionEntry:
-    """A class of road users in ``data/lidars.toml``."""
-
     min_points: Annotated[int, Meta(ge=1, description="a whole number of points, > 0")]
     reflectivity: Annotated[float, Meta(gt=0.0, le=1.0, description="0 < share <= 1")]
-
-
-_FILE = "lidars.toml"
 
 
 @cache

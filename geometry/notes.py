@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from geometry.files import says
-
-from .files import Text
+from .files import Text, says
 
 Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"]
 """Subjects of notes, the most important first; all but the last are assumptions."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Note:
     """Something that was assumed where a map leaves it open, or that was left out."""
 
@@ -32,10 +30,8 @@ class Note:
 def assumptions(notes: Sequence[Note]) -> tuple[Note, ...]:
     """Notes on what was assumed, the most important kind first.
 
-    Examples
-    --------
-    >>> masts = Note(what="masts", why="none in the map", kind="sites")
-    >>> [note.what for note in assumptions([Note(what="way 1", why="no road"), masts])]
+    >>> masts = Note("masts", "none in the map", kind="sites")
+    >>> [note.what for note in assumptions([Note("way 1", "no road"), masts])]
     ['masts']
     """
     order = get_args(Kind)

@@ -15,26 +15,16 @@ R_BODY_CAMERA.setflags(write=False)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pose:
-    """A position and a direction without roll, world frame.
+    """A position and a direction without roll, world frame."""
 
-    Attributes
-    ----------
-    position_m : (3,) float
-        East, north, up. [m]
-    yaw_deg : float
-        Counter-clockwise from east. [deg]
-    pitch_deg : float
-        Positive up. [deg]
-    """
-
-    position_m: FloatArray
-    yaw_deg: float
-    pitch_deg: float = 0.0
+    position_m: FloatArray  #: (3,), east, north, up
+    yaw_deg: float  #: counter-clockwise from east
+    pitch_deg: float = 0.0  #: positive up
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", float_array(self.position_m, (3,), "position_m"))
-        object.__setattr__(self, "yaw_deg", float(float_array(self.yaw_deg, (), "yaw_deg")))
-        object.__setattr__(self, "pitch_deg", float(float_array(self.pitch_deg, (), "pitch_deg")))
+        for name in ("yaw_deg", "pitch_deg"):
+            object.__setattr__(self, name, float(float_array(getattr(self, name), (), name)))
 
 
 def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
@@ -42,8 +32,6 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
 
     Yaw counts counter-clockwise from east, pitch positive up.
 
-    Examples
-    --------
     >>> body_rotation(90.0)[:, 0].round(12) + 0.0  # looking north
     array([0., 1., 0.])
     """
@@ -69,18 +57,15 @@ def camera_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArra
 
 def to_world(points_body_m: ArrayLike, pose: Pose) -> FloatArray:
     """Points (n, 3) of a body in the world frame."""
-    points: FloatArray = (
+    return np.asarray(
         np.asarray(points_body_m, dtype=np.float64) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
         + pose.position_m
     )
-    return points
 
 
 def wrap_deg(angle_deg: ArrayLike) -> FloatArray:
     """Angles in (-180, 180].
 
-    Examples
-    --------
     >>> wrap_deg([190.0, -180.0, 0.0])
     array([-170.,  180.,    0.])
     """

@@ -13,9 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, IntArray
-from .errors import InputError, Unquoted, check_one_of
+from .errors import InputError, check_one_of, refuse
 
 FloatRays = NDArray[np.float32]
+# Libraries that Open3D's wheels expect from the system, and Debian's packages that hold them.
+_DEBIAN_PACKAGES = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libX11.so.6": "libx11-6",
+}
 
 
 class RayCaster(Protocol):
@@ -25,10 +32,7 @@ class RayCaster(Protocol):
         """True if a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """How far along each vector, of any length, the first triangle is, (n, 3) -> (n,).
-
-        The hit is at origin + share * vector; infinite where nothing is hit.
-        """
+        """How far along vectors (n, 3), of any length, the first triangle is, (n,), or inf."""
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
@@ -37,10 +41,7 @@ class RayCaster(Protocol):
 
 
 class Open3dCaster:
-    """Rays by Open3D's RaycastingScene, on all processors.
-
-    Open3D holds Python's lock while it casts, so that it has to spread the rays itself.
-    """
+    """Rays by Open3D's RaycastingScene on all processors; it holds Python's lock while it casts."""
 
     name = "open3d"
     n_threads = 0  # all processors
@@ -59,10 +60,9 @@ class Open3dCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
         rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
-        blocked: BoolArray = self._scene.test_occlusions(
-            rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads
-        ).numpy()
-        return blocked
+        return np.asarray(
+            self._scene.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads).numpy()
+        )
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`RayCaster`."""
@@ -106,8 +106,7 @@ class EmbreexCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
         hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=1.0, query="OCCLUDED")
-        blocked: BoolArray = hits != -1
-        return blocked
+        return np.asarray(hits != -1)
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`RayCaster`."""
@@ -138,27 +137,19 @@ CASTERS: dict[str, type[Open3dCaster] | type[EmbreexCaster]] = {
     EmbreexCaster.name: EmbreexCaster,
     Open3dCaster.name: Open3dCaster,
 }
-
-
 RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
 """Names that a user may ask for; "auto" is the fastest library that loads."""
 
 
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
-    """Name of the library that casts rays.
-
-    `rays`: one of ``RAYS``. By "auto" it is "embree", or "open3d" where embreex cannot load.
-    `where`: what asked for it, for error messages. Raises InputError: the name is unknown, or the
-    library cannot load; the message says why.
-    """
+    """Name of the library that casts rays; InputError: it cannot load, or is not in ``RAYS``."""
     check_one_of(where, rays, RAYS)
     problems: dict[str, Callable[[], str | None]] = {
         EmbreexCaster.name: embreex_problem,
         Open3dCaster.name: open3d_problem,
     }
-    asked = (rays,) if rays in CASTERS else tuple(problems)
     reasons = []
-    for name in asked:
+    for name in (rays,) if rays in CASTERS else tuple(problems):
         reason = problems[name]()
         if reason is None:
             return name
@@ -185,21 +176,14 @@ def open3d_problem() -> str | None:
 def build_caster(
     vertices_m: ArrayLike, triangles: ArrayLike, *, library: str | None = None
 ) -> RayCaster:
-    """Prepare triangles for rays, which may be cast from any thread.
-
-    `vertices_m` (n, 3): world or body frame, near the origin: rays are cast in single precision.
-    `triangles` (m, 3): vertex indices; none at all is allowed. `library`: one of ``RAYS``; by
-    default "auto". Raises InputError: a vertex is not finite, a triangle points outside the
-    vertices, or the library cannot load.
-    """
+    """Prepare triangles (m, 3) of vertices (n, 3) near the origin for rays in float32."""
     return CASTERS[caster_name(library or "auto", where="library")](vertices_m, triangles)
 
 
 def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
     """Lengths of vectors, (n, 3) -> (n,): column by column, four times as fast as row by row."""
     x, y, z = vectors_m.T
-    lengths: FloatRays = np.sqrt(x * x + y * y + z * z)
-    return lengths
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def _checked(
@@ -208,14 +192,10 @@ def _checked(
     vertices = np.ascontiguousarray(vertices_m, dtype=np.float32).reshape(-1, 3)
     faces = np.ascontiguousarray(triangles, dtype=np.int32).reshape(-1, 3)
     if not np.isfinite(vertices).all():
-        raise InputError(
-            "vertices_m", Unquoted("a vertex that is not finite"), "finite coordinates"
-        )
+        refuse("vertices_m", "a vertex that is not finite", "finite coordinates")
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        outside = faces[(faces < 0) | (faces >= len(vertices))]
-        raise InputError(
-            "triangles", int(outside[0]), f"vertex indices from 0 to {len(vertices) - 1}"
-        )
+        outside = int(faces[(faces < 0) | (faces >= len(vertices))][0])
+        raise InputError("triangles", outside, f"vertex indices from 0 to {len(vertices) - 1}")
     return vertices, faces
 
 
@@ -250,12 +230,3 @@ def _open3d_or_reason() -> tuple[Any, str | None]:
         remedy = f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
         return None, f"Open3D cannot load ({cause}); to use it: {remedy}"
     return open3d, None
-
-
-# Libraries that Open3D's wheels expect from the system, and Debian's packages that hold them.
-_DEBIAN_PACKAGES = {
-    "libusb-1.0.so.0": "libusb-1.0-0",
-    "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
-    "libX11.so.6": "libx11-6",
-}

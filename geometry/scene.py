@@ -11,7 +11,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze, set_arrays
-from .errors import InputError, Unquoted, check_one_of
+from .errors import InputError, check_one_of, refuse
 from .notes import Note
 from .sensors import load_limits
 
@@ -26,37 +26,24 @@ CLASS_NAMES = (
     "lamp post",
     "traffic light",
 )
+Turn = Literal["left", "through", "right", "reverse"]
+_SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
+_MIN_AREA_M2 = 1.0e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Site:
-    """A place where sensors can be mounted.
+    """A place where sensors can be mounted."""
 
-    Attributes
-    ----------
-    id : str
-        Name.
-    position_m : (3,) float
-        Foot of the pole, or the point of the road below the mount. World frame. [m]
-    kind : str
-        "lamp post", "traffic light" or "mast arm".
-    height_range_m : (2,) float
-        Lowest and highest mount above the road. [m]
-    capacity_units : int
-        How many units it can carry.
-    cost_eur : float
-        Of making it ready - power, network, bracket -, paid once if it carries anything. [EUR]
-    use : {"free", "forced", "forbidden"}
-        Whether it may carry units, must, or must not.
-    """
-
-    id: str
-    position_m: Point3
-    kind: str
-    height_range_m: Point2
-    capacity_units: int
-    cost_eur: float = 0.0
-    use: str = "free"
+    id: str  #: name
+    position_m: Point3  #: (3,), foot of the pole, or the point of the road below. World frame
+    kind: str  #: "lamp post", "traffic light" or "mast arm"
+    height_range_m: Point2  #: (2,), lowest and highest mount above the road
+    capacity_units: int  #: how many units it can carry
+    cost_eur: float = 0.0  #: of power, network and bracket, paid once if it carries anything
+    use: str = (
+        "free"  #: "free", "forced" or "forbidden": whether it may, must or must not carry any
+    )
 
     def __post_init__(self) -> None:
         where = f"site {self.id}"
@@ -98,8 +85,7 @@ class LeadingRoad:
     name: str  # of the street, or else the id that the map gives it
     point_m: Point2  # (2,); where it meets the junction's outline, or a little farther out
     direction: Point2  # (2,); unit vector away from the junction
-    # driving lanes into the junction and out of it, by the map's own words
-    lanes_in: int
+    lanes_in: int  # driving lanes into the junction and out of it, by the map's own words
     lanes_out: int
 
     def __post_init__(self) -> None:
@@ -108,66 +94,27 @@ class LeadingRoad:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """Everything that stands still.
+    """Everything that stands still. World frame, metres."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the junction.
-    vertices_m : (n_vertices, 3) float
-        World frame. [m]
-    triangles : (n_triangles, 3) int32
-        Vertex indices.
-    triangle_instance : (n_triangles,) int32
-        Index into `instances`.
-    instances : tuple of Instance
-        Things of the scene.
-    sites : tuple of Site
-        Where sensors can be mounted.
-    outline_m : (n, 2) float
-        Outline of the junction's road surface. World frame. [m]
-    lanes : tuple of Lane
-        Lanes of the junction's arms.
-    crs : str
-        Coordinate reference system in which the world frame lies, for pyproj; empty: unknown.
-    crosswalks_m : (n, 2, 2) float
-        Lines on which pedestrians cross an arm, from end to end. World frame. [m]
-    road_network : str
-        OpenDRIVE file that has the same roads in the same frame; empty: none.
-    keeps_left : bool
-        Traffic keeps left.
-    source_crs : str
-        Coordinate reference system of the map that the scene was made from, in which results are
-        wanted back; empty: `crs`.
-    source_origin_m : (2,) float
-        Where the world frame's origin lies in that map's own coordinates, of a map that does not
-        say where on earth it lies. [m]
-    zero_height_m : float, optional
-        Height of z = 0 as the source of the ground's heights counts them, such as above the sea;
-        None: unknown. [m]
-    notes : tuple of Note
-        What was assumed, or left out, when the scene was made of maps.
-    roads : tuple of LeadingRoad
-        Roads of the map that lead to the junction; none: the map does not say.
-    """
-
-    name: str
-    vertices_m: FloatArray
-    triangles: NDArray[np.int32]
-    triangle_instance: NDArray[np.int32]
-    instances: tuple[Instance, ...]
-    sites: tuple[Site, ...]
-    outline_m: FloatArray
-    lanes: "tuple[Lane, ...]"
-    crs: str
+    name: str  #: of the junction
+    vertices_m: FloatArray  #: (n_vertices, 3)
+    triangles: NDArray[np.int32]  #: (n_triangles, 3), vertex indices
+    triangle_instance: NDArray[np.int32]  #: (n_triangles,), index into `instances`
+    instances: tuple[Instance, ...]  #: things of the scene
+    sites: tuple[Site, ...]  #: where sensors can be mounted
+    outline_m: FloatArray  #: (n, 2), of the junction's road surface
+    lanes: "tuple[Lane, ...]"  #: of the junction's arms
+    crs: str  #: coordinate reference system of the world frame, for pyproj; empty: unknown
+    #: (n, 2, 2), lines on which pedestrians cross an arm, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    road_network: str = ""
-    keeps_left: bool = False
-    source_crs: str = ""
+    road_network: str = ""  #: OpenDRIVE file with the same roads in the same frame; empty: none
+    keeps_left: bool = False  #: traffic keeps left
+    source_crs: str = ""  #: that of the map it was made from, for results; empty: `crs`
+    #: (2,), the world frame's origin in the coordinates of a map that names no place on earth
     source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
-    zero_height_m: float | None = None
-    notes: tuple[Note, ...] = ()
-    roads: tuple[LeadingRoad, ...] = ()
+    zero_height_m: float | None = None  #: of z = 0, such as above the sea; None: unknown
+    notes: tuple[Note, ...] = ()  #: what was assumed or left out when it was made of maps
+    roads: tuple[LeadingRoad, ...] = ()  #: that lead to the junction; none: the map does not say
 
     def __post_init__(self) -> None:
         shapes = {"vertices_m": (-1, 3), "outline_m": (-1, 2), "crosswalks_m": (-1, 2, 2)}
@@ -182,7 +129,7 @@ class Scene:
         ):
             array, where = getattr(self, name), f"{self.name}: {name}"
             if array.shape != shape:
-                raise InputError(where, Unquoted(f"shape {array.shape}"), f"shape {shape}")
+                refuse(where, f"shape {array.shape}", f"shape {shape}")
             outside = array[(array < 0) | (array >= limit)]
             if len(outside):
                 raise InputError(where, int(outside[0]), f"indices from 0 to {limit - 1}")
@@ -201,9 +148,6 @@ class Scene:
         )
 
 
-Turn = Literal["left", "through", "right", "reverse"]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
     """One lane of an arm."""
@@ -216,45 +160,42 @@ class Lane:
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
     # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
-    # where cars may drive from its end, by its markings: "left", "through", "right", "reverse";
-    # empty: it bears none
-    turns: tuple[Turn, ...] = ()
+    turns: tuple[Turn, ...] = ()  # from its end, by its markings; empty: it bears none
 
     def __post_init__(self) -> None:
         set_arrays(self, f"lane {self.id}.", centreline_m=(-1, 2))
 
 
-_SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
-
-
 # One thing of a scene: instance, vertices (world frame) and triangles.
 Body = tuple[Instance, FloatArray, Any]
+Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
+
+
+def join(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]
+    vertices: FloatArray = np.concatenate([vertices for vertices, _ in meshes])
+    return vertices, np.concatenate(triangles).astype(np.int32)
 
 
 def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
     """One mesh of several bodies, as the fields of a scene."""
-    first = np.cumsum([0, *(len(vertices) for _, vertices, _ in bodies)])
+    vertices, triangles = join([(vertices, faces) for _, vertices, faces in bodies])
+    counts = [len(faces) for _, _, faces in bodies]
     return {
         "instances": tuple(instance for instance, _, _ in bodies),
-        "vertices_m": np.concatenate([vertices for _, vertices, _ in bodies]),
-        "triangles": np.concatenate(
-            [faces + start for (_, _, faces), start in zip(bodies, first[:-1], strict=True)]
-        ),
-        "triangle_instance": np.repeat(
-            np.arange(len(bodies)), [len(faces) for _, _, faces in bodies]
-        ),
+        "vertices_m": vertices,
+        "triangles": triangles,
+        "triangle_instance": np.repeat(np.arange(len(bodies)), counts),
     }
 
 
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
-    """The building, wall, plant or parked vehicle that a point lies in; None in the open air.
+    """The solid thing that a point lies in, but for posts; None in the open air.
 
-    Posts and masts carry sensors and are not looked at.
-
-    References
-    ----------
-    .. [1] A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", 1983: the triangles
-       of a closed mesh that surrounds a point fill the whole sphere around it.
+    The triangles of a closed mesh around a point fill the whole sphere: A. van Oosterom, J.
+    Strackee, "The solid angle of a plane triangle", 1983.
     """
     point = float_array(position_m, (3,), "position_m")
     for index, instance in enumerate(scene.instances):
@@ -276,9 +217,6 @@ def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
         if abs(solid_angle) > 2.0 * np.pi:
             return instance
     return None
-
-
-_MIN_AREA_M2 = 1.0e-6
 
 
 def road_area(scene: Scene) -> Any:
@@ -304,10 +242,7 @@ def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
 
 @lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
-    """A thing's triangles seen from above, put together: a shapely polygon or several, with holes.
-
-    It is empty where the thing is but a line from above. World frame, metres.
-    """
+    """A thing's triangles seen from above: a shapely geometry, empty where it is but a line."""
     return flat_union(scene.vertices_m[scene.triangles[scene.triangle_instance == index]])
 
 

@@ -36,28 +36,29 @@ _BESIDE_M = 0.5  # along a lane, to tell its direction
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """Something that may be wrong: which thing or things, and why.
-
-    An error makes results wrong; a warning may be as it is.
-    """
+    """What may be wrong, and why: an error makes results wrong, a warning may be as it is."""
 
     level: Literal["error", "warning"]
     what: str
     why: str
 
 
+def _error(what: str, why: str) -> Finding:
+    return Finding(level="error", what=what, why=why)
+
+
+def _warning(what: str, why: str) -> Finding:
+    return Finding(level="warning", what=what, why=why)
+
+
 def check_scene(scene: Scene) -> list[Finding]:
     """Findings of what may be wrong with a scene, errors first."""
-    findings = [
-        *_check_roads(scene),
-        *_check_sites(scene),
-        *_check_meshes(scene),
-        *_check_footprints(scene),
-    ]
+    checks = (_check_roads, _check_sites, _check_meshes, _check_footprints)
+    findings = [finding for check in checks for finding in check(scene)]
     assumed_heights = sorted(thing.id for thing in scene.instances if thing.is_height_assumed)
     if assumed_heights:
         why = "the sources do not say how high it is: a usual height was taken"
-        findings.append(Finding(level="warning", what=_names(assumed_heights), why=why))
+        findings.append(_warning(_names(assumed_heights), why))
     return sorted(findings, key=lambda finding: finding.level)
 
 
@@ -65,25 +66,22 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
     try:
         junction = build_junction(scene)
     except InputError:
-        why = "no lane ends at the junction's outline"
-        yield Finding(level="error", what="lanes", why=why)
+        yield _error("lanes", "no lane ends at the junction's outline")
         return
     if not any(arm.entry_lanes for arm in junction.arms.values()):
-        yield Finding(level="error", what="lanes", why="none leads into the junction")
+        yield _error("lanes", "none leads into the junction")
     if len(junction.arms) < 3:
-        why = f"only {len(junction.arms)}: cars that turn need three"
-        yield Finding(level="warning", what="arms", why=why)
+        yield _warning("arms", f"only {len(junction.arms)}: cars that turn need three")
     if not len(scene.crosswalks_m):
-        why = "none: pedestrians cross 2 m inside each arm's mouth"
-        yield Finding(level="warning", what="crosswalks", why=why)
+        yield _warning("crosswalks", "none: pedestrians cross 2 m inside each arm's mouth")
     if scene.roads:
         yield from compare_arms(junction, scene.roads)
     for name, why in arms_that_end(scene):
-        yield Finding(level="warning", what=f"arm {name}", why=why)
+        yield _warning(f"arm {name}", why)
     crossed = [f"{one} and {other}" for one, other in lanes_that_cross(scene)]
     if crossed:
         why = "they run in opposite directions and cross: one leads over the other's carriageway"
-        yield Finding(level="warning", what=_names(crossed), why=why)
+        yield _warning(_names(crossed), why)
 
 
 def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
@@ -100,7 +98,6 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def _direction(line: Any, point: Any) -> FloatArray:
-    """Unit vector in which a line leads past one of its points, (2,)."""
     at_m = line.project(point)
     begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
     step = np.array([end.x - begin.x, end.y - begin.y])
@@ -123,53 +120,43 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
-    """Compare the arms of a junction, found by its lanes, with the roads that lead to it.
-
-    `junction`: see :func:`geometry.junction.build_junction`. `roads`: roads as the map has them.
-    Yields `finding`: a road that is part of no arm, an arm without a road, or an arm whose driving
-    lanes are not those of its roads.
-    """
+    """Findings on roads that are part of no arm, and arms with other lanes than their roads."""
     found: dict[str, list[LeadingRoad]] = {name: [] for name in junction.arms}
     for road in roads:
         name = arm_of_road(road, junction)
         if name is None:
-            why = "it leads to the junction, but no arm has a lane of it"
             what = f"road {road.name} from the {compass_point(road.direction)}"
-            yield Finding(level="warning", what=what, why=why)
+            yield _warning(what, "it leads to the junction, but no arm has a lane of it")
         else:
             found[name].append(road)
     for name, here in found.items():
         arm = junction.arms[name]
         if not here:
-            why = "no road of the map leads to the junction there"
-            yield Finding(level="warning", what=f"arm {name}", why=why)
+            yield _warning(f"arm {name}", "no road of the map leads to the junction there")
             continue
         has = len(arm.entry_lanes), len(arm.exit_lanes)
         said = sum(road.lanes_in for road in here), sum(road.lanes_out for road in here)
         if has != said:
             names = " and ".join(dict.fromkeys(road.name for road in here))
-            why = (
-                f"it has {has[0]} lanes in and {has[1]} out; by the map {names} has {said[0]} in "
-                f"and {said[1]} out"
-            )
-            yield Finding(level="warning", what=f"arm {name}", why=why)
+            why = f"it has {has[0]} lanes in and {has[1]} out; by the map {names} has {said[0]} in"
+            yield _warning(f"arm {name}", f"{why} and {said[1]} out")
 
 
 def _check_sites(scene: Scene) -> Iterator[Finding]:
     if not scene.sites:
-        yield Finding(level="error", what="sites", why="none: nothing can be mounted")
+        yield _error("sites", "none: nothing can be mounted")
     for site in scene.sites:
         for height_m in site.height_range_m:
             around = containing_instance(scene, site.position_m + [0.0, 0.0, height_m])
             if around is not None:
                 why = f"its mount at {height_m:g} m is inside {around.class_name} {around.id}"
-                yield Finding(level="error", what=f"site {site.id}", why=why)
+                yield _error(f"site {site.id}", why)
                 break
     for site in scene.sites:
         off_m = float(site.position_m[2] - ground_height_m(scene, site.position_m[:2]))
         if abs(off_m) > _FLOATING_M:
             why = f"its foot is {abs(off_m):.1f} m {'above' if off_m > 0.0 else 'below'} the ground"
-            yield Finding(level="error", what=f"site {site.id}", why=why)
+            yield _error(f"site {site.id}", why)
     standing = [site for site in scene.sites if site.kind not in HANGING_KINDS]
     if standing:
         yield from _check_feet(scene, standing)
@@ -187,7 +174,7 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
         if in_middle[index] or index in in_lane:
             where = "in the junction" if in_middle[index] else f"on lane {in_lane[index]}"
             why = f"it stands {where}: no pole can (kinds that hang: {', '.join(HANGING_KINDS)})"
-            yield Finding(level="error", what=f"site {site.id}", why=why)
+            yield _error(f"site {site.id}", why)
 
 
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
@@ -208,27 +195,22 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         mesh.merge_vertices()
         low, high = mesh.bounds[:, 2]
         ground_m = ground_height_m(scene, mesh.vertices[:, :2])
+        least_m = (mesh.vertices[:, 2] - ground_m).min()
         if low - ground_m.min() > _FLOATING_M and thing.class_name != "vegetation":
-            is_raised = (mesh.vertices[:, 2] - ground_m).min() >= HEADROOM_M
-            found[raised if is_raised else floating].append(thing.id)
-        if high < ground_m.min() or (mesh.vertices[:, 2] - ground_m).min() < -_SUNK_M:
+            found[raised if least_m >= HEADROOM_M else floating].append(thing.id)
+        if high < ground_m.min() or least_m < -_SUNK_M:
             found[sunk].append(thing.id)
         # A hole in the floor, which stands on the ground, lets nothing be seen through.
-        if _has_open_edges_above(mesh, low):
+        edges = np.sort(mesh.edges, axis=1)
+        _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
+        tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)  # a triangle on one side
+        if (tops > low + _FLOOR_M).any():
             found[holes].append(thing.id)
         elif mesh.is_watertight and mesh.volume < 0.0:
             found[inverted].append(thing.id)
     for why, ids in found.items():
         if ids:
-            yield Finding(level="warning", what=_names(ids), why=why)
-
-
-def _has_open_edges_above(mesh: Any, floor_m: float) -> bool:
-    """True if some edge above the floor has a triangle on one side only."""
-    edges = np.sort(mesh.edges, axis=1)
-    _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
-    tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)
-    return bool((tops > floor_m + _FLOOR_M).any())
+            yield _warning(_names(ids), why)
 
 
 def _check_footprints(scene: Scene) -> Iterator[Finding]:
@@ -257,7 +239,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
         (twice, "they overlap on the ground: the same thing twice, as from two files"),
     ):
         if found:
-            yield Finding(level="warning", what=_names(found), why=why)
+            yield _warning(_names(found), why)
     road = road_area(scene)
     on_road = [
         names[index]
@@ -266,7 +248,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     ]
     if on_road:
         why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
-        yield Finding(level="warning", what=_names(on_road), why=why)
+        yield _warning(_names(on_road), why)
 
 
 def _names(ids: list[str]) -> str:

@@ -15,17 +15,19 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from .arrays import FloatArray, Point2, Points2
-from .errors import InputError, Unquoted
+from .errors import InputError, Unquoted, refuse
 from .files import (
     MAX_TOML_BYTES,
     Text,
+    check_file,
     load_toml,
     open_file,
     open_new,
     read_table,
+    reading,
     write_atomically,
 )
 from .frames import from_gltf_points, parse_crs, to_gltf_points
@@ -43,6 +45,9 @@ _HEAD = """\
 # East, north and height above the road in metres. Things are meshes in things.glb, under their ids.
 # To change by hand: sites (where sensors may hang), crosswalks, lanes.
 """
+_LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
+_SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
+_ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
 
 def load_scene(
@@ -55,35 +60,13 @@ def load_scene(
 ) -> Scene:
     """Load the scene of a junction from wherever it is.
 
-    Parameters
-    ----------
-    source : str or Path
-        Nothing or "town05": the junction of the CarlaNCAP study. A folder or .zip file that
-        :func:`save_scene` has written. Or a map with roads, such as "city.osm" or
-        "city.xodr", of which one junction is cut out.
-    junction : str
-        Id, streets or "latitude,longitude" of the junction in a map; by default the one with the
-        most arms and lanes.
-    at : (float, float), optional
-        Instead of a name, a point within 100 m of the junction in the map's own coordinates:
-        longitude and latitude, or metres.
-    sites : str
-        Where a map's sensors may be mounted, see :class:`geometry.maps.importing.ImportOptions`.
-    keeps_left : bool, optional
-        Whether traffic keeps left; by default what the map says.
+    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder or .zip file that
+    :func:`save_scene` has written; or a map with roads, such as "city.osm" or "city.xodr", of which
+    one junction is cut out. Of a map, `junction` is an id, streets or "latitude,longitude", or `at`
+    a point within 100 m in the map's own coordinates; by default the one with the most arms and
+    lanes. `sites`: see :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by default
+    what the map says. Raises InputError: there is no scene and no map, or it cannot be read.
 
-    Returns
-    -------
-    scene : Scene
-        World frame: right-handed east-north-up.
-
-    Raises
-    ------
-    InputError
-        There is no scene and no map, or it cannot be read.
-
-    Examples
-    --------
     >>> load_scene()
     Scene('town05', 1266 triangles, 41 instances, 28 sites)
     """
@@ -136,28 +119,8 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     roads: tuple[LeadingRoad, ...] = ()
 
 
-_LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
-_SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
-_ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
-
-
-def save_scene(
-    folder: str | Path,
-    scene: Scene,
-    *,
-    sources: Sequence[str] = (),
-) -> None:
-    """Write a scene into a folder that exists.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Its ``scene.toml`` and ``things.glb`` are replaced.
-    scene : Scene
-        What to write; coordinates are rounded to a millimetre, meshes to single precision.
-    sources : sequence of str
-        Names of the files that it was made from.
-    """
+def save_scene(folder: str | Path, scene: Scene, *, sources: Sequence[str] = ()) -> None:
+    """Write ``scene.toml``, to a millimetre, and ``things.glb`` into a folder that exists."""
     import tomlkit
 
     folder = Path(folder)
@@ -186,21 +149,21 @@ def save_scene(
             | ({"is_height_assumed": True} if thing.is_height_assumed else {})
             for thing in scene.instances
         ],
-        "skipped": [_note_entry(note) for note in scene.notes],
+        "skipped": [
+            {"what": note.what, "why": note.why}
+            | ({} if note.kind == "left out" else {"kind": note.kind})
+            | ({"site_ids": list(note.site_ids)} if note.site_ids else {})
+            for note in scene.notes
+        ],
         "roads": [_entry(road, *_ROAD_FIELDS) for road in scene.roads],
     }
     text = _HEAD + tomlkit.dumps(table)
-    glb = _to_glb(scene)
-    write_atomically(folder / THINGS_FILE, glb)
+    write_atomically(folder / THINGS_FILE, _to_glb(scene))
     write_atomically(folder / SCENE_FILE, text)
 
 
 def load_scene_folder(path: Path) -> Scene:
-    """Read a scene that :func:`save_scene` has written, from its folder or the same as a .zip file.
-
-    Raises InputError: it is no such folder, a field is missing or not of its kind, or the meshes do
-    not fit.
-    """
+    """Read a scene that :func:`save_scene` has written, or the same as a .zip; or InputError."""
     with _as_folder(path) as folder:
         table, where = _read_scene_file(folder, shown=path), f"{path}/{SCENE_FILE}"
         meshes = _read_glb(folder / THINGS_FILE, shown=f"{path}/{THINGS_FILE}")
@@ -214,24 +177,17 @@ def load_scene_folder(path: Path) -> Scene:
             raise InputError(f"{where}: things[{index}]", thing.id, expected)
         bodies.append((instance, *meshes[thing.id]))
     if not bodies:
-        raise InputError(f"{where}: things", Unquoted("none"), "at least the ground")
+        refuse(f"{where}: things", "none", "at least the ground")
     for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
         check_crs(crs, f"{where}: {key}")
+    fields = structs.asdict(table)
+    for name in ("crosswalks", "things", "skipped"):  # these have other forms in a scene
+        del fields[name]
     return Scene(
-        name=table.name,
+        **fields,
         **join_bodies(bodies),
-        sites=table.sites,
-        outline_m=table.outline_m,
-        lanes=table.lanes,
-        crs=table.crs,
         crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
-        road_network=table.road_network,
-        keeps_left=table.keeps_left,
-        source_crs=table.source_crs,
-        source_origin_m=table.source_origin_m,
-        zero_height_m=table.zero_height_m,
         notes=table.skipped,
-        roads=table.roads,
     )
 
 
@@ -239,14 +195,14 @@ def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
     """``scene.toml`` of a folder, with format and version checked first."""
     path, where = folder / SCENE_FILE, f"{shown}/{SCENE_FILE}"
     if not path.is_file():
-        raise InputError(str(shown), Unquoted(f"no {SCENE_FILE}"), "a folder of an imported scene")
-    _check_bytes(path, where)
+        refuse(str(shown), f"no {SCENE_FILE}", "a folder of an imported scene")
     table = load_toml(path)
-    if table.get("format") != FORMAT:
-        raise InputError(f"{where}: format", table.get("format"), repr(FORMAT))
-    if table.get("version") != VERSION:
-        got = table.get("version")
-        raise InputError(f"{where}: version", got, f"{VERSION}; import the scene again")
+    for key, wanted, remedy in (
+        ("format", FORMAT, ""),
+        ("version", VERSION, "; import the scene again"),
+    ):
+        if table.get(key) != wanted:
+            raise InputError(f"{where}: {key}", table.get(key), f"{wanted!r}{remedy}")
     return read_table(table, _FolderScene, where)
 
 
@@ -265,25 +221,21 @@ def pack_scene(folder: Path, archive: Path) -> None:
 def _as_folder(path: Path) -> Iterator[Path]:
     """The folder itself, or what a .zip file of it holds, for as long as it is needed."""
     if not path.exists():
-        raise InputError(str(path), Unquoted("nothing there"), "a scene: a folder or .zip file")
+        refuse(str(path), "nothing there", "a scene: a folder or .zip file")
     if path.is_dir():
         yield path
         return
     with tempfile.TemporaryDirectory() as temporary:
-        try:
-            with open_file(path) as file, zipfile.ZipFile(file) as packed:
-                for name, max_bytes in _MAX_BYTES.items():
-                    with packed.open(name) as member:  # of the archive only these two are read
-                        _unpack(member, Path(temporary) / name, path, max_bytes)
-        except KeyError as error:
-            raise InputError(str(path), Unquoted(error.args[0]), "a scene as .zip") from None
-        except InputError:
-            raise
-        except (
-            *(OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error),
-            RuntimeError,  # it is encrypted, or packed in a way that Python cannot unpack
-        ) as error:
-            raise InputError(str(path), Unquoted(error), "a scene: a folder or .zip file") from None
+        # RuntimeError: it is encrypted, or packed in a way that Python cannot unpack.
+        damage = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)
+        with (
+            reading(path, "a scene: a folder or .zip file", *damage, RuntimeError),
+            open_file(path) as file,
+            zipfile.ZipFile(file) as packed,
+        ):
+            for name, max_bytes in _MAX_BYTES.items():
+                with packed.open(name) as member:  # of the archive only these two are read
+                    _unpack(member, Path(temporary) / name, path, max_bytes)
         yield Path(temporary)
 
 
@@ -294,8 +246,8 @@ def _unpack(member: IO[bytes], target: Path, archive: Path, max_bytes: int) -> N
         while chunk := member.read(1 << 20):
             n_bytes += len(chunk)
             if n_bytes > max_bytes:
-                got = Unquoted(f"more than {max_bytes:,} bytes")
-                raise InputError(f"{archive}/{target.name}", got, "a scene of one junction")
+                got = f"more than {max_bytes:,} bytes"
+                refuse(f"{archive}/{target.name}", got, "a scene of one junction")
             refuse_bomb(n_bytes, str(archive))
             sink.write(chunk)
 
@@ -307,12 +259,6 @@ def _entry(value: object, *names: str) -> dict[str, Any]:
         key: _rounded(one) if isinstance(one, np.ndarray) or key.endswith("_m") else one
         for key, one in fields.items()
     }
-
-
-def _note_entry(note: Note) -> dict[str, Any]:
-    assumed = {} if note.kind == "left out" else {"kind": note.kind}
-    sites = {"site_ids": list(note.site_ids)} if note.site_ids else {}
-    return {"what": note.what, "why": note.why, **assumed, **sites}
 
 
 def _rounded(array: FloatArray) -> Any:
@@ -329,13 +275,6 @@ def check_crs(crs: str, where: str) -> None:
             parse_crs(crs)
     except CRSError:
         raise InputError(where, crs, "one that pyproj knows, or none") from None
-
-
-def _check_bytes(path: Path, where: str) -> None:
-    n_bytes = path.stat().st_size
-    if n_bytes > _MAX_BYTES[path.name]:
-        got = Unquoted(f"{n_bytes:,} bytes")
-        raise InputError(where, got, f"at most {_MAX_BYTES[path.name]:,}")
 
 
 def _to_glb(scene: Scene) -> bytes:
@@ -359,8 +298,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
     import trimesh
 
     if not path.is_file():
-        raise InputError(shown, Unquoted("nothing there"), "the meshes of the scene")
-    _check_bytes(path, shown)
+        refuse(shown, "nothing there", "the meshes of the scene")
+    check_file(path, max_bytes=_MAX_BYTES[THINGS_FILE])
     try:
         check_gltf(path)  # a header that claims more would be given memory
         loaded = trimesh.load_scene(path, file_type="glb", process=False)
@@ -376,5 +315,5 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         raise InputError(shown, got, "glTF 2.0 (.glb)") from None
     for name, (vertices, _) in meshes.items():
         if not np.isfinite(vertices).all():
-            raise InputError(f"{shown}: {name}", Unquoted("vertices that are not finite"), "metres")
+            refuse(f"{shown}: {name}", "vertices that are not finite", "metres")
     return meshes

@@ -11,42 +11,23 @@ from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
-from .errors import InputError, Unquoted, check_field
+from .errors import InputError, check_field, refuse
 from .files import load_toml, read_table
 from .poses import Pose, camera_rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:
-    """An ideal pinhole camera with square pixels and a centred principal point.
+    """An ideal pinhole camera with square pixels and a centred principal point."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the catalogue.
-    width_px, height_px : int
-        Resolution.
-    horizontal_fov_deg : float
-        Full angle across the width, more than 0 and less than 180. [deg]
-    frame_rate_hz : float
-        Images per second. [Hz]
-    near_m : float
-        What is nearer than this to the lens is not drawn: the housing, the bracket and the pole
-        that carries the camera. [m]
-    price_eur : float
-        Price of one unit. [EUR]
-    fov_range_deg : (float, float), optional
-        Least and largest horizontal field of view of a varifocal lens; by default the lens is
-        fixed. [deg]
-    """
-
-    name: str
+    name: str  #: in the catalogue
     width_px: int
     height_px: int
-    horizontal_fov_deg: float
-    frame_rate_hz: float
-    near_m: float
-    price_eur: float
+    horizontal_fov_deg: float  #: full angle across the width, more than 0 and less than 180
+    frame_rate_hz: float  #: images per second
+    near_m: float  #: what is nearer to the lens is not drawn: housing, bracket and pole
+    price_eur: float  #: of one unit
+    #: least and largest horizontal field of view of a varifocal lens; None: the lens is fixed
     fov_range_deg: (
         Annotated[tuple[float, float], Meta(description="[low, high] in degrees")] | None
     ) = None
@@ -59,8 +40,8 @@ class CameraModel:
             check(field, is_count, "a whole number of pixels, > 0")
         limits = load_limits()
         if self.width_px * self.height_px > limits.camera_pixels:
-            got = Unquoted(f"{self.width_px} times {self.height_px} pixels")
-            raise InputError(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
+            got = f"{self.width_px} times {self.height_px} pixels"
+            refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < 180.0, "0 < degrees < 180")
         for field in ("frame_rate_hz", "near_m"):
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
@@ -93,11 +74,7 @@ class CameraModel:
 
 
 def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
-    """A camera with its varifocal lens set to another horizontal field of view.
-
-    Raises InputError: the lens is fixed at another field of view, or does not reach this one;
-    `where` says what asks for it.
-    """
+    """A camera with its varifocal lens at another field of view; InputError: out of its reach."""
     if fov_deg == camera.horizontal_fov_deg:
         return camera
     if camera.fov_range_deg is None:
@@ -110,16 +87,7 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
 
 
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
-    """Project points (n, 3) of the world frame into the image of a camera.
-
-    Returns `projected` (n, 3): column and row in pixels (the centre of the first pixel is (0.5,
-    0.5)) and the depth along the optical axis in metres; column and row are NaN where the depth is
-    not positive.
-
-    References
-    ----------
-    .. [1] R. Hartley, A. Zisserman, "Multiple View Geometry", section 6.1 (pinhole camera).
-    """
+    """Columns and rows [px] and depths [m] of points (n, 3) in an image; NaN behind the camera."""
     offsets = np.asarray(points_m, dtype=np.float64) - pose.position_m
     in_camera = offsets @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
     depth = in_camera[:, 2]
@@ -137,10 +105,7 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
 def pixel_rays(
     columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
 ) -> FloatArray:
-    """Directions (n, 3) through the centres of pixels in the world frame.
-
-    They are not normalised: the component along the optical axis is 1, one metre of depth.
-    """
+    """Directions (n, 3) through pixels' centres, world frame; 1 along the optical axis."""
     columns = np.asarray(columns_px, dtype=np.float64) + 0.5
     rows = np.asarray(rows_px, dtype=np.float64) + 0.5
     in_camera = np.stack(

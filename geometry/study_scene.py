@@ -24,8 +24,6 @@ from .scene import Body, Instance, Lane, Scene, Site, join_bodies
 
 STUDY = "town05"
 _POLE_SECTIONS = 10
-
-
 _Positive = Annotated[float, Meta(gt=0.0)]
 
 

@@ -16,7 +16,7 @@ from shapely import Polygon
 
 from .actors import PlacedActor
 from .arrays import FloatArray, float_array
-from .errors import InputError, Unquoted
+from .errors import InputError, refuse
 from .scene import Scene, thing_footprint
 
 GROUND = "ground"
@@ -32,8 +32,7 @@ _MAX_CELLS = 150  # along each side
 class Terrain:
     """Heights of the ground on a grid."""
 
-    # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
-    east_m: FloatArray
+    east_m: FloatArray  # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
     north_m: FloatArray
     # (n_rows, n_columns); of its nodes; the ground between them is two triangles per cell
     height_m: FloatArray
@@ -50,8 +49,6 @@ class Terrain:
     def at(self, points_m: ArrayLike) -> FloatArray:
         """Height of the ground at points (..., 2), in metres; beyond the grid that of its edge.
 
-        Examples
-        --------
         >>> slope = Terrain(east_m=[0, 10], north_m=[0, 10], height_m=[[0, 1], [0, 1]])
         >>> slope.at([[5.0, 2.0], [20.0, 0.0]])
         array([0.5, 1. ])
@@ -75,8 +72,6 @@ class Terrain:
 
         At most `max_range_m`; what the ground does within half a metre may be missed.
 
-        Examples
-        --------
         >>> slope = Terrain(east_m=[0, 10], north_m=[0, 10], height_m=[[0, 1], [0, 1]])
         >>> down = [[0.0, 0.0, -1.0]]
         >>> slope.distances([5.0, 5.0, 3.0], down, max_range_m=9.0).round(3).tolist()
@@ -118,13 +113,9 @@ def _cell(lines_m: FloatArray, values_m: FloatArray) -> tuple[NDArray[np.int64],
 
 @lru_cache(maxsize=64)
 def terrain_of(scene: Scene) -> Terrain | None:
-    """The terrain of a scene, from the mesh of its ground; None where that is the plane z = 0.
-
-    Raises InputError: the ground is neither flat nor a grid.
-    """
+    """The terrain of a scene, from the mesh of its ground, or InputError; None: the plane z = 0."""
     index = [number for number, one in enumerate(scene.instances) if one.class_name == GROUND]
-    used = np.unique(scene.triangles[np.isin(scene.triangle_instance, index)])
-    nodes = scene.vertices_m[used]
+    nodes = scene.vertices_m[np.unique(scene.triangles[np.isin(scene.triangle_instance, index)])]
     if not nodes[:, 2].any():
         return None
     east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
@@ -134,9 +125,8 @@ def terrain_of(scene: Scene) -> Terrain | None:
         row[order] * len(east_m) + column[order], np.arange(len(nodes))
     )
     if not is_grid:
-        got = Unquoted(f"{len(nodes)} nodes that are no grid")
         expected = "a plane z = 0, or heights on a grid, as imported scenes have them"
-        raise InputError(f"{scene.name}: ground", got, expected)
+        refuse(f"{scene.name}: ground", f"{len(nodes)} nodes that are no grid", expected)
     height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
     return Terrain(east_m=east_m, north_m=north_m, height_m=height_m)
 
@@ -188,10 +178,7 @@ def pitch_on_ground_deg(
     front_m: float,
     wheelbase_m: float,
 ) -> FloatArray:
-    """By how much vehicles on two axles look up, (n,), in degrees; zeros on the plane.
-
-    Their middles are at points (n, 2), their front axles `front_m` ahead of them.
-    """
+    """By how much vehicles at (n, 2), front axles `front_m` ahead, look up, (n,), in degrees."""
     position = np.asarray(position_m, dtype=np.float64)
     if terrain is None:
         return np.zeros(position.shape[:-1])
@@ -210,20 +197,14 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
         return tuple(bodies)
     return tuple(
         replace(
-            body,
-            pose=replace(body.pose, position_m=on_ground(body.pose.position_m[:2], terrain)),
+            body, pose=replace(body.pose, position_m=on_ground(body.pose.position_m[:2], terrain))
         )
         for body in bodies
     )
 
 
 def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
-    """Terrain of a square around the origin from points (n, 3) of the ground.
-
-    Linear between the points, by their Delaunay triangulation; beyond them as high as the nearest
-    place between them.
-    Lines are `step_m` apart, or farther where there would be too many. In metres.
-    """
+    """Terrain of a square from points (n, 3): Delaunay's, beyond them that of the nearest. [m]."""
     from scipy.interpolate import NearestNDInterpolator
     from scipy.ndimage import distance_transform_edt
 

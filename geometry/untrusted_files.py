@@ -17,46 +17,46 @@ from xml.etree.ElementTree import Element, ParseError
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, Unquoted
-from .files import open_file, open_new, read_bytes
+from .errors import InputError, Unquoted, refuse
+from .files import open_file, open_new, parse_json, read_bytes, reading
 
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000  # out of one file, whatever it is packed with
 MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
 _SMALL_BYTES = 1_000_000  # of which a bomb is none
 _CHUNK_BYTES = 1 << 20
+_VALUE_BYTES = 8
+MAX_FILE_BYTES = 500_000_000
+_MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
+_MAX_NODES = 200_000
+_MAX_JSON_BYTES = 100_000_000
+_MAX_HEADER_BYTES = 64 * 1024  # [1]
+_MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
 @contextmanager
 def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
     """Unpack a .zip, and yield the path of its one readable file, with everything next to it.
 
-    `suffixes` are the endings of readable files in lower case: ``{".geojson", ".shp"}``; files that
-    belong to them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
-    the end. An :class:`InputError` about it that is raised within names the archive instead of the
-    folder.
-
-    Raises InputError if the archive is damaged or encrypted, is too large unpacked (2 GB, 10,000
-    files, 200 times its size), has names that lead out of the folder, links, or names twice; or if
-    none, or several, of its files are readable.
+    `suffixes` are the endings of readable files in lower case; files that belong to them (``.dbf``,
+    ``.bin``, textures) have others. The temporary folder is removed at the end. An
+    :class:`InputError` about it that is raised within names the archive instead. Raises InputError
+    if the archive is damaged or encrypted, is too large unpacked (2 GB, 10,000 files, 200 times its
+    size), has names that lead out of the folder, links, or names twice; or if none, or several, of
+    its files are readable.
     """
     where = str(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:
-        try:
-            with open_file(path) as file, zipfile.ZipFile(file) as archive:
-                members = _checked_members(archive, where)
-                found = _recognised(members, suffixes, where)
-                _extract(archive, members, Path(folder), where)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise InputError(where, Unquoted(reason), "a readable .zip") from None
-        except InputError:
-            raise
-        except (
-            *(zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError),
-            ValueError,
-        ) as error:
-            raise InputError(where, Unquoted(error), "a .zip that can be unpacked") from None
+        damage = (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError)
+        with (
+            reading(path, "a readable .zip", *damage, ValueError, OSError),
+            open_file(path) as file,
+            zipfile.ZipFile(file) as archive,
+        ):
+            members = _checked_members(archive, where)
+            found = _recognised(members, suffixes, where)
+            _extract(archive, members, Path(folder), where)
         try:
             yield Path(folder) / found.filename
         except InputError as error:
@@ -68,24 +68,22 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
     """Files of an archive; raises InputError if one of them is dangerous."""
     entries = archive.infolist()
     if len(entries) > MAX_MEMBERS:
-        raise InputError(where, Unquoted(f"{len(entries):,} members"), f"at most {MAX_MEMBERS:,}")
+        refuse(where, f"{len(entries):,} members", f"at most {MAX_MEMBERS:,}")
     seen: set[str] = set()
-    members = []
     for entry in entries:
         name = entry.filename
         parts = PurePosixPath(name).parts
-        shown = f"{where}: {name!r:.100}"
-        if not parts or name.startswith("/") or ".." in parts or set(name) & set("\\:\0"):
-            raise InputError(shown, Unquoted("a name that leads out of it"), "plain relative names")
-        if stat.S_ISLNK(entry.external_attr >> 16):
-            raise InputError(shown, Unquoted("a link"), "plain files")
-        if entry.flag_bits & 0x1:
-            raise InputError(shown, Unquoted("an encrypted file"), "one without a password")
-        if name.casefold() in seen:
-            raise InputError(shown, Unquoted("a name that occurs twice"), "every name once")
+        leads_out = name.startswith("/") or ".." in parts or set(name) & set("\\:\0")
+        for is_wrong, what, expected in (
+            (not parts or leads_out, "a name that leads out of it", "plain relative names"),
+            (stat.S_ISLNK(entry.external_attr >> 16), "a link", "plain files"),
+            (entry.flag_bits & 0x1, "an encrypted file", "one without a password"),
+            (name.casefold() in seen, "a name that occurs twice", "every name once"),
+        ):
+            if is_wrong:
+                refuse(f"{where}: {name!r:.100}", what, expected)
         seen.add(name.casefold())
-        if not entry.is_dir():
-            members.append(entry)
+    members = [entry for entry in entries if not entry.is_dir()]
     refuse_bomb(sum(entry.file_size for entry in members), where)
     return members
 
@@ -105,14 +103,13 @@ def _recognised(
     if len(found) == 1:
         return found[0]
     shown = ", ".join(entry.filename[:60] for entry in (found or members)[:5])
-    got = Unquoted(f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else ""))
-    raise InputError(where, got, "exactly one, with an ending of " + ", ".join(sorted(suffixes)))
+    got = f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else "")
+    refuse(where, got, "exactly one, with an ending of " + ", ".join(sorted(suffixes)))
 
 
 def _extract(
     archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path, where: str
 ) -> None:
-    """Write files into a folder and count their bytes: the sizes in the archive may be wrong."""
     n_bytes = 0
     for entry in members:
         target = folder / entry.filename
@@ -132,13 +129,10 @@ def unpacked_bytes(archive: zipfile.ZipFile, where: str) -> int:
 
 
 def check_unpacked(n_bytes: int, where: str) -> None:
-    """Raise InputError if so many bytes come out of one packed file.
-
-    The budget is one for archives, instances, scenes and point clouds alike.
-    """
+    """Raise InputError if more bytes come out of one packed file than the budget of all of them."""
     if n_bytes > MAX_UNPACKED_BYTES:
         expected = f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed"
-        raise InputError(where, Unquoted(f"{n_bytes:,} bytes or more when unpacked"), expected)
+        refuse(where, f"{n_bytes:,} bytes or more when unpacked", expected)
 
 
 def is_text(array: NDArray[Any]) -> bool:
@@ -159,58 +153,35 @@ def refuse_bomb(n_bytes: int, where: str) -> None:
 
 def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
     if n_bytes > max(_SMALL_BYTES, MAX_RATIO * n_packed):
-        got = Unquoted(f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}")
-        raise InputError(where, got, f"at most {MAX_RATIO} times as many")
+        got = f"{n_bytes:,} bytes or more out of {max(1, n_packed):,}"
+        refuse(where, got, f"at most {MAX_RATIO} times as many")
 
 
 # ---------- Parquet
-_VALUE_BYTES = 8
-
-
 @contextmanager
 def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
-    """Open a Parquet file, a ``pyarrow.parquet.ParquetFile``; texts come as dictionaries.
-
-    Raises InputError if it is damaged (also while it is read), or if its values take more than 200
-    times the bytes of the file: run lengths make billions of rows out of nothing.
-    """
+    """Open a Parquet file, texts as dictionaries; InputError: damaged, or out of too few bytes."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    where = str(path)
-    with open_file(path, max_bytes=max_bytes) as file:
-        try:
-            found = parquet.read_metadata(file)
-            groups = [found.row_group(index) for index in range(found.num_row_groups)]
-            n_values = sum(
-                group.column(index).num_values
-                for group in groups
-                for index in range(group.num_columns)
-            )
-            n_bytes = max(_VALUE_BYTES * n_values, sum(group.total_byte_size for group in groups))
-            _refuse_ratio(n_bytes, os.fstat(file.fileno()).st_size, where)
-            columns = [found.schema.column(index) for index in range(found.num_columns)]
-            texts = [column.path for column in columns if column.physical_type == "BYTE_ARRAY"]
-            file.seek(0)
-            with parquet.ParquetFile(file, metadata=found, read_dictionary=texts) as opened:
-                yield opened
-        except InputError:
-            raise
-        except (OSError, ValueError, pa.ArrowException) as error:
-            reason = " ".join(str(error).split())[:100]
-            raise InputError(where, Unquoted(reason), expected) from None
+    damage = (OSError, ValueError, pa.ArrowException)
+    with open_file(path, max_bytes=max_bytes) as file, reading(path, expected, *damage):
+        found = parquet.read_metadata(file)
+        groups = [found.row_group(index) for index in range(found.num_row_groups)]
+        columns = [group.column(at) for group in groups for at in range(group.num_columns)]
+        n_values = sum(column.num_values for column in columns)
+        n_bytes = max(_VALUE_BYTES * n_values, sum(group.total_byte_size for group in groups))
+        _refuse_ratio(n_bytes, os.fstat(file.fileno()).st_size, str(path))
+        schema = [found.schema.column(index) for index in range(found.num_columns)]
+        texts = [column.path for column in schema if column.physical_type == "BYTE_ARRAY"]
+        file.seek(0)
+        with parquet.ParquetFile(file, metadata=found, read_dictionary=texts) as opened:
+            yield opened
 
 
 # ---------- XML
-MAX_FILE_BYTES = 500_000_000
-
-
 def read_xml(path: Path, *, expected: str) -> Element:
-    """Read a whole XML document and return its root; `expected` names the format: "OpenDRIVE".
-
-    Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
-    well-formed, or has entities or other dangerous parts.
-    """
+    """Root of an XML document in a format, `expected`; InputError: broken, large or dangerous."""
     from defusedxml.ElementTree import parse
 
     with (
@@ -232,25 +203,18 @@ def read_xml_root(path: Path) -> Element:
         for _, element in iterparse(file, events=("start",), forbid_dtd=False):
             first: Element = element
             return first
-    raise InputError(str(path), Unquoted("no element"), "well-formed XML")
+    refuse(str(path), "no element", "well-formed XML")
 
 
 @contextmanager
 def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
-    """Raise InputError in place of the errors of XML parsers."""
     from defusedxml import DefusedXmlException
 
-    try:
-        yield
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
-    except DefusedXmlException as error:
-        reason = Unquoted(type(error).__name__)
-        raise InputError(str(path), reason, f"{expected} without entities") from None
-    except (ParseError, ValueError, LookupError) as error:  # LookupError: unknown encoding
-        raise InputError(str(path), Unquoted(error), well_formed) from None
+    with reading(path, well_formed, ParseError, ValueError, LookupError):  # of encodings
+        try:
+            yield
+        except DefusedXmlException as error:
+            refuse(str(path), type(error).__name__, f"{expected} without entities")
 
 
 def local_name(element: Element) -> str:
@@ -259,39 +223,25 @@ def local_name(element: Element) -> str:
 
 
 # ---------- JSON
-_Table = Mapping[str, Any]
-
-
-def parse_json(text: str, where: str, expected: str) -> _Table:
+def parse_object(text: str, where: str, expected: str) -> Mapping[str, Any]:
     """Parse a JSON object; raises InputError if it is none, or is nested too deeply."""
     try:
-        document = json.loads(text)
-    except RecursionError:
-        raise InputError(where, Unquoted("JSON nested too deeply"), expected) from None
-    except ValueError as error:
-        raise InputError(where, Unquoted(error), f"{expected}: valid JSON") from None
+        document = parse_json(text, where, expected)
+    except InputError as error:
+        raise InputError(where, error.got, f"{expected}: valid JSON") from None
     if not isinstance(document, dict):
-        raise InputError(where, Unquoted(type(document).__name__), f"{expected}: an object")
+        refuse(where, type(document).__name__, f"{expected}: an object")
     return document
 
 
 # ---------- glTF
-_MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
-_MAX_NODES = 200_000
-_MAX_JSON_BYTES = 100_000_000
-
-
 def check_gltf(path: Path) -> None:
-    """Check the claims of a glTF 2 file before memory is given to it.
-
-    Raises InputError if it is no glTF 2; claims more elements than five million triangles have; or
-    has nodes with several parents, or that are their own ancestors.
-    """
+    """Raise InputError for claims of a glTF 2 file before memory is given to them."""
     where = str(path)
     text = _binary_header(path) if path.suffix.lower() == ".glb" else read_bytes(path)
     if len(text) > _MAX_JSON_BYTES:
-        raise InputError(where, Unquoted(f"{len(text):,} bytes of JSON"), f"{_MAX_JSON_BYTES:,}")
-    header = parse_json(text.decode("utf-8", "replace"), where, "glTF")
+        refuse(where, f"{len(text):,} bytes of JSON", f"{_MAX_JSON_BYTES:,}")
+    header = parse_object(text.decode("utf-8", "replace"), where, "glTF")
     for accessor in _entries(header, "accessors", where):
         count = accessor.get("count")
         if not isinstance(count, int) or not 0 <= count <= _MAX_COUNT:
@@ -303,17 +253,16 @@ def check_gltf(path: Path) -> None:
                 raise InputError(f"{where}: bufferViews.{key}", value, "a number of bytes")
     _check_tree(_entries(header, "nodes", where), where)
     required = header.get("extensionsRequired")
-    if isinstance(required, list):
-        compressed = [str(name) for name in required if "compression" in str(name).lower()]
-        if compressed:
-            raise InputError(where, Unquoted(f"compression {compressed[0]}"), "a plain glTF")
+    for name in map(str, required if isinstance(required, list) else ()):
+        if "compression" in name.lower():
+            refuse(where, f"compression {name}", "a plain glTF")
 
 
 def _binary_header(path: Path) -> bytes:
     with open_file(path) as file:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":
-            raise InputError(str(path), Unquoted("something else"), "a binary glTF")
+            refuse(str(path), "something else", "a binary glTF")
         version, _, length, kind = struct.unpack("<4I", head[4:])
         if version != 2 or kind != 0x4E4F534A:
             raise InputError(f"{path}: version", version, "2, with JSON first")
@@ -328,7 +277,6 @@ def _entries(header: Mapping[str, Any], key: str, where: str) -> list[Mapping[st
 
 
 def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
-    """Every node has at most one parent, and none is its own ancestor."""
     if len(nodes) > _MAX_NODES:
         raise InputError(f"{where}: nodes", len(nodes), f"at most {_MAX_NODES:,}")
     parent: dict[int, int] = {}
@@ -340,39 +288,35 @@ def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
             if not isinstance(child, int) or not 0 <= child < len(nodes):
                 raise InputError(f"{where}: nodes[{index}].children", child, "indices of nodes")
             if child in parent:
-                raise InputError(f"{where}: nodes[{child}]", Unquoted("two parents"), "one")
+                refuse(f"{where}: nodes[{child}]", "two parents", "one")
             parent[child] = index
     reached = [index for index in range(len(nodes)) if index not in parent]
     for index in reached:  # grows while it is walked through
         reached += nodes[index].get("children", [])
     if len(reached) < len(nodes):
-        raise InputError(f"{where}: nodes", Unquoted("a node that is its own ancestor"), "a tree")
+        refuse(f"{where}: nodes", "a node that is its own ancestor", "a tree")
 
 
 # ---------- PBF of OpenStreetMap
-_MAX_HEADER_BYTES = 64 * 1024  # [1]
-_MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
-
-
 def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
     """Raise InputError if a PBF file is one that osmium cannot be trusted with.
 
-    It is damaged, holds more than `max_unpacked_bytes`, is packed in another way than with zlib, or
-    has a zero byte in a text: osmium ends the text there and reads on beyond its memory.
+    It is damaged, too large, packed in another way than with zlib, or has a zero byte in a text:
+    osmium ends the text there and reads on beyond its memory.
     """
     n_left = max_unpacked_bytes
     try:
         for kind, data in _blobs(path):
             n_left -= len(data)
             if n_left < 0:
-                got = Unquoted(f"more than {max_unpacked_bytes:,} bytes when unpacked")
-                raise InputError(str(path), got, "fewer; cut it out first")
+                got = f"more than {max_unpacked_bytes:,} bytes when unpacked"
+                refuse(str(path), got, "fewer; cut it out first")
             if kind == b"OSMData" and any(b"\0" in text for text in _texts(data)):
-                raise InputError(str(path), Unquoted("a zero byte in a text"), expected)
-    except (IndexError, _DamagedError, zlib.error) as error:
-        reason = Unquoted(str(error) if isinstance(error, _DamagedError) else "damaged data")
-        raise InputError(str(path), reason, expected) from None
+                refuse(str(path), "a zero byte in a text", expected)
+    except _DamagedError as error:
+        raise InputError(str(path), Unquoted(error), expected) from None
+    except (IndexError, zlib.error):
+        raise InputError(str(path), Unquoted("damaged data"), expected) from None
 
 
 class _DamagedError(Exception):
@@ -380,22 +324,18 @@ class _DamagedError(Exception):
 
 
 def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
-    """Kind and unpacked content of each blob."""
     with open_file(path) as file:
         while prefix := file.read(4):
             n_bytes = int.from_bytes(prefix, "big")
             if len(prefix) < 4 or n_bytes > _MAX_HEADER_BYTES:
                 raise _DamagedError("an invalid header")
-            header = _fields(_exactly(file.read(n_bytes), n_bytes))
-            kind, n_bytes = b"", -1
-            for number, value in header:
-                if number == 1 and isinstance(value, bytes):
-                    kind = value
-                elif number == 3 and isinstance(value, int):
-                    n_bytes = value
-            if not 0 <= n_bytes <= _MAX_BLOB_BYTES:
+            header = dict(_fields(_exactly(file.read(n_bytes), n_bytes)))
+            kind, size = header.get(1, b""), header.get(3, -1)
+            if not isinstance(kind, bytes) or not isinstance(size, int):
+                raise _DamagedError("an invalid header")
+            if not 0 <= size <= _MAX_BLOB_BYTES:
                 raise _DamagedError("a blob without a size, or too large")
-            yield kind, _unpacked(_exactly(file.read(n_bytes), n_bytes))
+            yield kind, _unpacked(_exactly(file.read(size), size))
 
 
 def _exactly(data: bytes, n_bytes: int) -> bytes:
@@ -425,7 +365,6 @@ def _texts(block: bytes) -> Iterator[bytes]:
 
 
 def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """Numbers and values of a message's fields."""
     at, end = 0, len(data)
     while at < end:
         key, at = _varint(data, at)

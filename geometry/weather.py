@@ -14,7 +14,6 @@ from .files import load_toml, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Contrast that remains at the visibility (meteorological optical range, WMO-No. 8)."""
-
 _DB_PER_NEPER = 10.0 / math.log(10.0)
 
 
@@ -25,11 +24,9 @@ class Weather:
     name: str  # "day", "night", "rain" or "fog"
     visibility_m: float  # meteorological optical range of haze and fog, without rain
     rain_rate_mmph: float  # rain
-    # where the sun stands: above the horizon, counter-clockwise from east
-    sun_elevation_deg: float
+    sun_elevation_deg: float  # where the sun stands: above the horizon, counter-clockwise from east
     sun_yaw_deg: float
-    # on a surface that faces the sun, and on level ground from the sky
-    sun_lux: float
+    sun_lux: float  # on a surface that faces the sun, and on level ground from the sky
     sky_lux: float
     has_lamps: bool  # street lamps and headlights are on
     # of a VRU against what is behind it, before the air takes its part; 1 in full daylight
@@ -57,19 +54,12 @@ class Weather:
 
     @property
     def extinction_per_m(self) -> float:
-        """Share of visible light lost per metre, by Beer and Lambert.
-
-        References
-        ----------
-        .. [1] H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924: -ln(0.05) / visibility.
-        """
+        """Share of visible light lost per metre: -ln(0.05) / visibility (Koschmieder), and rain."""
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:
         """Share of light, and of contrast, that remains after a distance through the air.
 
-        Examples
-        --------
         >>> fog = load_weathers()["fog"]
         >>> float(fog.transmission(fog.visibility_m).round(12))
         0.05
@@ -77,12 +67,10 @@ class Weather:
         return np.exp(-self.extinction_per_m * np.asarray(distance_m, dtype=np.float64))
 
     def lidar_extinction_per_m(self, wavelength_nm: float) -> float:
-        """Share of a laser pulse that rain and haze (Kim's exponent) take per metre, one way.
+        """Share of a laser pulse that rain and haze take per metre, one way.
 
-        References
-        ----------
-        .. [1] I. Kim et al., "Comparison of laser beam propagation at 785 nm and 1550 nm in fog and
-           haze for optical wireless communications", 2001.
+        With the exponent of I. Kim et al., "Comparison of laser beam propagation at 785 nm and 1550
+        nm in fog and haze for optical wireless communications", 2001.
         """
         scale = (wavelength_nm / 550.0) ** -_kim_exponent(self.visibility_m)
         haze_per_m = -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m

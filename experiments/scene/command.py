@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,52 +21,40 @@ if TYPE_CHECKING:
 
     from .run import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
-_EXIT_FAILED = 1
-
-
+_MAX_LISTED = 20
 # Where a command lists its options in sections, --help-all alone shows these.
+_fact = partial(option, is_common=False)
 _READING_OPTIONS = (
-    option(
+    _fact(
         "--unit",
-        is_common=False,
         type=click.Choice(("m", "km", "cm", "mm", "ft", "in")),
         help="Of meshes whose format does not say (OBJ, PLY, STL).",
     ),
-    option(
+    _fact(
         "--up",
-        is_common=False,
         type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
         help="Axis of meshes that points up, where the format does not say.",
     ),
-    option(
+    _fact(
         "--class",
         "class_name",
-        is_common=False,
         type=click.Choice(("building", "wall", "vegetation")),
         default="building",
         show_default=True,
         help="Of meshes, point clouds and footprints that do not say.",
     ),
-    option(
+    _fact(
         "--driving-side",
-        is_common=False,
         type=click.Choice(("map", "left", "right")),
         default="map",
         show_default=True,
         help="On which traffic keeps; map: as it says or shows.",
     ),
-    option(
-        "--crs",
-        is_common=False,
-        default="",
-        metavar="CRS",
-        help="Of files that do not say where they lie: EPSG:25832.",
-    ),
-    option("--layer", is_common=False, default="", metavar="NAME", help="Of a GeoPackage."),
-    option(
+    _fact("--crs", default="", metavar="CRS", help="Of files that do not say: EPSG:25832."),
+    _fact("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
+    _fact(
         "--offset",
         "offset_m",
-        is_common=False,
         type=lambda text: read_point(text, "--offset"),
         metavar="X,Y",
         expected="two numbers: X,Y",
@@ -192,8 +180,7 @@ def import_(
 
     from . import run
 
-    options = ImportOptions(**cut)
-    summary = run.run_import(files, options, bbox=bbox, out=out, progress=progress)
+    summary = run.run_import(files, ImportOptions(**cut), bbox=bbox, out=out, progress=progress)
     print_result(summary, progress, as_json, lambda: scene_text(summary))
 
 
@@ -261,10 +248,7 @@ def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> 
     summary = run.run_check(path, progress=progress)
     print_result(summary, progress, as_json, lambda: findings_text(summary))
     if not summary.is_sound:
-        sys.exit(_EXIT_FAILED)
-
-
-_MAX_LISTED = 20
+        sys.exit(1)
 
 
 def scene_text(summary: "SceneResult") -> str:
@@ -298,7 +282,6 @@ def findings_text(summary: "SceneCheckResult") -> str:
 
 
 def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
-    """The arms of the only junction, or the junctions of a map."""
     if not junctions:
         return ["  no junctions"]
     if len(junctions) == 1 and junctions[0].arm_list is not UNSET:
@@ -307,37 +290,24 @@ def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
             for arm in junctions[0].arm_list
         ]
         return table(["arm", "lanes in", "lanes out", "parking"], arms)
-    rows, names = [], []
-    for one in junctions[:_MAX_LISTED]:
-        counts = (one.arms, one.lanes, one.signals, one.crossings)
-        rows.append(
-            [
-                one.id,
-                *("-" if count is UNSET else str(count) for count in counts),
-                f"{one.x_m:.6f}",
-                f"{one.y_m:.6f}",
-            ]
-        )
-        names.append(f"{len(rows)}. {one.name}")
     heads = ["junction", "arms", "lanes", "signals", "crossings", "x", "y"]
+    rows = [
+        [one.id, *("-" if count is UNSET else str(count) for count in counts), *place]
+        for one in junctions[:_MAX_LISTED]
+        for counts in [(one.arms, one.lanes, one.signals, one.crossings)]
+        for place in [(f"{one.x_m:.6f}", f"{one.y_m:.6f}")]
+    ]
+    names = [f"{at}. {one.name}" for at, one in enumerate(junctions[:_MAX_LISTED], start=1)]
     return [*listing(heads, rows, names), *_more(len(junctions))]
 
 
 def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
-    rows = []
-    for site in sites[:_MAX_LISTED]:
-        low_m, high_m = site.height_range_m
-        rows.append(
-            [
-                site.id,
-                site.kind,
-                f"{site.x_m:.3f}",
-                f"{site.y_m:.3f}",
-                f"{low_m:g} to {high_m:g}",
-                str(site.capacity_units),
-            ]
-        )
     heads = ["site", "kind", "x m", "y m", "mount m", "units"]
+    rows = [
+        [site.id, site.kind, f"{site.x_m:.3f}", f"{site.y_m:.3f}", mount, str(site.capacity_units)]
+        for site in sites[:_MAX_LISTED]
+        for mount in ["{:g} to {:g}".format(*site.height_range_m)]
+    ]
     return [*listing(heads, rows), *_more(len(sites))]
 
 

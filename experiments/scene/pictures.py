@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 
 import numpy as np
+import shapely
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patheffects import withStroke
 
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import FloatArray
 from geometry.junction import build_junction
+from geometry.lines import points_at
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import Surveyed
 from geometry.maps.source_map import SourceMap
@@ -34,7 +36,6 @@ _SKY = (0.97, 0.98, 1.0)
 _SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
 _WIDTH_PX, _HEIGHT_PX = 1200, 800
 _VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
-
 _MAX_TRIANGLES = 400_000  # of buildings; more are not drawn
 _ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
 _BEYOND = 0.08  # of the span of the junctions, around them
@@ -44,10 +45,7 @@ HALO = withStroke(linewidth=2.5, foreground="white")
 
 
 def plot_scene_plan(scene: Scene) -> Axes:
-    """Plan of a scene: lanes with their directions, arms, crosswalks, sites, things; north up.
-
-    The square has all things and sites, and a side of 90 m to 180 m.
-    """
+    """Plan of a scene, north up: a square of 90 m to 180 m with all things and sites."""
     junction = build_junction(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     half = _half_size_m(scene, middle)
@@ -65,12 +63,12 @@ def plot_scene_plan(scene: Scene) -> Axes:
     names = [
         Label(
             text=site.id,
-            point_m=(float(place[0]), float(place[1])),
+            point_m=(float(site.position_m[0]), float(site.position_m[1])),
             size=5.5,
             is_kept=False,
             style={"color": "#333333", "zorder": 8},
         )
-        for site, place in zip(scene.sites, places, strict=True)
+        for site in scene.sites
     ]
     draw_labels(axes, [*arm_names(scene, middle, half), *names], marks_m=places, mark=2.5)
     finish_axes(axes, x="east (m)", y="north (m)", size=9, hidden=())
@@ -81,8 +79,7 @@ def plot_scene_plan(scene: Scene) -> Axes:
 def plot_scene_view(scene: Scene) -> Axes:
     """View of a scene from a height in the south-west: ray-cast, shaded by the sun's direction."""
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    half = min(_half_size_m(scene, middle), 70.0)
-    picture = _cast_view(scene, middle, distance_m=2.6 * half)
+    picture = _cast_view(scene, middle, distance_m=2.6 * min(_half_size_m(scene, middle), 70.0))
     axes = new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
     axes.imshow(picture)
     axes.set_axis_off()
@@ -100,12 +97,7 @@ def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:
 
 def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
     """An arrow along a lane, some metres from its mouth."""
-    mouth_first = points_m[::-1] if is_in else points_m
-    steps = np.append(0.0, np.cumsum(np.hypot(*np.diff(mouth_first, axis=0).T)))
-    far, near = (
-        np.array([np.interp(min(at_m, steps[-1]), steps, mouth_first[:, axis]) for axis in (0, 1)])
-        for at_m in (9.0, 4.0)
-    )
+    far, near = points_at(points_m[::-1] if is_in else points_m, np.array([9.0, 4.0]))
     start, end = (far, near) if is_in else (near, far)
     axes.annotate(
         "",
@@ -143,50 +135,27 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
     lifted = (point + 0.05 * normal).astype(np.float32)
     in_shadow = caster.is_blocked(np.ascontiguousarray(lifted), np.ascontiguousarray(to_sun))
     light = 0.55 + 0.45 * np.where(in_shadow, 0.0, np.clip(normal @ _SUN, 0.0, 1.0))
-    classes = np.array([_COLOURS[thing.class_name] for thing in scene.instances])
-    colour = classes[scene.triangle_instance[hit]]
-    is_ground = np.array([thing.class_name == "ground" for thing in scene.instances])
-    on_road = is_ground[scene.triangle_instance[hit]]
-    on_road[on_road] = _is_road(scene, point[on_road, :2] + middle_m)
-    colour[on_road] = _ROAD
-    picture[is_hit] = colour * light[:, None]
-    shaded: FloatArray = np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3)
-    return shaded
-
-
-def _is_road(scene: Scene, points_m: FloatArray) -> BoolArray:
-    """Mask of the points on a lane or in the junction."""
-    import shapely
-
+    of_instance = scene.triangle_instance[hit]
+    colour = np.array([_COLOURS[thing.class_name] for thing in scene.instances])[of_instance]
+    on_road = np.array([thing.class_name == "ground" for thing in scene.instances])[of_instance]
     road = road_area(scene)
     shapely.prepare(road)
-    is_road: BoolArray = shapely.contains_xy(road, *points_m.T)
-    return is_road
+    on_road[on_road] = shapely.contains_xy(road, *(point[on_road, :2] + middle_m).T)
+    colour[on_road] = _ROAD
+    picture[is_hit] = colour * light[:, None]
+    return np.asarray(np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3))
 
 
 # ---------- maps
-
-
 def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> Axes:
-    """Streets and buildings of maps with all junctions of the first, numbered in their order.
-
-    The figure grows with their number. Names that would lie on others are left out; a junction
-    without a name is labelled with its id.
-    """
+    """Streets and buildings of maps with all junctions of the first, numbered in their order."""
     places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
     widths = float(np.clip(np.sqrt(len(surveyed) / _FEW), 1.0, _MOST_WIDTHS))
     axes = new_map_axes(maps, places, width_in=WIDTH_IN * widths)
     axes.plot(*places.T, "o", markersize=11.0, color=BLUE, zorder=5)
     for number, place in enumerate(places, start=1):
-        axes.annotate(
-            str(number),
-            tuple(place),
-            color="white",
-            fontsize=6.0,
-            ha="center",
-            va="center",
-            zorder=6,
-        )
+        x, y = place
+        axes.text(x, y, str(number), c="white", size=6.0, ha="center", va="center", zorder=6)
     names = [
         Label(
             text=one.junction.name or one.junction.id,
@@ -205,21 +174,16 @@ def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> A
 def new_map_axes(
     maps: Sequence[SourceMap], places_m: FloatArray, *, width_in: float = WIDTH_IN
 ) -> Axes:
-    """Axes with streets and buildings of maps around some places, a scale, and nothing else.
-
-    `places_m` (n, 2) are in the coordinates of the first map; the height follows from them.
-    """
+    """Axes with streets and buildings of maps around places (n, 2) in the first map's system."""
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     half = 0.5 * np.maximum(high - low, _LEAST_M) * (1.0 + 2.0 * _BEYOND) + 60.0
     middle = 0.5 * (low + high)
     axes = new_axes(width_in, width_in * float(np.clip(half[1] / half[0], 0.4, 1.6)))
     for source in maps:
         _draw_map(axes, source, maps[0].crs, middle - half, middle + half)
-    axes.set_aspect("equal")
+    axes.set(aspect="equal", xticks=[], yticks=[])
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
     axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
-    axes.set_xticks([])
-    axes.set_yticks([])
     _draw_scale(axes, middle, half)
     return axes
 
@@ -239,12 +203,8 @@ def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: Fl
             continue
         faces.append(points[thing.triangles])
     if faces and sum(map(len, faces)) <= _MAX_TRIANGLES:
-        corners = np.concatenate(faces)
-        axes.add_collection(
-            PolyCollection(
-                list(corners), facecolor=_BUILDINGS, edgecolor=_BUILDINGS, lw=0.2, zorder=1
-            )
-        )
+        triangles = list(np.concatenate(faces))
+        axes.add_collection(PolyCollection(triangles, color=_BUILDINGS, lw=0.2, zorder=1))
     lines = [here(lane.centreline_m) for lane in source.lanes if lane.kind == "driving"]
     axes.add_collection(LineCollection(lines, colors=_ROADS, linewidths=0.7, zorder=2))
 

@@ -3,18 +3,18 @@
 import hashlib
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, refuse
 from geometry.files import check_target, read_bytes
 from geometry.junction import build_junction, street_names
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import (
-    ImportedScene,
     ImportOptions,
     ReadingOptions,
     Surveyed,
@@ -23,6 +23,7 @@ from geometry.maps.importing import (
     sort_junctions,
 )
 from geometry.maps.place_lists import SUFFIXES as LISTS
+from geometry.maps.source_map import SourceMap
 from geometry.notes import Note
 from geometry.scene import Scene
 from geometry.scene_checks import Finding, check_scene
@@ -53,8 +54,6 @@ IMPORT_VERSION = 2
 
 
 # ---------- summaries
-
-
 class ArmRecord(Record, frozen=True, kw_only=True):
     """An arm of a junction."""
 
@@ -177,11 +176,12 @@ def build_scene_result(scene: Scene) -> SceneResult:
 
 
 def _junction_record(surveyed: Surveyed) -> JunctionRecord:
+    x_m, y_m = surveyed.position.tolist()
     return JunctionRecord(
         id=surveyed.junction.id,
         name=surveyed.junction.name,
-        x_m=float(surveyed.position[0]),
-        y_m=float(surveyed.position[1]),
+        x_m=x_m,
+        y_m=y_m,
         arms=len(surveyed.arms),
         lanes=surveyed.n_lanes,
         signals=surveyed.n_signals,
@@ -190,31 +190,11 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
     )
 
 
-def _import_result(imported: ImportedScene) -> SceneResult:
-    """Summary of an import; its junction has the id and the name that it has in the map."""
-    result = build_scene_result(imported.scene)
-    chosen = imported.chosen.junction
-    return replace(
-        result,
-        junctions=(replace(result.junctions[0], id=chosen.id, name=chosen.name),),
-        other_junctions=len(imported.junctions) - 1,
-        assumed_heights=sum(t.is_height_assumed for t in imported.scene.instances),
-    )
-
-
 # ---------- import
-
-
 def run_import(
     files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
-    """Make a scene of map files and write it: ``scene.toml``, ``things.glb`` and two pictures.
-
-    `files`: "town05" alone is the study's junction. `bbox`: west, south, east, north with commas
-    between: fetch OpenStreetMap there. `out`: a folder, or a .zip file. Raises InputError, see
-    :func:`geometry.maps.importing.import_scene`; `out` cannot be written, or is a folder with other
-    things in it.
-    """
+    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError."""
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
     progress.kept = f"nothing was written to {out}"
@@ -229,7 +209,14 @@ def run_import(
         else:
             imported = import_scene(paths, options)
             scene, sources = imported.scene, imported.sources
-            result = _import_result(imported)
+            result = build_scene_result(scene)
+            only, chosen = result.junctions[0], imported.chosen.junction
+            result = replace(
+                result,
+                junctions=(replace(only, id=chosen.id, name=chosen.name),),
+                other_junctions=len(imported.junctions) - 1,
+                assumed_heights=sum(thing.is_height_assumed for thing in scene.instances),
+            )
     progress(WRITING, 0, 0)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -254,16 +241,14 @@ def _check_target(out: Path, *, is_zip: bool) -> None:
     """Refuse, before anything is computed, a target that cannot be written or is not ours."""
     if is_zip:
         if out.is_dir():
-            raise InputError("--out", Unquoted(f"{out}, a folder"), "a file to write")
+            refuse("--out", f"{out}, a folder", "a file to write")
         check_target(out)
         check_folder(out.parent)
         return
     if out.exists() and not out.is_dir():
-        raise InputError("--out", Unquoted(f"{out}, a file"), "a folder, or a .zip file")
+        refuse("--out", f"{out}, a file", "a folder, or a .zip file")
     if out.is_dir() and any(out.iterdir()) and not (out / SCENE_FILE).exists():
-        raise InputError(
-            "--out", Unquoted(f"{out}, which holds other things"), "a new folder, or a scene's"
-        )
+        refuse("--out", f"{out}, which holds other things", "a new folder, or a scene's")
     check_folder(out)
 
 
@@ -288,18 +273,12 @@ def _fetch(bbox: str, path: Path) -> Path:
 def import_into_cache(
     question: Question, *, cache: Path, progress: StageProgress
 ) -> tuple[str, SceneResult]:
-    """Import a junction of a map unless that was done before, for a command that goes on with it.
-
-    The question's scene is a map with roads; options of the import: see
-    :func:`placement.question.map_options`. Scenes are cached below `cache` by a hash of map and
-    options. Returns the scene's folder and a summary with notes on what was left out or assumed.
-    Raises InputError: there is no map, or it has no such junction.
-    """
+    """Folder and summary of a map's junction, imported below `cache` unless it was before."""
     path, options = Path(question.scene), map_options(question)
     if not question.scene or not path.is_file() or has_scene(path):
         got = question.scene or "the study's junction"
         given = {"keeps_left": "driving-side"}.get(name := next(iter(options)), name)
-        raise InputError(f"--{given}", Unquoted(f"it with {got}"), "--scene FILE, a map with roads")
+        refuse(f"--{given}", f"it with {got}", "--scene FILE, a map with roads")
     reading = ReadingOptions(keeps_left=options.pop("keeps_left", None))
     wanted = ImportOptions(**options, reading=reading)
     digest = hashlib.sha256(f"{IMPORT_VERSION}\n{wanted!r}\n".encode())
@@ -318,8 +297,6 @@ def import_into_cache(
 
 
 # ---------- show and check
-
-
 def run_show(
     paths: Sequence[str],
     reading: ReadingOptions,
@@ -328,30 +305,18 @@ def run_show(
     progress: StageProgress,
     sort: str = "arms",
 ) -> SceneResult:
-    """Summarise a scene or a map, and draw it.
-
-    `paths`: a scene, or map files; none: the study's junction. `out`: folder for pictures of a
-    scene, or one of all junctions of a map, which are in the order of `sort`. Raises InputError: a
-    file cannot be read; a picture of a map without junctions is asked for.
-    """
+    """Summarise a scene or map files, or else the study's junction; draw it into `out`."""
     if out is not None:
         check_folder(out)
     progress("read", 0, 0)
     if paths and not (len(paths) == 1 and has_scene(Path(paths[0]))):
         maps, junctions = read_maps([Path(path) for path in paths], reading)
-        roads = maps[0]
+        roads, listed = maps[0], sort_junctions(junctions, sort)
+        if out is not None and not listed:
+            refuse(roads.name, "no junction", "a map in which roads meet")
         things = [thing for source in maps for thing in source.things]
-        listed = sort_junctions(junctions, sort)
-        written: str | UnsetType = UNSET
-        if out is not None:
-            if not listed:
-                raise InputError(roads.name, Unquoted("no junction"), "a map in which roads meet")
-            progress(WRITING, 0, 0)
-            write_files(out, {JUNCTIONS_NAME: to_png(plot_junctions(maps, listed))})
-            written = str(out)
-        return SceneResult(
+        result = SceneResult(
             name=roads.name,
-            written=written,
             junctions=tuple(_junction_record(one) for one in listed),
             buildings=sum(thing.class_name == "building" for thing in things),
             things=len(things),
@@ -361,22 +326,26 @@ def run_show(
             skipped=tuple(skip for source in maps for skip in source.skipped),
             crs=roads.source_crs or roads.crs or None,
         )
-    scene = load_scene(paths[0] if paths else "")
-    result = build_scene_result(scene)
+        draw = partial(_picture_of_map, maps, listed)
+    else:
+        scene = load_scene(paths[0] if paths else "")
+        result = build_scene_result(scene)
+        draw = partial(_pictures, scene)
     if out is None:
         return result
     progress(WRITING, 0, 0)
-    write_files(out, _pictures(scene))
+    write_files(out, draw())
     return replace(result, written=str(out))
+
+
+def _picture_of_map(maps: Sequence[SourceMap], listed: Sequence[Surveyed]) -> dict[str, bytes]:
+    return {JUNCTIONS_NAME: to_png(plot_junctions(maps, listed))}
 
 
 def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
     """Check a scene; an empty path is the study's junction. Raises InputError: there is none."""
     progress("check", 0, 0)
     scene = load_scene(path)
-    findings = [*check_scene(scene), *find_sharp_bends(scene)]
-    return SceneCheckResult(
-        name=scene.name,
-        is_sound=all(finding.level != "error" for finding in findings),
-        findings=tuple(findings),
-    )
+    findings = (*check_scene(scene), *find_sharp_bends(scene))
+    is_sound = all(finding.level != "error" for finding in findings)
+    return SceneCheckResult(name=scene.name, is_sound=is_sound, findings=findings)

@@ -5,6 +5,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -14,10 +15,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import read_text
 from ..notes import Note
-from ..untrusted_files import local_name, parse_json, read_xml
+from ..scene import join
+from ..untrusted_files import local_name, parse_object, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
 from .source_map import (
     MAX_TRIANGLES,
@@ -26,7 +28,6 @@ from .source_map import (
     Thing,
     counted,
     extrude,
-    join,
     kind_from_name,
     kind_of_class,
     shortened,
@@ -42,7 +43,6 @@ _SURFACES_AT |= {"CompositeSolid": 2}
 _HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
 _WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
-
 # Class of thing by the type of an object.
 CLASS_OF_TYPE = {
     "Building": "building",
@@ -54,8 +54,28 @@ CLASS_OF_TYPE = {
     "SolitaryVegetationObject": "vegetation",
     "PlantCover": "vegetation",
 }
-
 _Table = Mapping[str, Any]
+_GML = "CityGML"
+_OTHER_TYPES = (
+    *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),
+    *("Square", "Waterway", "WaterBody", "LandUse", "ReliefFeature", "TINRelief", "RasterRelief"),
+    *("GenericCityObject", "GenericOccupiedSpace", "TransportationComplex", "CityObjectGroup"),
+    *("Room", "BuildingRoom", "BuildingFurniture", "BuildingUnit", "Storey"),
+)
+_SURFACE_TYPES = (
+    *("GroundSurface", "WallSurface", "RoofSurface", "ClosureSurface", "OuterCeilingSurface"),
+    *("OuterFloorSurface", "GenericThematicSurface"),
+)
+_GEOMETRY = re.compile(r"lod([0-4])(\w+)")
+_FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
+_NAMES_OF_GML = ("name", "class", "function", "usage")
+_MAX_DEPTH = 100  # of elements, and of references to references
+_MAX_VISITS = 20  # per element: references to references could make more of few
+_GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
+_HREF = "{http://www.w3.org/1999/xlink}href"
+# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
+_Shape = tuple[int, int, list[Polygon3D]]
+_HEIGHT_UNITS_M = {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "cm": 0.01, "km": 1000.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,16 +93,13 @@ class CityObject:
 def read_cityjson(path: Path) -> SourceMap:
     """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
 
-    Each object is read in its highest level of detail below 3, or else in level 3; if there is only
-    level 0, its footprint is raised by the measured height. Buildings and their parts become
-    buildings, plants become vegetation, other constructions walls; furniture becomes a wall too,
-    unless its name says lamp or tree. Bridges are left out with tunnels and ground: the scene's
-    road is one plane, and a bridge deck would lie on it. Heights are absolute. Raises InputError if
-    the file cannot be read, is no CityJSON, or has nothing solid.
+    Each object is read in its highest level of detail below 3, or else in level 3; a footprint of
+    level 0 is raised by the measured height. Bridges are left out with tunnels and ground: the
+    scene's road is one plane. Heights are absolute. Raises InputError if it is damaged, or has
+    nothing solid.
     """
     where = str(path)
-    text = read_text(path, "CityJSON")
-    documents = list(_documents(text, where))
+    documents = list(_documents(read_text(path, "CityJSON"), where))
     head = documents[0]
     if head.get("type") != "CityJSON":
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
@@ -92,10 +109,12 @@ def read_cityjson(path: Path) -> SourceMap:
     objects: list[CityObject] = []
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
-    transform = _transform(head.get("transform"), where)
+    scale, translate = _transform(head.get("transform"), where)
+    templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
-        vertices = _vertices(document.get("vertices", []), transform, f"{where}: vertices")
-        templates = _Templates(head.get("geometry-templates"), where)
+        with np.errstate(over="ignore"):  # city_map refuses what is not finite
+            corners = _vectors(document.get("vertices", []), f"{where}: vertices")
+            vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
@@ -110,7 +129,6 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    """Parse the whole file, or each line of a sequence."""
     first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
     try:
         is_sequence = isinstance(json.loads(first), dict)
@@ -120,23 +138,22 @@ def _documents(text: str, where: str) -> Iterator[_Table]:
     for number, line in enumerate(lines, start=1):
         if line.strip():
             here = f"{where}: line {number}" if len(lines) > 1 else where
-            yield parse_json(line, here, "CityJSON")
+            yield parse_object(line, here, "CityJSON")
     if not text.strip():
-        raise InputError(where, Unquoted("an empty file"), "CityJSON")
+        refuse(where, "an empty file", "CityJSON")
 
 
-def _transform(table: Any, where: str) -> tuple[FloatArray, FloatArray]:
-    """Scale and translation of vertices, (3,) each; 1 and 0 where the file has none."""
+def _transform(table: Any, where: str) -> FloatArray:
+    """Scale and translation of vertices, (2, 3); 1 and 0 where the file has none."""
     if table is None:
-        return np.ones(3), np.zeros(3)
+        return np.array([np.ones(3), np.zeros(3)])
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: transform", table, "scale and translate")
-    scale = _vectors([table.get("scale")], f"{where}: transform.scale")[0]
-    return scale, _vectors([table.get("translate")], f"{where}: transform.translate")[0]
+    keys = ("scale", "translate")
+    return np.concatenate([_vectors([table.get(k)], f"{where}: transform.{k}") for k in keys])
 
 
 def _vectors(values: Any, where: str) -> FloatArray:
-    """Numbers as (n, 3)."""
     if not isinstance(values, list):
         raise InputError(where, values, "a list of points")
     try:
@@ -145,43 +162,36 @@ def _vectors(values: Any, where: str) -> FloatArray:
         got = Unquoted("something other than a list of points")
         raise InputError(where, got, "x, y, z each") from None
     if not np.isfinite(array).all():
-        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+        refuse(where, "a coordinate that is not finite", "finite numbers")
     return array
-
-
-def _vertices(values: Any, transform: tuple[FloatArray, FloatArray], where: str) -> FloatArray:
-    scale, translate = transform
-    with np.errstate(over="ignore"):
-        vertices = _vectors(values, where) * scale + translate
-    return _vectors(vertices.tolist(), where) if not np.isfinite(vertices).all() else vertices
 
 
 class _Templates:
     """Shapes that are used more than once, such as trees and lamps."""
 
     def __init__(self, table: Any, where: str) -> None:
+        table = table if isinstance(table, Mapping) else {}
         self.where = f"{where}: geometry-templates"
-        self.templates = table.get("templates", []) if isinstance(table, Mapping) else []
-        values = table.get("vertices-templates", []) if isinstance(table, Mapping) else []
+        self.templates = table.get("templates", [])
+        values = table.get("vertices-templates", [])
         self.vertices = _vectors(values, f"{self.where}.vertices-templates")
 
     def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
         """Polygons of a template, moved to its place."""
-        index, anchor = geometry.get("template"), geometry.get("boundaries")
+        index: Any = geometry.get("template")
+        anchor: Any = geometry.get("boundaries")
         if not _is_index(index, len(self.templates)):
             raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
-        if not (
-            isinstance(anchor, list) and len(anchor) == 1 and _is_index(anchor[0], len(vertices))
-        ):
+        is_list = isinstance(anchor, list)
+        if not (is_list and len(anchor) == 1 and _is_index(anchor[0], len(vertices))):
             raise InputError(f"{where}.boundaries", anchor, "the index of one vertex")
         values = geometry.get("transformationMatrix", np.eye(4).reshape(-1).tolist())
         if not isinstance(values, list) or len(values) != 16:
             raise InputError(f"{where}.transformationMatrix", values, "16 numbers")
         matrix = _vectors([[value, 0.0, 0.0] for value in values], where)[:, 0].reshape(4, 4)
-        template = self.templates[index]
+        template, here = self.templates[index], f"{self.where}.templates[{index}]"
         if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
-            raise InputError(f"{self.where}.templates[{index}]", Unquoted("no geometry"), "one")
-        here = f"{self.where}.templates[{index}]"
+            refuse(here, "no geometry", "one")
         return [
             [ring @ matrix[:3, :3].T + matrix[:3, 3] + vertices[anchor[0]] for ring in polygon]
             for polygon in _polygons(template, self.vertices, here)
@@ -196,7 +206,6 @@ def _objects(
     left_out: Counter[str],
     empty: Counter[str],
 ) -> Iterator[CityObject]:
-    """Objects of a known type that have surfaces; the others are counted."""
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: CityObjects", type(table).__name__, "a table of objects")
@@ -210,11 +219,10 @@ def _objects(
             continue
         polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
         children = entry.get("children", [])
-        named = (
-            [one for one in children if isinstance(one, str)] if isinstance(children, list) else []
-        )
-        parts = [part for name in named if isinstance(part := table.get(name), Mapping)]
-        if level < 1.0 and any(part.get("geometry") for part in parts):
+        named = children if isinstance(children, list) else []
+        parts = [table.get(one) for one in named if isinstance(one, str)]
+        has_parts = any(isinstance(part, Mapping) and part.get("geometry") for part in parts)
+        if level < 1.0 and has_parts:
             continue
         if not polygons:
             if not children:
@@ -243,11 +251,9 @@ def _height_m(attributes: _Table) -> float | None:
 def _best(
     geometries: Any, vertices: FloatArray, templates: _Templates, where: str
 ) -> tuple[list[Polygon3D], float]:
-    """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
-    best: list[Polygon3D] = []
-    best_level = -1.0
+    best: tuple[list[Polygon3D], float] = ([], -1.0)
     for index, geometry in enumerate(geometries):
         here = f"{where}.geometry[{index}]"
         if not isinstance(geometry, Mapping):
@@ -261,9 +267,9 @@ def _best(
                 level = float(str(geometry.get("lod", "1"))) if kind in _SURFACES_AT else level
             except ValueError:
                 raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
-        if polygons and _rank(level) > _rank(best_level):
-            best, best_level = polygons, level
-    return best, best_level
+        if polygons and _rank(level) > _rank(best[1]):
+            best = (polygons, level)
+    return best
 
 
 def _rank(level: float) -> float:
@@ -272,7 +278,6 @@ def _rank(level: float) -> float:
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    """Polygons of a geometry; of solids only those of the outer shells."""
     depth = _SURFACES_AT.get(str(geometry.get("type")))
     if depth is None:
         return []
@@ -316,44 +321,37 @@ def city_map(
     follows_authority: bool,
     skipped: Sequence[Note],
 ) -> SourceMap:
-    """Build a map from the objects of a city model; `skipped` is what the reader has left out.
-
-    Raises InputError if there is no surface, there are more than five million triangles, or
-    coordinates are impossible.
-    """
-    if not any(city_object.polygons for city_object in objects):
-        got = Unquoted("no building, plant or furniture with surfaces")
-        raise InputError(where, got, "objects of level of detail 0 to 3" + _said(skipped))
+    """Build a map from the objects of a city model; InputError: nothing solid, or too much."""
+    objects = [item for item in objects if item.polygons]
+    if not objects:
+        expected = "objects of level of detail 0 to 3" + _said(skipped)
+        refuse(where, "no building, plant or furniture with surfaces", expected)
     rings = [ring for item in objects for polygon in item.polygons for ring in polygon]
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
-        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+        refuse(where, "a coordinate that is not finite", "finite numbers")
     place = georeference(
         points[:, :2], declared_crs, where=where, follows_authority=follows_authority
     )
     points = place.to_metres(points, where)
-    starts = np.cumsum([len(ring) for ring in rings])[:-1]
-    in_metres = iter(np.split(points, starts))
+    in_metres = iter(np.split(points, np.cumsum([len(ring) for ring in rings])[:-1]))
     things: list[Thing] = []
     flat: list[Note] = []
     ids: Counter[str] = Counter()
     n_triangles = 0
     for item in objects:
         polygons = tuple(tuple(next(in_metres) for _ in polygon) for polygon in item.polygons)
-        if not polygons:
-            continue
         try:
             thing = _thing(replace(item, polygons=polygons), unique_id(item.id, ids))
         except InputError as error:
-            flat.append(Note(what=f"{item.type_name} {item.id}", why=str(error)))
+            flat.append(Note(f"{item.type_name} {item.id}", str(error)))
             continue
         things.append(thing)
         n_triangles += len(thing.triangles)
         if n_triangles > MAX_TRIANGLES:
-            got = Unquoted(f"more than {MAX_TRIANGLES:,} triangles")
-            raise InputError(where, got, "a part of the city")
+            refuse(where, f"more than {MAX_TRIANGLES:,} triangles", "a part of the city")
     if not things:
-        raise InputError(where, Unquoted("no surface with an area"), "buildings" + _said(flat))
+        refuse(where, "no surface with an area", "buildings" + _said(flat))
     return SourceMap(
         name=name,
         crs=place.crs,
@@ -365,7 +363,6 @@ def city_map(
 
 
 def _thing(item: CityObject, thing_id: str) -> Thing:
-    """One object as triangles; raises InputError if it has no area."""
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)
@@ -373,56 +370,28 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
     if not item.is_footprint:
         mesh = surface_mesh(item.polygons)
         if not len(mesh[1]):
-            raise InputError(item.id, Unquoted("surfaces without area"), "polygons")
+            refuse(item.id, "surfaces without area", "polygons")
         return Thing.of(thing_id, class_name, mesh)
     height = item.height_m
     is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
     raised_m = kind_of_class(class_name).height_m if height is None or is_assumed else height
     pieces = []
-    for polygon in item.polygons:
-        bottom_m = float(polygon[0][:, 2].min())
-        outer, *holes = (ring[:, :2] for ring in polygon)
-        holes = [hole for hole in holes if len(hole) >= 4]
-        top_m = bottom_m + raised_m
-        pieces.append(extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=item.id))
+    for outer, *holes in item.polygons:
+        bottom_m = float(outer[:, 2].min())
+        rings = [hole[:, :2] for hole in holes if len(hole) >= 4]
+        heights = {"bottom_m": bottom_m, "top_m": bottom_m + raised_m}
+        pieces.append(extrude(outer[:, :2], **heights, holes_m=rings, where=item.id))
     return Thing.of(thing_id, class_name, join(pieces), is_height_assumed=is_assumed)
 
 
 def _said(skipped: Sequence[Note]) -> str:
-    """List of what was left out, for the end of a message."""
     words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
     return f"; skipped: {words}" if words else ""
 
 
 # ---------- CityGML
-_GML = "CityGML"
-_OTHER_TYPES = (
-    *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),
-    *("Square", "Waterway", "WaterBody", "LandUse", "ReliefFeature", "TINRelief", "RasterRelief"),
-    *("GenericCityObject", "GenericOccupiedSpace", "TransportationComplex", "CityObjectGroup"),
-    *("Room", "BuildingRoom", "BuildingFurniture", "BuildingUnit", "Storey"),
-)
-_SURFACE_TYPES = (
-    *("GroundSurface", "WallSurface", "RoofSurface", "ClosureSurface", "OuterCeilingSurface"),
-    *("OuterFloorSurface", "GenericThematicSurface"),
-)
-_GEOMETRY = re.compile(r"lod([0-4])(\w+)")
-_FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
-_NAMES_OF_GML = ("name", "class", "function", "usage")
-_MAX_DEPTH = 100  # of elements, and of references to references
-_MAX_VISITS = 20  # per element: references to references could make more of few
-_GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
-_HREF = "{http://www.w3.org/1999/xlink}href"
-
-
 def read_citygml(path: Path) -> SourceMap:
-    """Read a CityGML file.
-
-    Types and levels of detail: see :func:`geometry.maps.city_models.read_cityjson`, which reads the
-    same model in its other encoding. Of one level of detail a solid counts more than surfaces;
-    references to polygons of the same file are followed, others are not. Heights are absolute.
-    Raises InputError if the file cannot be read, is no CityGML, or has nothing solid.
-    """
+    """Read a CityGML file as :func:`read_cityjson` does; a solid counts more than surfaces."""
     where = str(path)
     root = read_xml(path, expected=_GML)
     namespace = root.tag.rpartition("}")[0]
@@ -449,13 +418,7 @@ def read_citygml(path: Path) -> SourceMap:
     )
 
 
-# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
-_Shape = tuple[int, int, list[Polygon3D]]
-
-
 class _Document:
-    """The elements of a file, and an index of those that others refer to."""
-
     def __init__(self, where: str, root: Element) -> None:
         self.where = where
         self.root = root
@@ -482,10 +445,10 @@ class _Document:
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:
         """An object with its own surfaces, without those of its parts."""
         type_name = local_name(feature)
-        shapes = list(self._shapes(feature, 0))
-        level, rank = max(
-            ((level, rank) for level, rank, polygons in shapes if polygons),
-            key=lambda kind: (_rank(kind[0]), kind[1]),
+        shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
+        level, kind = max(
+            ((level, rank) for level, rank, _ in shapes),
+            key=lambda one: (_rank(one[0]), one[1]),
             default=(-1, -1),
         )
         has_parts = any(
@@ -495,23 +458,20 @@ class _Document:
             if not has_parts:
                 empty[type_name] += 1
             return None
-        alike = [
-            polygon for *kind, polygons in shapes if kind == [level, rank] for polygon in polygons
-        ]
+        alike = [polygons for *at, polygons in shapes if at == [level, kind]]
         texts = {local_name(child): (child.text or "").strip() for child in feature}
         return CityObject(
             id=_gml_id(feature) or type_name,
             type_name=type_name,
-            polygons=tuple(alike),
+            polygons=tuple(chain.from_iterable(alike)),
             words=" ".join(texts[name] for name in _NAMES_OF_GML if texts.get(name)),
             is_footprint=level == 0,
             height_m=_measured_height_m(feature),
         )
 
     def _shapes(self, element: Element, depth: int) -> Iterator[_Shape]:
-        """Geometries of an object and of the surfaces that bound it."""
         if depth > _MAX_DEPTH:
-            raise InputError(self.where, Unquoted("elements nested too deeply"), _GML)
+            refuse(self.where, "elements nested too deeply", _GML)
         for child in element:
             name = local_name(child)
             match = _GEOMETRY.fullmatch(name)
@@ -526,10 +486,9 @@ class _Document:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
-        """Polygons of a geometry, following references; of solids only those of the outer shell."""
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
-            raise InputError(self.where, Unquoted("elements or references nested too deeply"), _GML)
+            refuse(self.where, "elements or references nested too deeply", _GML)
         n_dimensions = _n_dimensions(element) or n_dimensions
         reference = element.attrib.get(_HREF, "")
         if reference.startswith("#") and reference[1:] in self.by_id:
@@ -551,18 +510,16 @@ class _Document:
             if rings and len(rings[0]):
                 yield rings
         elif name == "OrientableSurface":
-            is_turned = element.attrib.get("orientation") == "-"
+            way = -1 if element.attrib.get("orientation") == "-" else 1
             for polygon in self._polygons(element, depth, n_dimensions):
-                yield [ring[::-1] for ring in polygon] if is_turned else polygon
+                yield [ring[::way] for ring in polygon]
         elif name == "Solid":
-            for child in element:
-                if local_name(child) == "exterior":
-                    yield from self._polygons(child, depth, n_dimensions)
+            for child in (child for child in element if local_name(child) == "exterior"):
+                yield from self._polygons(child, depth, n_dimensions)
         elif name not in ("ImplicitGeometry", "MultiCurve", "MultiPoint"):
             yield from self._polygons(element, depth, n_dimensions)
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
-        """Points of a ring, (n, 3), in the file's coordinates."""
         words: list[str] = []
         for element in ring.iter():
             name, text = local_name(element), element.text or ""
@@ -578,8 +535,7 @@ class _Document:
             raise InputError(where, Unquoted(error), "numbers") from None
         n_dimensions = n_dimensions or 3
         if len(numbers) % n_dimensions:
-            got = Unquoted(f"{len(numbers)} numbers")
-            raise InputError(where, got, f"{n_dimensions} for every point")
+            refuse(where, f"{len(numbers)} numbers", f"{n_dimensions} for every point")
         points = numbers.reshape(-1, n_dimensions)
         if n_dimensions == 2:
             points = np.column_stack([points, np.zeros(len(points))])
@@ -596,47 +552,32 @@ def _n_dimensions(element: Element) -> int:
     return int(text) if text in ("2", "3") else 0
 
 
-_HEIGHT_UNITS_M = {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "cm": 0.01, "km": 1000.0}
-
-
 def _measured_height_m(feature: Element) -> float | None:
     """Height that an object declares; None if it declares none, or one in an unknown unit."""
     for child in feature:
-        name = local_name(child)
-        values = [child] if name == "measuredHeight" else []
-        if name == "height":  # CityGML 3.0: con:height/con:Height/con:value
+        values = [child] if local_name(child) == "measuredHeight" else []
+        if local_name(child) == "height":  # CityGML 3.0: con:height/con:Height/con:value
             values = [value for value in child.iter() if local_name(value) == "value"]
         for value in values:
             unit = value.attrib.get("uom", "m").rpartition("#")[2].rpartition(":")[2].lower()
-            try:
+            with suppress(ValueError, KeyError):
                 return float((value.text or "").strip()) * _HEIGHT_UNITS_M[unit]
-            except (ValueError, KeyError):
-                continue
     return None
 
 
 def _reference_system(root: Element, where: str) -> tuple[str, bool]:
-    """The declared reference system, and whether coordinates follow its order of axes.
-
-    Raises InputError if a file declares several.
-    """
+    """The one declared reference system, and whether coordinates follow its order of axes."""
     from pyproj.exceptions import ProjError
 
-    declared: dict[str, None] = {}
-    for element in root.iter():
-        text = element.attrib.get("srsName", "").strip()
-        if text and not text.startswith("#"):
-            declared.setdefault(text)
+    texts = (element.attrib.get("srsName", "").strip() for element in root.iter())
+    declared = dict.fromkeys(text for text in texts if text and not text.startswith("#"))
     planes: dict[str, str] = {}
     for text in list(declared)[:_MAX_DEPTH]:
-        try:
-            crs = horizontal_crs(text)
-        except ProjError:
-            continue
-        if crs is not None:
-            planes.setdefault(crs_name(crs), text)
+        with suppress(ProjError):
+            if (crs := horizontal_crs(text)) is not None:
+                planes.setdefault(crs_name(crs), text)
     if len(planes) > 1:
-        got = Unquoted("several coordinate reference systems: " + ", ".join(list(planes)[:5]))
-        raise InputError(where, got, "one in a file")
+        got = "several coordinate reference systems: " + ", ".join(list(planes)[:5])
+        refuse(where, got, "one in a file")
     text = next(iter(planes.values()), next(iter(declared), ""))
     return text, text.lower().startswith(("urn:", "http")) and "epsg.xml#" not in text

@@ -10,7 +10,6 @@ import numpy as np
 import shapely
 
 from ..arrays import BoolArray, FloatArray
-from ..errors import InputError, Unquoted
 from ..junction import (
     ASSUMED,
     CONNECTING,
@@ -19,19 +18,13 @@ from ..junction import (
     distance_to_outline_m,
     lane_line,
 )
+from ..lines import steps_m, true_runs
 from ..notes import Note, assumptions
 from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
-from .relief import Elevation, find_relief
-from .source_map import (
-    MapJunction,
-    Pole,
-    SourceMap,
-    Thing,
-    build_pole_body,
-    plain_id,
-)
+from .relief import Elevation, Relief, find_relief
+from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing, build_pole_body, plain_id
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
@@ -49,7 +42,10 @@ _STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at i
 _DIGITS_M = 0.002
 _NEIGHBOURS_BEYOND_M = 20.0
 _LOWEST_M = 0.2  # lower things hide nobody
-_KEPT = ("driving", "parking", "cycling")
+_MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
+_THINGS_MORE_M = 30.0
+_FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")
+_Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,12 +76,9 @@ def cut_out(
 ) -> Surroundings:
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
-    Lanes are followed 70 m beyond `radius_m`. The ground is that of `elevation`, or else of the
-    maps, see :func:`geometry.maps.relief.find_relief`; where they have no heights, or all within a
-    few centimetres, it is a plane. `ground_m` is the height of the road in the middle of the
-    junction in the other maps; by default 0 if a map counts heights above the ground, or else that
-    of its lowest thing within the radius. Raises InputError if the coordinates of the maps do not
-    fit together.
+    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in the
+    junction's middle in the other maps; by default 0 if a map counts heights above the ground, or
+    else that of its lowest thing. Raises InputError if the coordinates of the maps do not fit.
     """
     roads, frame = maps[0], frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
@@ -97,45 +90,23 @@ def cut_out(
     poles: list[Pole] = []
     taken: set[str] = set()
     for source in maps:
-        near, far = _near_things(source, frame, radius_m)
-        skipped += far
         height_m = ground_m
         if source is roads:
             height_m = junction.height_m if source.heights == "absolute" else None
-        solid = [thing for thing in near if thing.class_name != "ground"]
-        skipped += [
-            Note(what=f"ground {thing.id}", why="the ground of a scene is that of its roads")
-            for thing in near
-            if thing.class_name == "ground"
-        ]
-        is_low: Counter[str] = Counter()
-        n_floating = 0
-        for thing, lowered in zip(solid, relief.lower(source, solid, height_m), strict=True):
-            vertices, is_set_down = lowered
-            n_floating += is_set_down
-            if relief.above_m(vertices).max() < _LOWEST_M:
-                is_low[thing.class_name] += 1
-            else:
-                thing_id = _unique(thing.id, source, taken)
-                things.append(replace(thing, id=thing_id, vertices_m=vertices))
-        if n_floating:
-            why = "they would float above the ground below them: set down on it"
-            what = f"{n_floating} buildings in {source.name}"
-            skipped.append(Note(what=what, why=why, kind="heights"))
-        skipped += [
-            Note(what=f"{count} x {name} in {source.name}", why="not above the road")
-            for name, count in is_low.items()
-        ]
-        if source.poles:
-            feet = frame.take(np.stack([pole.position_m for pole in source.poles]), source)
-            for pole, foot in zip(source.poles, feet, strict=True):
-                if np.hypot(*foot[:2]) <= radius_m:
-                    pole_id = _unique(pole.id, source, taken)
-                    poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
+        near = _near_things(source, frame, radius_m, skipped)
+        for thing, vertices in _lowered(source, near, relief, height_m, skipped):
+            thing_id = _unique(thing.id, source, taken)
+            things.append(replace(thing, id=thing_id, vertices_m=vertices))
+        feet = np.array([pole.position_m for pole in source.poles]).reshape(-1, 3)
+        for pole, foot in zip(source.poles, frame.take(feet, source), strict=True):
+            if np.hypot(*foot[:2]) <= radius_m:
+                pole_id = _unique(pole.id, source, taken)
+                poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
+    others = [frame.take(one.outline_m, roads) for one in roads.junctions if one.id != junction.id]
     if through:
         why = "lanes are led straight on through them on smooth curves: assumed"
-        skipped.append(Note(what="other junctions around it", why=why, kind="roads"))
+        skipped.append(Note("other junctions around it", why, kind="roads"))
     return Surroundings(
         frame=frame,
         lanes=(*lanes, *through),
@@ -145,32 +116,44 @@ def cut_out(
         poles=tuple(poles),
         keeps_left=roads.keeps_left,
         skipped=tuple(skipped),
-        roads=tuple(_leading_roads(junction, frame, roads)),
+        roads=tuple(_moved(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
         zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
-        neighbours_m=tuple(_neighbours(roads, junction, frame, radius_m + _NEIGHBOURS_BEYOND_M)),
+        neighbours_m=tuple(one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M),
     )
 
 
-def _neighbours(
-    roads: SourceMap, junction: MapJunction, frame: LocalFrame, reach_m: float
-) -> Iterator[FloatArray]:
-    """Outlines (n, 2) of the other junctions within reach."""
-    for other in roads.junctions:
-        if other.id != junction.id:
-            outline = frame.take(other.outline_m, roads)
-            nearest = np.clip(0.0, outline.min(axis=0), outline.max(axis=0))
-            if np.hypot(*nearest) <= reach_m:
-                yield outline
+def _lowered(
+    source: SourceMap,
+    near: Sequence[Thing],
+    relief: Relief,
+    height_m: float | None,
+    skipped: list[Note],
+) -> Iterator[tuple[Thing, FloatArray]]:
+    """Things of a map that rise above the road, with vertices that count heights from it."""
+    solid = [thing for thing in near if thing.class_name != "ground"]
+    why = "the ground of a scene is that of its roads"
+    skipped += [Note(f"ground {one.id}", why) for one in near if one.class_name == "ground"]
+    is_low: Counter[str] = Counter()
+    n_floating = 0
+    for thing, lowered in zip(solid, relief.lower(source, solid, height_m), strict=True):
+        vertices, is_set_down = lowered
+        n_floating += is_set_down
+        if relief.above_m(vertices).max() < _LOWEST_M:
+            is_low[thing.class_name] += 1
+        else:
+            yield thing, vertices
+    if n_floating:
+        why = "they would float above the ground below them: set down on it"
+        skipped.append(Note(f"{n_floating} buildings in {source.name}", why, kind="heights"))
+    for name, count in is_low.items():
+        skipped.append(Note(f"{count} x {name} in {source.name}", "not above the road"))
 
 
-def _leading_roads(
-    junction: MapJunction, frame: LocalFrame, source: SourceMap
-) -> Iterator[LeadingRoad]:
-    for road in junction.roads:
-        begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
-        step = ahead - begin
-        yield replace(road, point_m=begin, direction=step / np.hypot(*step))
+def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
+    begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
+    step = ahead - begin
+    return replace(road, point_m=begin, direction=step / np.hypot(*step))
 
 
 def build_scene(
@@ -181,10 +164,7 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground.
-
-    `source_crs` is the reference system for results; empty: unknown.
-    """
+    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground."""
     terrain = surroundings.terrain
     half = radius_m + LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -222,30 +202,20 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes to the starts of entry lanes where the map has nothing that leads there.
-
-    They lead straight on, or where a building stands there round the gentlest bend past it, the
-    same for all lanes of an arm; where none does, straight up to it.
-    """
+    """Lanes to the starts of entry lanes that nothing leads to: straight, or bent past houses."""
     arms = [  # the lanes behind which the map does not go on
         [lane for lane in arm.entry_lanes if np.hypot(*lane.centreline_m[0]) < reach_m - 1.0]
         for arm in build_junction(scene).arms.values()
     ]
-    if not any(arms):
-        return
-    houses = houses_of(scene)
-    for lanes in arms:
-        for bend_per_m in _BENDS_PER_M:
+    houses = houses_of(scene) if any(arms) else None
+    for lanes in filter(None, arms):
+        for bend_per_m in (*_BENDS_PER_M, 0.0):
             chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]
-            if all(
-                _free_m(chain, lane.width_m, houses) == np.inf
-                for lane, chain in zip(lanes, chains, strict=True)
-            ):
+            pairs = [*zip(lanes, chains, strict=True)]
+            free = [_free_m(chain, lane.width_m, houses) for lane, chain in pairs]
+            if min(free) == np.inf:
                 break
-        else:
-            chains = [_beyond(lane, 0.0, reach_m) for lane in lanes]
-        for lane, chain in zip(lanes, chains, strict=True):
-            free_m = _free_m(chain, lane.width_m, houses)
+        for (lane, chain), free_m in zip(pairs, free, strict=True):
             if free_m < np.inf:
                 step = chain[1] - chain[0]
                 chain = np.array([chain[0], chain[0] + free_m * step / np.hypot(*step)])
@@ -260,8 +230,7 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
     """Points (n, 2) of a circle away from a lane's start, to the left of its direction there."""
-    ahead = lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction
-    away = -complex(*ahead)
+    away = -complex(*lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction)
     along = np.array([0.0, _ASSUMED_M])
     if bend_per_m == 0.0:
         places = along * away
@@ -288,26 +257,17 @@ def _lanes(
     outline_m: FloatArray,
     reach_m: float,
 ) -> tuple[list[Lane], list[Lane]]:
-    """Lanes around a junction and through it; and those assumed through others around it.
-
-    Through the others lead only those of the map's lanes that lead about straight on.
-    """
+    """Lanes around a junction and through it; and those assumed through others around it."""
     found: list[Lane] = []
     ends: dict[str, list[Lane]] = defaultdict(list)  # by the junction into which they lead
     begins: dict[str, list[Lane]] = defaultdict(list)
-    for lane in roads.lanes:
-        if lane.kind not in _KEPT:
-            continue
-        height = lane.centreline_m[:, 2]
+    for lane in (lane for lane in roads.lanes if lane.kind in ("driving", "parking", "cycling")):
         whole = frame.take(lane.centreline_m[:, :2], roads)
-        ends_here, begins_here = (
-            junction.id == name for name in (lane.to_junction, lane.from_junction)
-        )
-        if ends_here or begins_here:
-            points = _reaching(whole, reach_m, from_end=ends_here)
+        if junction.id in (lane.to_junction, lane.from_junction):
+            points = _reaching(whole, reach_m, from_end=junction.id == lane.to_junction)
+        elif _is_elsewhere(whole, lane, junction, outline_m, reach_m):
+            continue
         else:
-            if _is_elsewhere(whole, height - junction.height_m, outline_m, reach_m):
-                continue
             points = _longest_within(whole, reach_m)
         points = _apart(points)
         if len(points) < 2:
@@ -320,14 +280,13 @@ def _lanes(
                     others[name].append(found[-1])
     mapped = {lane.from_junction for lane in roads.connections}
     for lane in roads.connections:
-        points = frame.take(lane.centreline_m[:, :2], roads)
-        height = lane.centreline_m[:, 2] - junction.height_m
+        whole = frame.take(lane.centreline_m[:, :2], roads)
         is_taken = lane.from_junction == junction.id or (
-            not _is_elsewhere(points, height, outline_m, reach_m)
-            and np.hypot(*points.T).max() <= reach_m
-            and _leads_straight_on(points)
+            not _is_elsewhere(whole, lane, junction, outline_m, reach_m)
+            and np.hypot(*whole.T).max() <= reach_m
+            and _leads_straight_on(whole)
         )
-        points = _apart(points)
+        points = _apart(whole)
         if is_taken and len(points) > 1:
             width_m = lane.width_m
             found.append(Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points))
@@ -347,10 +306,7 @@ def _leads_straight_on(points_m: FloatArray) -> bool:
 
 
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:
-    """Lanes through a junction, from each one that leads into it and to each one out of it.
-
-    They lead as straight on as there is a lane; lanes that only turn there have none.
-    """
+    """Lanes through a junction, as straight on as there is a lane; none for those that turn."""
     bends: dict[tuple[int, int], float] = {}
     mouths = [
         [lane_line(lane, is_in=is_in, length_m=_MOUTH_M)[0] for lane in lanes]
@@ -381,19 +337,23 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
 
 def _apart(points_m: FloatArray) -> FloatArray:
     """A line without points that a file with three digits could not tell from their neighbours."""
-    is_new = np.append(True, np.hypot(*np.diff(points_m, axis=0).T) > _DIGITS_M)
+    is_new = np.append(True, steps_m(points_m) > _DIGITS_M)
     if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
         is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
-    apart: FloatArray = points_m[is_new]
-    return apart
+    return np.asarray(points_m[is_new])
 
 
 def _is_elsewhere(
-    points_m: FloatArray, height_m: FloatArray, outline_m: FloatArray, reach_m: float
+    points_m: FloatArray,
+    lane: MapLane,
+    junction: MapJunction,
+    outline_m: FloatArray,
+    reach_m: float,
 ) -> bool:
     """True if a lane of other roads is far away, on another level, or ends at the outline."""
     distance = np.hypot(*points_m.T)
-    if distance.min() > reach_m or abs(height_m[np.argmin(distance)]) > _SAME_LEVEL_M:
+    height_m = lane.centreline_m[np.argmin(distance), 2] - junction.height_m
+    if distance.min() > reach_m or abs(height_m) > _SAME_LEVEL_M:
         return True
     tips = (points_m[0], points_m[-1])
     return any(distance_to_outline_m(tip, outline_m) <= _AT_OUTLINE_M for tip in tips)
@@ -411,11 +371,10 @@ def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatA
 
 def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
     """The stretch of a line within the circle that has the most of its points."""
-    inside = np.hypot(*points_m.T) <= reach_m
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
-    if not len(edges):
+    runs = true_runs(np.hypot(*points_m.T) <= reach_m)
+    if not len(runs):
         return points_m[:0]
-    begin, end = max(zip(edges[::2], edges[1::2], strict=True), key=lambda pair: pair[1] - pair[0])
+    begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
     stretch = [points_m[begin:end]]
     if begin > 0:
         stretch.insert(0, _on_circle(points_m[begin], points_m[begin - 1], reach_m)[None])
@@ -425,7 +384,6 @@ def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
 
 
 def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> FloatArray:
-    """Where a segment leaves the circle around the origin."""
     way = outside_m - inside_m
     a, b, c = way @ way, inside_m @ way, inside_m @ inside_m - reach_m**2
     if a == 0.0 or b * b - a * c < 0.0:
@@ -436,63 +394,51 @@ def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> F
 
 def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray) -> FloatArray:
     lines = np.concatenate([frame.take(source.crosswalks_m, source) for source in maps])
-    near = [
-        line
-        for line in lines
-        if distance_to_outline_m(line.mean(axis=0), outline_m) <= _CROSSWALK_WITHIN_M
-        and np.hypot(*(line[1] - line[0])) > 0.0
-    ]
-    return np.array(near).reshape(-1, 2, 2)
+    middles, lengths = lines.mean(axis=1), np.hypot(*(lines[:, 1] - lines[:, 0]).T)
+    off_m = np.array([distance_to_outline_m(middle, outline_m) for middle in middles])
+    return np.asarray(lines[(off_m <= _CROSSWALK_WITHIN_M) & (lengths > 0.0)])
 
 
 def _near_things(
-    source: SourceMap, frame: LocalFrame, radius_m: float
-) -> tuple[list[Thing], list[Note]]:
-    """Things within a radius, in the scene's frame except for heights; and a note on the others."""
+    source: SourceMap, frame: LocalFrame, radius_m: float, skipped: list[Note]
+) -> list[Thing]:
+    """Things within a radius, in the scene's frame except for heights; the others are noted."""
+    if not source.things:
+        return []
     near: list[Thing] = []
     n_far = 0
-    if not source.things:
-        return [], []
     counts = [len(thing.vertices_m) for thing in source.things]
     every = frame.take(np.concatenate([thing.vertices_m for thing in source.things]), source)
     for thing, vertices in zip(source.things, np.split(every, np.cumsum(counts)[:-1]), strict=True):
-        if not len(vertices) or not len(thing.triangles):
-            continue
-        low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-        nearest = np.clip(0.0, low, high)  # of the box around it
-        if np.hypot(*nearest) > radius_m:
-            n_far += 1
-            continue
-        near.append(replace(thing, vertices_m=vertices))
-    if not n_far:
-        return near, []
-    why = f"farther than {radius_m:g} m from the junction"
-    if frame.map_crs and not source.crs:
-        why = (
-            "the file names no coordinate reference system, and in that of the map with the roads "
-            f"they lie {why}: name it (such as EPSG:25832), or move them"
-        )
-    return near, [Note(what=f"{n_far} things in {source.name}", why=why)]
+        if len(vertices) and len(thing.triangles):
+            if _off_m(vertices[:, :2]) > radius_m:
+                n_far += 1
+            else:
+                near.append(replace(thing, vertices_m=vertices))
+    if n_far:
+        why = f"farther than {radius_m:g} m from the junction"
+        if frame.map_crs and not source.crs:
+            lies = "the file names no coordinate reference system, and in that of the map with the"
+            why = f"{lies} roads they lie {why}: name it (such as EPSG:25832), or move them"
+        skipped.append(Note(f"{n_far} things in {source.name}", why))
+    return near
+
+
+def _off_m(points_m: FloatArray) -> float:
+    """Distance of the origin from the box around points (n, 2)."""
+    return float(np.hypot(*np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))))
 
 
 def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
-    """An id that no other thing has."""
     clean = plain_id(name) or "thing"
     candidates = [clean, f"{source.name}-{clean}"]
     candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]
-    for candidate in candidates:
-        if candidate not in taken and candidate != "ground":
-            taken.add(candidate)
-            return candidate
-    raise InputError(source.name, Unquoted(f"{name} too often"), "unique ids")
+    found = next(one for one in candidates if one not in taken and one != "ground")
+    taken.add(found)
+    return found
 
 
 # ---------- many junctions out of maps that are read once
-_MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
-_THINGS_MORE_M = 30.0
-_FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")
-
-
 def _boxes(source: SourceMap) -> dict[str, FloatArray]:
     """Lowest and highest x and y of what a map has, (n, 2, 2); without points it is nowhere."""
     lines = {
@@ -502,16 +448,13 @@ def _boxes(source: SourceMap) -> dict[str, FloatArray]:
         "things": [thing.vertices_m for thing in source.things],
         "poles": [pole.position_m[None] for pole in source.poles],
     }
-    nowhere = np.full((1, 2), np.nan)
-    return {
-        name: np.array(
-            [
-                [points[:, :2].min(axis=0), points[:, :2].max(axis=0)]
-                for points in (line if len(line) else nowhere for line in found)
-            ]
-        ).reshape(-1, 2, 2)
-        for name, found in lines.items()
-    }
+    nowhere = np.full((2, 2), np.nan)
+
+    def box(points: FloatArray) -> FloatArray:
+        flat = points[:, :2]
+        return np.stack([flat.min(axis=0), flat.max(axis=0)]) if len(flat) else nowhere
+
+    return {name: np.array([*map(box, some)]).reshape(-1, 2, 2) for name, some in lines.items()}
 
 
 class Neighbourhoods:
@@ -523,11 +466,7 @@ class Neighbourhoods:
         self._maps = [(source, _boxes(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
-        """Parts of the maps around a junction of the first one.
-
-        The scene that is cut out of these is the one that is cut out of the whole maps; what was
-        left out when the maps were read is not repeated. A map that has nothing there is left out.
-        """
+        """Parts of the maps around a junction, which make the same scene as the whole ones."""
         roads = self._maps[0][0]
         middle = junction.position_m
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -543,9 +482,6 @@ class Neighbourhoods:
             if source is roads or has_any:
                 parts.append(part)
         return tuple(parts)
-
-
-_Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
 def _within(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, refuse
 from ..frames import parse_crs
 from ..notes import Note
 from .source_map import SourceMap
@@ -36,28 +36,19 @@ _MIN_EXTENT_M = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocalFrame:
-    """World frame of a scene: east, north and up around a point of the map with the junction.
-
-    `crs` is a transverse Mercator around the point: within a kilometre its metres are those of the
-    tangent plane to a hundredth of a millimetre.
-    """
+    """World frame of a scene: east, north and up around a point of the map with the junction."""
 
     crs: str  # for pyproj; empty: the place on earth is unknown
     map_crs: str  # of the map with the junction; empty: unknown
     origin_m: FloatArray  # (2,), the point in the map's own coordinates
 
     def take(self, points_m: ArrayLike, source: SourceMap) -> FloatArray:
-        """Points (..., 2) or (..., 3) of a map in this frame; heights stay.
-
-        A map without a reference system is taken to lie in the coordinates of the map with the
-        junction. Raises InputError if only `source` has a reference system, or points cannot be
-        projected.
-        """
+        """Points (..., 2 or 3) of a map, or else in the roads' system, here; heights stay."""
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
-            raise InputError(
+            refuse(
                 source.name,
-                Unquoted(f"coordinates in {source.crs}"),
+                f"coordinates in {source.crs}",
                 "a file without a coordinate reference system, as the map with the junction; or "
                 "`crs` for that one",
             )
@@ -66,9 +57,8 @@ class LocalFrame:
             return points
         points[..., :2] = transform(points[..., :2], source.crs or self.map_crs, self.crs)
         if not np.isfinite(points).all():
-            got = Unquoted(f"coordinates that {source.crs or self.map_crs} does not have")
-            expected = "metres within the area of its coordinate reference system"
-            raise InputError(source.name, got, expected)
+            got = f"coordinates that {source.crs or self.map_crs} does not have"
+            refuse(source.name, got, "metres within the area of its coordinate reference system")
         return points
 
 
@@ -80,14 +70,10 @@ def frame_at(source: SourceMap, point_m: ArrayLike) -> LocalFrame:
 
 
 def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
-    """Transverse Mercator around a point of another coordinate reference system.
-
-    Raises InputError if the point is nowhere on earth.
-    """
+    """Transverse Mercator around a point of another reference system; InputError: it is nowhere."""
     lon_deg, lat_deg = np.round(transform(point_m, crs, WGS84), _DIGITS)
     if not (np.isfinite([lon_deg, lat_deg]).all() and abs(lat_deg) <= 89.0):
-        got = Unquoted(f"a junction at {np.asarray(point_m).tolist()}")
-        raise InputError(where, got, f"a place in {crs}")
+        refuse(where, f"a junction at {np.asarray(point_m).tolist()}", f"a place in {crs}")
     return (
         f"+proj=tmerc +lat_0={lat_deg:.{_DIGITS}f} +lon_0={lon_deg:.{_DIGITS}f} "
         "+k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
@@ -125,10 +111,7 @@ class Georeference:
     notes: tuple[Note, ...] = ()  # on a declaration that was not followed
 
     def to_metres(self, points: ArrayLike, where: str) -> FloatArray:
-        """Easting, northing and height in `crs` of points (n, 2) or (n, 3) of the file.
-
-        Raises InputError if a point has no place in `crs`.
-        """
+        """Easting, northing, height in `crs` of points (n, 2 or 3); InputError: one has none."""
         array: FloatArray = np.array(points, dtype=np.float64)
         if self.is_northing_first:
             array[:, :2] = array[:, 1::-1]
@@ -137,8 +120,8 @@ class Georeference:
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
         if not (np.abs(array) < _MAX_M).all():  # also if a coordinate is not finite
-            got = Unquoted("coordinates that are not on earth")
-            raise InputError(where, got, f"coordinates in {self.source_crs or 'metres'}")
+            got = "coordinates that are not on earth"
+            refuse(where, got, f"coordinates in {self.source_crs or 'metres'}")
         return array
 
 
@@ -147,13 +130,12 @@ def georeference(
 ) -> Georeference:
     """Find out where a file's coordinates, (n, 2) or the corners of their box, lie on earth.
 
-    Geographic coordinates, feet, and projections that stretch (Web Mercator: by 1.6 in Germany) are
-    projected to a transverse Mercator around the middle of the data; projections in metres stay.
-    `declared` is a code, a URN or WKT. With `follows_authority` coordinates come in the order of
-    the reference system's definition, which may have the northing first (GML), unless only the
-    other order lies in its area of use. A reference system that is unknown, or whose area of use is
-    elsewhere, is left out with a note. Raises InputError if coordinates are not finite, are degrees
-    instead of metres or the reverse, or have latitude and longitude swapped.
+    Degrees, feet, and projections that stretch are projected to a transverse Mercator around the
+    middle of the data; projections in metres stay. With `follows_authority` coordinates come in the
+    order of the reference system's definition (GML), unless only the other lies in its area of use.
+    An unknown reference system, or one of elsewhere, is left out with a note. Raises InputError if
+    coordinates are not finite, are degrees instead of metres or the reverse, or have latitude and
+    longitude swapped.
     """
     from pyproj.exceptions import ProjError
 
@@ -161,11 +143,10 @@ def georeference(
     if not len(xy):
         return Georeference(crs="", source_crs="")
     if not np.isfinite(xy).all():
-        raise InputError(where, Unquoted("a coordinate that is not finite"), "finite numbers")
+        refuse(where, "a coordinate that is not finite", "finite numbers")
     box = np.array([xy.min(axis=0), xy.max(axis=0)])
     if np.abs(box).max() > _MAX_M:
-        got = Unquoted(f"a coordinate of {np.abs(box).max():.3g}")
-        raise InputError(where, got, "places on earth")
+        refuse(where, f"a coordinate of {np.abs(box).max():.3g}", "places on earth")
     try:
         crs = horizontal_crs(declared)
         if crs is not None:  # it may be well-formed, and its numbers make no sense
@@ -197,7 +178,7 @@ def georeference(
         else:
             area = crs.area_of_use.name if crs.area_of_use else "its area"
             why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
-            note = Note(what=f"coordinate reference system {name}", why=why)
+            note = Note(f"coordinate reference system {name}", why)
             return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
         if _is_in_metres(crs, middle):
             return Georeference(
@@ -214,11 +195,7 @@ def georeference(
 
 
 def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
-    """Horizontal part of a declared coordinate reference system; None if it has none.
-
-    `declared` is what pyproj takes, or one of the spellings of CityGML files. Raises pyproj's
-    ProjError if it is unknown.
-    """
+    """Horizontal part of a declared reference system, None: it has none; or pyproj's ProjError."""
     if declared is None or not str(declared).strip():
         return None
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared)
@@ -238,7 +215,6 @@ def crs_name(crs: "CRS") -> str:
 
 
 def _spelling(declared: str) -> str:
-    """A code that pyproj knows, for spellings that it does not."""
     text = declared.strip()[:_MAX_TEXT]
     found = ((re.fullmatch(pattern, text), code) for pattern, code in _SPELLINGS)
     return next((code(match) for match, code in found if match), text)
@@ -247,35 +223,29 @@ def _spelling(declared: str) -> str:
 def _vertical_unit_m(declared: "str | CRS | None") -> float:
     """Unit of heights in metres: that of the third axis, or else that of the plane."""
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared or "")
-    axes = crs.axis_info
-    if len(axes) > 2:
-        return float(axes[2].unit_conversion_factor)
-    if crs.is_geographic or not axes:
-        return 1.0
-    return float(axes[0].unit_conversion_factor)
+    axes = [one.unit_conversion_factor for one in crs.axis_info]
+    is_plane = len(axes) < 3 and (crs.is_geographic or not axes)
+    return 1.0 if is_plane else float(axes[2 if len(axes) > 2 else 0])
 
 
 def _refuse_degrees(box: FloatArray, where: str) -> None:
     """Refuse coordinates within -180 to 180 that span less than a metre: no map is so small."""
     if (np.abs(box) <= [180.0, 90.0]).all() and (box[1] - box[0] < _MIN_EXTENT_M).all():
         size = " x ".join(f"{length:.6f}" for length in box[1] - box[0])
-        got = Unquoted(f"degrees where metres are meant: {size} around {_words(box)}")
         expected = "coordinates in metres, or the coordinate reference system that they are in"
-        raise InputError(where, got, expected)
+        refuse(where, f"degrees where metres are meant: {size} around {_words(box)}", expected)
 
 
 def _refuse_no_degrees(box: FloatArray, where: str) -> None:
     """Refuse coordinates that cannot be longitude and latitude."""
     if (np.abs(box) <= [180.0, 90.0]).all():
         return
-    got = f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
-    expected = (
-        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system in the file"
-    )
     if (np.abs(box[:, ::-1]) <= [180.0, 90.0]).all():
         got = f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"
-        expected = "longitude first, latitude second, in degrees"
-    raise InputError(where, Unquoted(got), expected)
+        refuse(where, got, "longitude first, latitude second, in degrees")
+    got = f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
+    expected = "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system"
+    refuse(where, got, f"{expected} in the file")
 
 
 def _words(box: FloatArray) -> str:
@@ -290,14 +260,11 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
     lon, lat = transform(point[None, :], crs_name(crs), WGS84)[0]
     if not np.isfinite([lon, lat]).all():
         return False
-    width = (east - west) % 360.0 if east < west else east - west
+    width, height = (east - west) % 360.0 if east < west else east - west, north - south
     beside = (lon - west + 180.0) % 360.0 - 180.0  # east of the western edge
     edge = 0.0 if (np.abs(point) < _ORIGIN_M).all() else _EDGE_SHARE
-    return bool(
-        -edge * width <= beside
-        and (width >= 180.0 or beside <= (1.0 + edge) * width)
-        and south - edge * (north - south) <= lat <= north + edge * (north - south)
-    )
+    is_beside = -edge * width <= beside and (width >= 180.0 or beside <= (1.0 + edge) * width)
+    return bool(is_beside and south - edge * height <= lat <= north + edge * height)
 
 
 def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:

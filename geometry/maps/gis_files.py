@@ -3,6 +3,7 @@
 import glob
 import re
 import sqlite3
+import sys
 import warnings
 from collections import Counter
 from collections.abc import Mapping
@@ -17,11 +18,11 @@ from shapely.errors import ShapelyError
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
-from ..errors import InputError, Unquoted, check_one_of
-from ..files import check_file, open_file, read_text
+from ..errors import InputError, Unquoted, check_one_of, refuse
+from ..files import check_file, open_file, read_text, reading
 from ..notes import Note
-from ..scene import CLASS_NAMES
-from ..untrusted_files import parse_json, unpacked
+from ..scene import CLASS_NAMES, join
+from ..untrusted_files import parse_object, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .source_map import (
     SourceMap,
@@ -29,7 +30,6 @@ from .source_map import (
     ThingKind,
     counted,
     extrude_polygon,
-    join,
     kind_from_name,
     kind_of_class,
     shortened,
@@ -47,6 +47,22 @@ _GEOMETRY_TYPES = (
 _MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
+# Names of columns, without units, in lower case with _ for everything between words.
+_TOPS = (
+    *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),
+    *("measured_height", "hoehe", "gebaeudehoehe", "building_h", "h"),  # Shapefiles: 10 letters
+)
+_BOTTOMS = ("min_height", "building_min_height", "minheight", "base_height", "base")
+_STOREYS = (
+    *("building_levels", "levels", "storeys", "stories", "floors", "num_floors", "geschosse"),
+    *("storeysaboveground", "storeys_above_ground", "building_l"),
+)
+_LOWEST_STOREYS = ("building_min_level", "min_level", "min_levels")
+_KINDS = ("class_name", "class", "kind", "type", "barrier", "fclass")
+_IDS = ("id", "gml_id", "osm_id", "fid", "objectid", "identifier")
+_UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01}
+_UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
+_NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,11 +88,7 @@ class Features:
 
 
 def read_features(path: Path, layer: str = "") -> Features:
-    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
-
-    Raises InputError if the file cannot be read, does not have the format of its suffix, has
-    several layers and none is chosen, or has more than 200,000 features.
-    """
+    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip; or InputError."""
     suffix = path.suffix.lower()
     if suffix == ".zip":
         with unpacked(path, SUFFIXES) as member:
@@ -91,7 +103,7 @@ def read_features(path: Path, layer: str = "") -> Features:
 def _read_geojson(path: Path) -> Features:
     """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
     where = str(path)
-    document = parse_json(read_text(path, "GeoJSON"), where, "GeoJSON")
+    document = parse_object(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
     rows = document.get("features") if kind == "FeatureCollection" else [document]
     if kind not in ("FeatureCollection", "Feature") or not isinstance(rows, list):
@@ -141,10 +153,11 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
 
     where = str(path)
     magic, name = _MAGIC[path.suffix.lower()]
-    try:
+    damage = (ShapelyError, ValueError, TypeError, RuntimeError, OverflowError)
+    with reading(path, name, *damage):
         with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
-                raise InputError(where, Unquoted("something else"), name)
+                refuse(where, "something else", name)
         for other in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # .dbf, .gpkg-wal, ..
             check_file(other)
         if path.suffix.lower() == ".gpkg":
@@ -154,23 +167,16 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
             named = "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
             if not layer and len(layers) != 1:
-                raise InputError(where, Unquoted(f"{len(layers)} layers"), named)
+                refuse(where, f"{len(layers)} layers", named)
             if layer and layer not in layers:
                 raise InputError(f"{where}: layer", layer, named)
             layer = layer or layers[0]
             info = pyogrio.read_info(path, layer=layer)
             if info["driver"] != _DRIVERS[path.suffix.lower()]:
-                raise InputError(where, Unquoted(f"a file for {info['driver']}"), name)
+                refuse(where, f"a file for {info['driver']}", name)
             if info["geometry_type"] is None:
-                raise InputError(where, Unquoted("a table without geometries"), name)
+                refuse(where, "a table without geometries", name)
             table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
-    except (ShapelyError, ValueError, TypeError, RuntimeError, OverflowError) as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(where, Unquoted(reason), name) from None
     _refuse_many(len(table), where)
     columns = {str(name): table[name].to_numpy() for name in table.columns if name != "geometry"}
     is_known = {name: table[name].notna().to_numpy() for name in columns}
@@ -208,49 +214,29 @@ def _check_tables(path: Path) -> None:
     except sqlite3.Error as error:
         raise InputError(str(path), Unquoted(error), "a GeoPackage") from None
     if computed:
-        got = Unquoted(f"{computed[0]}, a view or a table with computed columns")
-        raise InputError(str(path), got, "plain tables alone")
+        got = f"{computed[0]}, a view or a table with computed columns"
+        refuse(str(path), got, "plain tables alone")
 
 
 def _refuse_many(n_features: int, where: str) -> None:
     if n_features > MAX_FEATURES:
-        got = Unquoted(f"more than {MAX_FEATURES:,} features")
-        raise InputError(where, got, "a part of it; cut it out first")
+        refuse(where, f"more than {MAX_FEATURES:,} features", "a part of it; cut it out first")
 
 
 # ---------- footprints
-# Names of columns, without units, in lower case with _ for everything between words.
-_TOPS = (
-    *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),
-    *("measured_height", "hoehe", "gebaeudehoehe", "building_h", "h"),  # Shapefiles: 10 letters
-)
-_BOTTOMS = ("min_height", "building_min_height", "minheight", "base_height", "base")
-_STOREYS = (
-    *("building_levels", "levels", "storeys", "stories", "floors", "num_floors", "geschosse"),
-    *("storeysaboveground", "storeys_above_ground", "building_l"),
-)
-_LOWEST_STOREYS = ("building_min_level", "min_level", "min_levels")
-_KINDS = ("class_name", "class", "kind", "type", "barrier", "fclass")
-_IDS = ("id", "gml_id", "osm_id", "fid", "objectid", "identifier")
-_UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01}
-_UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
-
-
 def read_footprints(path: Path, *, class_name: str = "building", layer: str = "") -> SourceMap:
     """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres
-    unless the column (``height_ft``) or the value ("40 ft") says otherwise; missing or impossible
-    ones are replaced by the defaults of ``data/things.toml``. Lines become walls if `class_name` is
-    "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says wall, fence or hedge.
-    Third coordinates are ignored; heights are above ground. Raises InputError if the file cannot be
-    read, has no area, or has coordinates that are not finite or do not fit its reference system.
+    unless the column (``height_ft``) or the value ("40 ft") says otherwise, or else from
+    ``data/things.toml``. Lines are walls if `class_name` or a column says so. Third coordinates are
+    ignored. Raises InputError if it is damaged, has no area, or does not fit its reference system.
     """
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
     where = str(path)
     if not table.features:
-        raise InputError(where, Unquoted("an empty layer"), "footprints")
+        refuse(where, "an empty layer", "footprints")
     left_out: Counter[str] = Counter()
     solid = [
         (feature, kind)
@@ -258,8 +244,8 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
         if (kind := _kind(feature, class_name, left_out)) is not None
     ]
     if not solid:
-        got = Unquoted("no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items()))
-        raise InputError(where, got, "polygons")
+        got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
+        refuse(where, got, "polygons")
     points = np.concatenate([shapely.get_coordinates(feature.geometry) for feature, _ in solid])
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []
@@ -271,9 +257,9 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
         try:
             things.append(_raised(feature, kind, thing_id, place))
         except InputError as error:
-            failed.append(Note(what=f"{kind.kind} {thing_id}", why=str(error)))
+            failed.append(Note(f"{kind.kind} {thing_id}", str(error)))
     if not things:
-        raise InputError(where, Unquoted(f"no footprint with an area; {failed[0].why}"), "polygons")
+        refuse(where, f"no footprint with an area; {failed[0].why}", "polygons")
     return SourceMap(
         name=path.name,
         crs=place.crs,
@@ -284,7 +270,6 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
 
 
 def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
-    """Kind of a feature; None if it is not solid."""
     if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
@@ -293,15 +278,11 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
     said = kind_from_name(" ".join(str(values[key]) for key in _KINDS if key in values))
     if said is not None and said.kind not in ("wall", "fence", "hedge"):
         said = None
-    if "Polygon" in types:
+    is_line = bool(types & {"LineString", "LinearRing"})
+    if "Polygon" in types or (is_line and (said is not None or class_name == "wall")):
         return said or kind_of_class(class_name)
-    if not types & {"LineString", "LinearRing"}:
-        left_out["points"] += 1
-        return None
-    if said is None and class_name != "wall":
-        left_out["lines"] += 1
-        return None
-    return said or kind_of_class(class_name)
+    left_out["lines" if is_line else "points"] += 1
+    return None
 
 
 def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
@@ -312,46 +293,39 @@ def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
 
 
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
-    """A feature as a solid; raises InputError if it has no area."""
     geometry = shapely.transform(
         shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
     )
     parts = _parts(geometry)
-    polygons = [part for part in parts if part.geom_type == "Polygon"]
-    if not polygons:
-        strips = [
-            part.buffer(0.5 * kind.thickness_m, cap_style="flat", join_style="mitre")
-            for part in parts
-            if part.geom_type in ("LineString", "LinearRing")
-        ]
-        polygons = [part for strip in strips for part in _parts(strip)]
+    if not any(part.geom_type == "Polygon" for part in parts):
+        style = {"cap_style": "flat", "join_style": "mitre"}
+        lines = [part for part in parts if part.geom_type in ("LineString", "LinearRing")]
+        strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
+        parts = [part for strip in strips for part in _parts(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
-        extrude_polygon(polygon, bottom_m=bottom_m, top_m=top_m, where=thing_id)
-        for polygon in polygons
-        if not polygon.is_empty
+        extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=thing_id)
+        for part in parts
+        if part.geom_type == "Polygon" and not part.is_empty
     ]
     if not pieces:
-        raise InputError(thing_id, Unquoted("no area"), "a footprint")
+        refuse(thing_id, "no area", "a footprint")
     return Thing.of(thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed)
 
 
 def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
     """Heights of floor and roof above ground, and whether that of the roof is assumed."""
     defaults = thing_defaults()
-    top = _length_m(values, _TOPS)
-    storeys = _length_m(values, _STOREYS)
+    top, storeys = _length_m(values, _TOPS), _length_m(values, _STOREYS)
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
         top = storeys * defaults.storey_height_m
     if top is not None and not 0.0 < top <= defaults.max_height_m:
         top = None
-    bottom = _length_m(values, _BOTTOMS)
-    lowest = _length_m(values, _LOWEST_STOREYS)
-    if bottom is None and lowest is not None:
-        bottom = lowest * defaults.storey_height_m
+    bottom, lowest = _length_m(values, _BOTTOMS), _length_m(values, _LOWEST_STOREYS)
+    if bottom is None:
+        bottom = (lowest or 0.0) * defaults.storey_height_m
     top_m = kind.height_m if top is None else top
-    is_possible = bottom is not None and 0.0 <= bottom < top_m
-    return bottom if bottom is not None and is_possible else 0.0, top_m, top is None
+    return bottom if 0.0 <= bottom < top_m else 0.0, top_m, top is None
 
 
 def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
@@ -367,19 +341,12 @@ def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None
     return found[min(found)] if found else None
 
 
-_NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
-
-
 def _number(value: Any) -> float | None:
     """A number, or a text such as "12", "12,5 m" or "40 ft", in metres or without a unit."""
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
-        try:
-            number = float(value)
-        except OverflowError:
-            return None
-        return number if np.isfinite(number) else None
+        return float(value) if abs(value) <= sys.float_info.max else None
     match = _NUMBER.fullmatch(str(value).strip().lower()[:60])
     if match is None or (match[2] and match[2] not in _UNITS_M):
         return None

@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, check_one_of, refuse
 from ..files import check_file, load_toml, open_file, read_text
 from ..frames import parse_crs
 from ..junction import build_junction
@@ -34,13 +34,38 @@ from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing
 _MAX_LISTED = 12
 _NEAR_M = 100.0
 _BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
+SORTS = ("arms", "lanes", "signals", "crossings", "name")
+_LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
+_BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
+_MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
+_CLOUDS = (".las", ".laz", ".pcd")
+_FOOTPRINTS = (".geojson", ".gpkg", ".shp")
+_STREETS = (".osm", ".pbf", ".osm.gz", ".osm.bz2")
+SUFFIXES = (
+    *(".xodr", *_STREETS, *_FOOTPRINTS, ".json", ".jsonl", ".gml", ".citygml", ".xml"),
+    *(*_MESHES, *_CLOUDS, ".zip"),
+)
+# By the ending of a file: module, function, and options that it asks for.
+_READERS = {
+    ".xodr": ("opendrive", "read_opendrive", ()),
+    "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
+    "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
+    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
+    **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
+    ".city.json": ("city_models", "read_cityjson", ()),
+    ".citygml": ("city_models", "read_citygml", ()),
+    **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
+    **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
+}
+DEFAULT_RADIUS_M = 80.0
+_RADIUS_LIMITS_M = (20.0, 500.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surveyed:
     """A junction of a map and the lanes that lead to it."""
 
-    junction: MapJunction  # the junction itself
+    junction: MapJunction
     arms: tuple[str, ...]  # names of its arms; empty if no lane ends at its outline
     n_lanes: int  # driving lanes into it and out of it
     n_driven: int  # arms from which a driving lane leads into it
@@ -51,10 +76,7 @@ class Surveyed:
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
-    """All junctions of a map, the largest first: by arms, driven arms, then lanes.
-
-    Of equally large ones the one nearest to the middle of the map comes first.
-    """
+    """All junctions of a map by arms, driven arms, lanes, and nearness to the middle of the map."""
     by_junction: dict[str, list[MapLane]] = defaultdict(list)
     for lane in source.lanes:
         for name in {lane.from_junction, lane.to_junction}:
@@ -63,12 +85,10 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     signals = _count_near(source.junctions, np.array(lights).reshape(-1, 2))
     crossings = _count_near(source.junctions, source.crosswalks_m.mean(axis=1))
     found = [
-        _survey(source, one, by_junction[one.id], n_signals, n_crossings)
-        for one, n_signals, n_crossings in zip(source.junctions, signals, crossings, strict=True)
+        replace(_survey(source, one, by_junction[one.id]), n_signals=lit, n_crossings=crossed)
+        for one, lit, crossed in zip(source.junctions, signals, crossings, strict=True)
     ]
-    if not found:
-        return ()
-    middle = np.median([one.junction.position_m for one in found], axis=0)
+    middle = np.median([one.junction.position_m for one in found] or [np.zeros(2)], axis=0)
 
     def rank(one: Surveyed) -> tuple[float, ...]:
         off_m = float(np.hypot(*(one.junction.position_m - middle)))
@@ -78,7 +98,6 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
 
 
 def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
-    """How many points lie inside each junction or next to it."""
     if not len(points_m):
         return [0] * len(junctions)
     areas = [shapely.make_valid(shapely.Polygon(one.outline_m)) for one in junctions]
@@ -88,19 +107,12 @@ def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[
     return counts
 
 
-SORTS = ("arms", "lanes", "signals", "crossings", "name")
-
-
 def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
-    """Junctions in another order: the most first, or names by the alphabet.
-
-    `surveyed`: as :func:`survey_junctions` returns them; equal ones stay in this order. `sort`: one
-    of ``SORTS``; "arms" is the order that they come in. Raises InputError: `sort` is none of them.
-    """
+    """Surveyed junctions in an order of ``SORTS``: the most first, or names by the alphabet."""
     check_one_of("sort", sort, SORTS)
     if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
-    if sort == "arms":
+    if sort == "arms":  # the order that they come in
         return tuple(surveyed)
     return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{sort}"))))
 
@@ -114,39 +126,43 @@ def choose_junction(
 ) -> Surveyed:
     """Choose a junction by name or point; by default the first.
 
-    `surveyed`: as :func:`survey_junctions` returns them. `name`: id; or name, streets in any order:
-    "Mannerheimintie / Kaivokatu", or some of them, also shortened (St, Ave, Str.); or a part of the
-    name that no other junction has; or "latitude, longitude" within 100 m in degrees; empty: any.
-    `at`: a point within 100 m, in the file's coordinate reference system: longitude and latitude,
-    or metres. Raises InputError: the map has no junction, or none or several match.
+    `name`: id; or streets in any order, also shortened (St, Ave, Str.), or some of them; or a part
+    of the name that no other has; or "latitude, longitude". `at`: in the file's own coordinates;
+    points lie within 100 m. Raises InputError: none or several match.
     """
     if not surveyed:
-        raise InputError(source.name, Unquoted("no junction"), "a map in which roads meet")
+        refuse(source.name, "no junction", "a map in which roads meet")
     where = "at"
     if name:
         place = _LAT_LON.fullmatch(name)
         if place is None or any(one.junction.id == name for one in surveyed):
             return _by_name(surveyed, name)
-        where, at = "junction", _from_degrees(source, (float(place[2]), float(place[1])), name)
+        if not source.crs:
+            expected = "an id or a name: the map does not say where it lies"
+            raise InputError("junction", name, expected)
+        lon_lat = np.array([float(place[2]), float(place[1])])
+        x, y = transform(lon_lat, WGS84, source.source_crs or source.crs)
+        where, at = "junction", (float(x), float(y))
     if at is None:
         return surveyed[0]
     point = _in_map(source, at)
     if not np.isfinite(point).all():
-        raise InputError(where, Unquoted(f"{at[0]:g},{at[1]:g}"), f"a point in {source.source_crs}")
-    distance = [float(np.hypot(*(one.junction.position_m - point))) for one in surveyed]
-    nearest = int(np.argmin(distance))
-    if not distance[nearest] <= _NEAR_M:
-        got = name or f"{at[0]:.8g},{at[1]:.8g}"
-        exchanged = _in_map(source, (at[1], at[0]))
-        if min(np.hypot(*(one.junction.position_m - exchanged)) for one in surveyed) <= _NEAR_M:
-            order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
-            order = "latitude,longitude" if name else order
-            raise InputError(where, Unquoted(got), f"{order}: it is the other way round")
-        found = surveyed[nearest]
-        place_of = ", ".join(f"{value:.8g}" for value in found.position)
-        expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
-        raise InputError(where, Unquoted(got), f"{expected}{found.junction.id}, is at {place_of}")
-    return surveyed[nearest]
+        refuse(where, f"{at[0]:g},{at[1]:g}", f"a point in {source.source_crs}")
+
+    def away_m(one: Surveyed, place: FloatArray) -> float:
+        return float(np.hypot(*(one.junction.position_m - place)))
+
+    nearest = min(surveyed, key=lambda one: away_m(one, point))
+    if away_m(nearest, point) <= _NEAR_M:
+        return nearest
+    got, exchanged = name or f"{at[0]:.8g},{at[1]:.8g}", _in_map(source, (at[1], at[0]))
+    if min(away_m(one, exchanged) for one in surveyed) <= _NEAR_M:
+        order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
+        order = "latitude,longitude" if name else order
+        refuse(where, got, f"{order}: it is the other way round")
+    place_of = ", ".join(f"{value:.8g}" for value in nearest.position)
+    expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
+    refuse(where, got, f"{expected}{nearest.junction.id}, is at {place_of}")
 
 
 def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
@@ -171,24 +187,19 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
     raise InputError("junction", name, f"one of {_listed(nearest)}")
 
 
-_LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
-_BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
-
-
 def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset[str]:
     """Names of streets that meet, in any order and case, with all their words shortened."""
-    return frozenset(_shortened(part) for part in between.split(name))
-
-
-def _shortened(street: str) -> str:
     words, endings = _short_forms()
-    found = []
-    for word in re.findall(r"[^\W_]+", street.casefold()):
-        for long, short in endings.items():
-            if word.endswith(long) and word != long:
-                word = word.removesuffix(long) + short
-        found.append(words.get(word, word))
-    return " ".join(found)
+    streets = []
+    for street in between.split(name):
+        found = []
+        for word in re.findall(r"[^\W_]+", street.casefold()):
+            for long, short in endings.items():
+                if word.endswith(long) and word != long:
+                    word = word.removesuffix(long) + short
+            found.append(words.get(word, word))
+        streets.append(" ".join(found))
+    return frozenset(streets)
 
 
 @cache
@@ -200,16 +211,6 @@ def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
         for key in ("words", "endings")
     )
     return words, endings
-
-
-def _from_degrees(
-    source: SourceMap, lon_lat_deg: tuple[float, float], name: str
-) -> tuple[float, float]:
-    """A point in the map's own coordinates, as ``at`` has it."""
-    if not source.crs:
-        raise InputError("junction", name, "an id or a name: the map does not say where it lies")
-    x, y = transform(np.array(lon_lat_deg), WGS84, source.source_crs or source.crs)
-    return float(x), float(y)
 
 
 def _listed(surveyed: Sequence[Surveyed]) -> str:
@@ -230,17 +231,21 @@ def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
     return np.array(at) if is_same else transform(np.array(at), source.source_crs, source.crs)
 
 
-def _survey(
-    source: SourceMap,
-    junction: MapJunction,
-    lanes: Sequence[MapLane],
-    n_signals: int,
-    n_crossings: int,
-) -> Surveyed:
-    position = junction.position_m
+def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Surveyed:
+    position, middle = junction.position_m, junction.position_m
     if source.crs and source.source_crs not in ("", source.crs):
         position = transform(position, source.crs, source.source_crs)
     # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
+    near = [
+        Lane(
+            id=lane.id,
+            kind=lane.kind,
+            width_m=lane.width_m,
+            centreline_m=lane.centreline_m[:, :2] - middle,
+        )
+        for lane in lanes
+        if lane.kind in ("driving", "parking")
+    ]
     scene = Scene(
         name=junction.id,
         vertices_m=np.zeros((0, 3)),
@@ -248,17 +253,8 @@ def _survey(
         triangle_instance=np.zeros(0, dtype=np.int32),
         instances=(Instance(id="ground", class_name="ground"),),
         sites=(),
-        outline_m=junction.outline_m - junction.position_m,
-        lanes=tuple(
-            Lane(
-                id=lane.id,
-                kind=lane.kind,
-                width_m=lane.width_m,
-                centreline_m=lane.centreline_m[:, :2] - junction.position_m,
-            )
-            for lane in lanes
-            if lane.kind in ("driving", "parking")
-        ),
+        outline_m=junction.outline_m - middle,
+        lanes=tuple(near),
         crs="",
         keeps_left=source.keeps_left,
     )
@@ -272,52 +268,31 @@ def _survey(
         n_lanes=sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values()),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
-        n_signals=n_signals,
-        n_crossings=n_crossings,
     )
 
 
 # ---------- reading maps
-_MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
-_CLOUDS = (".las", ".laz", ".pcd")
-_FOOTPRINTS = (".geojson", ".gpkg", ".shp")
-_STREETS = (".osm", ".pbf", ".osm.gz", ".osm.bz2")
-SUFFIXES = (
-    *(".xodr", *_STREETS, *_FOOTPRINTS, ".json", ".jsonl", ".gml", ".citygml", ".xml"),
-    *(*_MESHES, *_CLOUDS, ".zip"),
-)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
     """Answers to questions that map files leave open."""
 
-    # unit and up axis of meshes, see :func:`geometry.maps.mesh_files.read_mesh`
-    unit: str | None = None
+    unit: str | None = None  # of meshes
     up: str | None = None
-    # class of meshes, point clouds and footprints that do not state theirs
-    class_name: str = "building"
+    class_name: str = "building"  # of meshes, point clouds and footprints that do not state theirs
     keeps_left: bool | None = None  # whether traffic keeps left; by default what the map says
     crs: str = ""  # coordinate reference system of files that do not name one; empty: none
     layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
-    # (2,); shift of everything without roads: buildings, meshes, point clouds. These are then taken
-    # to lie in the coordinates of the map with the junction, whatever reference system they name.
+    # shift of everything without roads, which is then taken to lie in the coordinates of the map
+    # with the junction, whatever reference system it names
     offset_m: tuple[float, float] | None = None
 
 
 def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
-    """Read a map file of any known format.
-
-    `path`: the suffix gives the format; .json, .gml and .xml are told apart by content, .zip is
-    opened. `options`: answers to what the file leaves open. Raises InputError: the file does not
-    exist, is of no known format, or is damaged.
-    """
+    """Read a map file by its ending, or .json, .gml and .xml by content; InputError: it is none."""
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
-    if not path.exists():
-        raise InputError(str(path), Unquoted("no such file"), "a map file")
-    if path.is_dir():
-        raise InputError(str(path), Unquoted("a folder"), "a map file")
+    if not path.exists() or path.is_dir():
+        refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
     check_file(path)
     with ExitStack() as stack:
         inside = path
@@ -325,24 +300,20 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
             inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
         source = _read(inside, options)
     if options.offset_m is not None and not source.lanes:
-        return _moved(source, np.array([*options.offset_m, 0.0]))
+        offset_m = np.array([*options.offset_m, 0.0])
+        things = (replace(one, vertices_m=one.vertices_m + offset_m) for one in source.things)
+        poles = (replace(pole, position_m=pole.position_m + offset_m) for pole in source.poles)
+        return replace(
+            source,
+            crs="",
+            source_crs="",
+            things=tuple(things),
+            poles=tuple(poles),
+            crosswalks_m=source.crosswalks_m + offset_m[:2],
+        )
     if crs and not source.crs:
         source = replace(source, crs=crs, source_crs=crs)
     return source
-
-
-# By the ending of a file: module, function, and options that it asks for.
-_READERS = {
-    ".xodr": ("opendrive", "read_opendrive", ()),
-    "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
-    "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
-    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
-    **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
-    ".city.json": ("city_models", "read_cityjson", ()),
-    ".citygml": ("city_models", "read_citygml", ()),
-    **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
-    **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
-}
 
 
 def _read(path: Path, options: ReadingOptions) -> SourceMap:
@@ -354,28 +325,22 @@ def _read(path: Path, options: ReadingOptions) -> SourceMap:
     elif kind == ".json":
         kind = ".geojson"
     elif kind in (".xml", ".gml", ".citygml"):
-        kind = _kind_of_xml(path)
+        root = local_name(read_xml_root(path))
+        kinds = {
+            "OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml", "commonRoad": "commonroad"
+        }  # fmt: skip
+        if root not in kinds:
+            expected = "OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad or CityGML"
+            refuse(str(path), f"<{root}>", expected)
+        kind = kinds[root]
     if kind == ".osm" and _has_lanelets(path):
         kind = "lanelets"
     if kind not in _READERS:
-        raise InputError(str(path), Unquoted("another kind of file"), ", ".join(SUFFIXES))
+        refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
     module, function, fields = _READERS[kind]
     read = getattr(import_module(f"{__package__}.{module}"), function)
     source: SourceMap = read(path, **{field: getattr(options, field) for field in fields})
     return source
-
-
-def _moved(source: SourceMap, offset_m: FloatArray) -> SourceMap:
-    return replace(
-        source,
-        crs="",
-        source_crs="",
-        things=tuple(
-            replace(thing, vertices_m=thing.vertices_m + offset_m) for thing in source.things
-        ),
-        poles=tuple(replace(pole, position_m=pole.position_m + offset_m) for pole in source.poles),
-        crosswalks_m=source.crosswalks_m + offset_m[:2],
-    )
 
 
 def _is_city_json(path: Path) -> bool:
@@ -393,17 +358,6 @@ def _is_city_json(path: Path) -> bool:
     return isinstance(document, dict) and document.get("type") == "CityJSON"
 
 
-def _kind_of_xml(path: Path) -> str:
-    root = local_name(read_xml_root(path))
-    kinds = {
-        "OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml", "commonRoad": "commonroad"
-    }  # fmt: skip
-    if root not in kinds:
-        expected = "OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad or CityGML"
-        raise InputError(str(path), Unquoted(f"<{root}>"), expected)
-    return kinds[root]
-
-
 def _has_lanelets(path: Path) -> bool:
     """True if a file of OpenStreetMap's elements is a Lanelet2 map."""
     with open_file(path) as file:
@@ -419,7 +373,6 @@ _LANELET = re.compile(rb"""k=["']type["']\s+v=["']lanelet["']""")
 
 
 def _projected(crs: str) -> str:
-    """Check that a user's coordinate reference system is projected and in metres."""
     from pyproj.exceptions import CRSError
 
     try:
@@ -432,27 +385,19 @@ def _projected(crs: str) -> str:
 
 
 # ---------- scenes
-DEFAULT_RADIUS_M = 80.0
-_RADIUS_LIMITS_M = (20.0, 500.0)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
     """Which part of the maps becomes the scene."""
 
     junction: str = ""  # name or id, see :func:`geometry.maps.importing.choose_junction`
     at: tuple[float, float] | None = None  # a point near the junction instead of its name
-    # radius around the middle of the junction within which things are kept
-    radius_m: float = DEFAULT_RADIUS_M
-    # "auto", "map", "kerb:SPACING", or a CSV or GeoJSON file, see
-    # :func:`geometry.maps.sites.choose_sites`
-    sites: str = "auto"
+    radius_m: float = DEFAULT_RADIUS_M  # around its middle, within which things are kept
+    sites: str = (
+        "auto"  # or "map", "kerb:SPACING", a file: :func:`geometry.maps.sites.choose_sites`
+    )
     ground_m: float | None = None  # height of the road, see :func:`geometry.maps.cut.cut_out`
-    # raster with the heights of the ground, see :func:`geometry.maps.relief.read_elevation`; by
-    # default heights are those of the maps
-    terrain: Path | None = None
-    name: str = ""  # name of the scene; empty: after the file and the junction
-    # answers to what the files leave open
+    terrain: Path | None = None  # raster with the heights of the ground; None: those of the maps
+    name: str = ""  # of the scene; empty: after the file and the junction
     reading: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __post_init__(self) -> None:
@@ -460,7 +405,7 @@ class ImportOptions:
         if not low <= self.radius_m <= high:
             raise InputError("radius_m", self.radius_m, f"metres, {low:g} to {high:g}")
         if self.junction and self.at is not None:
-            raise InputError("at", Unquoted("it beside `junction`"), "one of them")
+            refuse("at", "it beside `junction`", "one of them")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -476,91 +421,61 @@ class ImportedScene:
 def read_maps(
     paths: Sequence[Path], reading: ReadingOptions
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
-    """Read map files and list the junctions of the one with roads.
-
-    `paths`: exactly one has roads; the others have buildings and more. `reading`: answers to what
-    the files leave open. Returns `maps`: the map with the roads first, then the others in the given
-    order. `junctions`: see :func:`geometry.maps.importing.survey_junctions`. Raises InputError: a
-    file cannot be read, or none or several have roads.
-    """
+    """Map files, that with roads first, and its junctions; InputError: none or several have any."""
     if not paths:
-        raise InputError("FILE", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
+        refuse("FILE", "nothing", "a map: OpenDRIVE or OpenStreetMap")
     maps = [read_map(path, reading) for path in paths]
     with_roads = [source for source in maps if source.lanes]
     if len(with_roads) != 1:
         names = " and ".join(source.name for source in with_roads) or "none"
         where = ", ".join(source.name for source in maps)
-        raise InputError(where, Unquoted(f"roads in {names}"), "roads in one of the files")
+        refuse(where, f"roads in {names}", "roads in one of the files")
     roads = with_roads[0]
     return [roads, *(s for s in maps if s is not roads)], survey_junctions(roads)
 
 
 def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
-    """Make a scene from map files.
-
-    `paths`: see :func:`read_maps`. `options`: which junction, how far around it, and which sites.
-    Returns `imported`: at least one arm leads into its junction, and it has at least one site.
-    Raises InputError: a file cannot be read, there is no such junction, no lane leads into it, or
-    there is no place for a sensor.
-    """
+    """Make a scene from map files; InputError: no such junction, lane into it, or site."""
     maps, junctions = read_maps(paths, options.reading)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
     imported = cut_scene(maps, chosen, options)
     if len(junctions) > 1 and not options.junction and options.at is None:
-        note = Note(
-            what=f"{len(junctions) - 1} other junctions of {maps[0].name}",
-            why="none was named: the one with the most arms and lanes was taken",
-            kind="junction",
-        )
-        scene = replace(imported.scene, notes=(note, *imported.scene.notes))
-        imported = replace(imported, scene=scene)
+        what = f"{len(junctions) - 1} other junctions of {maps[0].name}"
+        why = "none was named: the one with the most arms and lanes was taken"
+        notes = (Note(what, why, kind="junction"), *imported.scene.notes)
+        imported = replace(imported, scene=replace(imported.scene, notes=notes))
     return replace(imported, junctions=junctions)
 
 
 def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
-    """Make a scene of one junction of maps that are read already.
-
-    `maps`: the one with the roads first. `chosen`: a junction of it. `options`: how far around it,
-    and which sites. Returns `imported`: of the junctions of the map, it knows the chosen one.
-    Raises InputError: no lane leads into the junction, or there is no place for a sensor.
-    """
-    roads = maps[0]
+    """Make a scene of one junction of maps that are read; raises as :func:`import_scene` does."""
+    roads, junction, radius_m = maps[0], chosen.junction, options.radius_m
     if not chosen.n_driven:
-        got = Unquoted("no lane that leads into it")
-        expected = "a junction that cars drive into"
-        raise InputError(f"{roads.name}: junction {chosen.junction.id}", got, expected)
+        where = f"{roads.name}: junction {junction.id}"
+        refuse(where, "no lane that leads into it", "a junction that cars drive into")
     elevation = None
     if options.terrain is not None:
-        elevation = read_elevation(
-            options.terrain,
-            crs=roads.crs,
-            middle_m=chosen.junction.position_m,
-            half_m=options.radius_m + LANES_BEYOND_M,
-        )
+        half_m, middle_m = radius_m + LANES_BEYOND_M, junction.position_m
+        elevation = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
     surroundings = cut_out(
-        maps,
-        chosen.junction,
-        radius_m=options.radius_m,
-        ground_m=options.ground_m,
-        elevation=elevation,
+        maps, junction, radius_m=radius_m, ground_m=options.ground_m, elevation=elevation
     )
     surroundings, settled = settle_poles(surroundings)
-    sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=options.radius_m)
+    sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=radius_m)
     scene = build_scene(
         surroundings,
-        name=options.name or f"{Path(roads.name).stem}/{chosen.junction.id}",
+        name=options.name or f"{Path(roads.name).stem}/{junction.id}",
         source_crs=(roads.source_crs or roads.crs) if roads.crs else "",
         sites=sites,
-        radius_m=options.radius_m,
+        radius_m=radius_m,
     )
-    ends = [Note(what=f"arm {name}", why=why, kind="roads") for name, why in arms_that_end(scene)]
     notes = (
         *surroundings.skipped,
         *settled,
         *site_notes,
-        *ends,
+        *(Note(f"arm {name}", why, kind="roads") for name, why in arms_that_end(scene)),
         *_site_notes(surroundings.poles, sites, options.sites),
-        *_building_notes(surroundings.things, options.radius_m),
+        *_building_notes(surroundings.things, radius_m),
     )
     return ImportedScene(
         scene=replace(scene, notes=notes),
@@ -571,7 +486,6 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
 
 
 def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
-    """Notes on sites where the map itself has no pole."""
     known = {site.id for site in sites}
     same: dict[tuple[str, str], list[str]] = defaultdict(list)
     for pole in poles:
@@ -579,24 +493,21 @@ def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Ite
             same[pole.kind, pole.assumed].append(pole.id)
     for (kind, why), ids in same.items():
         what = f"{kind} {ids[0]}" if len(ids) == 1 else f"{len(ids)} x {kind}"
-        yield Note(what=what, why=why, kind="sites", site_ids=tuple(ids))
+        yield Note(what, why, kind="sites", site_ids=tuple(ids))
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:
         why = "no mast stands there in the map: each is assumed"
-        yield Note(what=f"{len(masts)} sites at the kerb", why=why, kind="sites", site_ids=masts)
+        yield Note(f"{len(masts)} sites at the kerb", why, kind="sites", site_ids=masts)
 
 
 def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
-    """Notes on buildings that the map does not have, or whose heights it does not tell."""
-    buildings = [thing for thing in things if thing.class_name == "building"]
-    if not buildings:
-        why = f"none within {radius_m:g} m in the map: none is taken to hide anybody"
-        yield Note(what="buildings", why=why, kind="buildings")
-    assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
     every = Counter(thing.class_name for thing in things)
+    if not every["building"]:
+        why = f"none within {radius_m:g} m in the map: none is taken to hide anybody"
+        yield Note("buildings", why, kind="buildings")
+    assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
     for class_name, number in assumed.most_common():
+        what = f"heights of {number} of {every[class_name]} x {class_name}"
         yield Note(
-            what=f"heights of {number} of {every[class_name]} x {class_name}",
-            why="not in the map: the usual ones of their kinds are assumed",
-            kind="heights",
+            what, "not in the map: the usual ones of their kinds are assumed", kind="heights"
         )

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
-from ..errors import InputError, Unquoted, check_one_of
-from ..files import open_file, read_bytes
+from ..errors import check_one_of, refuse
+from ..files import open_file, read_bytes, reading
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
 from .source_map import (
@@ -38,6 +38,7 @@ _MIN_SIZE_M, _MAX_SIZE_M = 0.1, 20_000.0
 _SLANTED = (0.1, 0.98)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
 _MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by
 _SURE_SHARE = 0.9
+_Part = tuple[str, FloatArray, NDArray[np.int32]]
 
 
 def read_mesh(
@@ -45,13 +46,10 @@ def read_mesh(
 ) -> SourceMap:
     """Read a mesh; every named part of it becomes a thing, where the file has it.
 
-    `unit` (m, cm, mm, km, ft, in) and the axis `up` (x, y, z, -x, -y, -z) must be given for all
-    formats except glTF, which has metres, y up and -z as north. `class_name` is for parts whose
-    names do not say wall, tree, lamp or the like. Heights count from the mesh's own zero.
-
-    Raises InputError if the file cannot be read; unit or axis are missing; there are no triangles,
-    more than five million, vertices that are not finite, or a size that no junction has; or if all
-    roofs face down.
+    `unit` and the axis `up` must be given for all formats except glTF, which has metres, y up and
+    -z as north. `class_name` is for parts whose names do not say wall, tree, lamp or the like.
+    Raises InputError if the file is damaged; has no triangles, or more than five million; has a
+    size that no junction has; or if all roofs face down.
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -59,8 +57,8 @@ def read_mesh(
     check_one_of("class_name", class_name, CLASS_NAMES)
     is_gltf = suffix in (".glb", ".gltf")
     if not is_gltf and (not unit or not up):
-        got = Unquoted(f"a mesh format ({suffix}) that does not say its unit and its up axis")
-        raise InputError(where, got, "`unit` and `up`, such as `unit` m `up` z")
+        got = f"a mesh format ({suffix}) that does not say its unit and its up axis"
+        refuse(where, got, "`unit` and `up`, such as `unit` m `up` z")
     unit, up = unit or "m", up or "y"
     check_one_of("unit", unit, UNITS_M)
     check_one_of("up", up, UP_AXES)
@@ -82,29 +80,22 @@ def read_mesh(
     )
 
 
-_Part = tuple[str, FloatArray, NDArray[np.int32]]
-
-
 def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
     """Name, vertices and triangles of each part in the file's frame, and counts of the rest."""
     import trimesh
 
     where = str(path)
-    try:
+    options: dict[str, Any] = {"split_objects": True} if path.suffix.lower() == ".obj" else {}
+    options |= {"resolver": _folder_resolver(path), "skip_materials": True, "process": False}
+    n_triangles = 0
+    parts: list[_Part] = []
+    left_out: Counter[str] = Counter()
+    # trimesh's parsers raise whatever a broken file makes them.
+    with reading(path, f"a {path.suffix} mesh", Exception):
         if is_gltf:
             check_gltf(path)
         with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
-            scene = trimesh.load_scene(
-                file,
-                file_type=path.suffix.lower()[1:],
-                resolver=_folder_resolver(path),
-                skip_materials=True,
-                process=False,
-                **({"split_objects": True} if path.suffix.lower() == ".obj" else {}),
-            )
-        n_triangles = 0
-        parts: list[_Part] = []
-        left_out: Counter[str] = Counter()
+            scene = trimesh.load_scene(file, file_type=path.suffix.lower()[1:], **options)
         for node in scene.graph.nodes_geometry:  # sorted below: trimesh keeps them in sets
             matrix, geometry_name = scene.graph[node]
             geometry = scene.geometry[geometry_name]
@@ -113,22 +104,13 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
                 continue
             n_triangles += len(geometry.faces)
             if n_triangles > MAX_TRIANGLES:
-                got = Unquoted(f"more than {MAX_TRIANGLES:,} triangles")
-                raise InputError(where, got, "a simpler mesh")
+                refuse(where, f"more than {MAX_TRIANGLES:,} triangles", "a simpler mesh")
             if geometry.metadata.get("from_gltf_primitive"):
                 node = scene.graph.transforms.parents.get(node, node)  # itself named at random
             name = _name(str(node), str(geometry_name), path.stem)
             parts.append((name, *_placed(geometry, np.asarray(matrix), f"{where}: {name}")))
-    except InputError:
-        raise
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(where, Unquoted(reason), "a readable file") from None
-    except Exception as error:  # trimesh's parsers raise whatever a broken file makes them
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
-        raise InputError(where, Unquoted(reason), f"a {path.suffix} mesh") from None
     if not parts:
-        raise InputError(where, Unquoted("no triangles"), "a mesh of triangles")
+        refuse(where, "no triangles", "a mesh of triangles")
     return sorted(parts, key=lambda part: (part[0], part[1][0].tolist())), left_out
 
 
@@ -145,18 +127,17 @@ def _folder_resolver(path: Path) -> Any:
         def get(self, name: str) -> bytes:
             target = (folder / name.strip()).resolve()
             if "://" in name or not target.is_relative_to(folder):
-                got = Unquoted(f"a reference to {name[:100]!r}")
-                raise InputError(str(path), got, "files in its own folder")
+                refuse(str(path), f"a reference to {name[:100]!r}", "files in its own folder")
             return read_bytes(target, max_bytes=MAX_FILE_BYTES)
 
         def keys(self) -> list[str]:
             return []
 
         def namespaced(self, namespace: str) -> "FolderResolver":
-            raise InputError(str(path), Unquoted(f"a folder {namespace[:100]!r}"), "plain files")
+            refuse(str(path), f"a folder {namespace[:100]!r}", "plain files")
 
         def write(self, name: str, data: Any) -> None:
-            raise InputError(str(path), Unquoted("a reader that writes"), "only reading")
+            refuse(str(path), "a reader that writes", "only reading")
 
     return FolderResolver()
 
@@ -166,14 +147,12 @@ def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, 
     faces = np.asarray(geometry.faces, dtype=np.int64)
     outside = faces[(faces < 0) | (faces >= len(vertices))]
     if len(outside):
-        got = Unquoted(f"a triangle with vertex {outside[0]}")
-        raise InputError(where, got, f"0 to {len(vertices) - 1}")
+        refuse(where, f"a triangle with vertex {outside[0]}", f"0 to {len(vertices) - 1}")
     used, triangles = np.unique(faces, return_inverse=True)
     with np.errstate(all="ignore"):
         placed: FloatArray = vertices[used] @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(placed).all():
-        got = Unquoted("a vertex that is not finite (NaN or infinite)")
-        raise InputError(where, got, "finite numbers")
+        refuse(where, "a vertex that is not finite (NaN or infinite)", "finite numbers")
     corners = triangles.reshape(-1, 3).astype(np.int32)
     is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
     return placed, corners[:, ::-1] if is_mirrored else corners
@@ -186,7 +165,6 @@ def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
-    """A closed mesh, even if vertices at the same place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
     return is_closed(same.reshape(-1)[triangles].astype(np.int32))
 
@@ -200,21 +178,17 @@ def _name(node: str, geometry: str, stem: str) -> str:
 
 
 def _check_size(things: list[Thing], where: str, unit: str) -> None:
-    """Refuse a size that only a wrong unit explains."""
     low = np.min([thing.vertices_m.min(axis=0) for thing in things], axis=0)
     high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
     size_m = float((high - low).max())
     if not _MIN_SIZE_M <= size_m <= _MAX_SIZE_M:
-        got = Unquoted(f"a mesh {size_m:.3g} m across, taken in {unit}")
+        got = f"a mesh {size_m:.3g} m across, taken in {unit}"
         limits = f"{_MIN_SIZE_M} m to {_MAX_SIZE_M / 1000:.0f} km"
-        raise InputError(where, got, f"{limits}; another `unit` ({', '.join(UNITS_M)})")
+        refuse(where, got, f"{limits}; another `unit` ({', '.join(UNITS_M)})")
 
 
 def _check_roofs(things: list[Thing], where: str, up: str) -> None:
-    """Refuse closed buildings whose slanted faces look down: roofs that stand on their heads.
-
-    Boxes with flat roofs look the same both ways, and are not judged.
-    """
+    """Refuse closed buildings whose slanted faces look down; flat roofs are not judged."""
     corners = [
         thing.vertices_m[thing.triangles]
         for thing in things
@@ -229,5 +203,5 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
     slanted_m2 = up_m2 + down_m2
     if slanted_m2 > _MIN_SLANTED_SHARE * areas.sum() and down_m2 > _SURE_SHARE * slanted_m2:
         other = up[1:] if up.startswith("-") else f"-{up}"
-        got = Unquoted(f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down")
-        raise InputError(where, got, f"an upright mesh; is up the other way: `up`={other}?")
+        got = f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"
+        refuse(where, got, f"an upright mesh; is up the other way: `up`={other}?")

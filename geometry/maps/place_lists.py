@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
-from ..errors import InputError, Unquoted
+from ..errors import InputError, Unquoted, refuse
 from ..files import read_text
 from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
@@ -26,41 +26,8 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
-
 SUFFIXES = (".csv", ".geojson", ".json")
 _MAX_SITES = 50_000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SiteWish:
-    """A place where somebody would mount sensors; None where nothing is stated."""
-
-    id: str  # unique in its list
-    position_m: FloatArray  # (2,), in the scene's coordinate reference system
-    kind: str = ""  # in the source's words, in lower case: "lamp post", "kerb"
-    z_m: float | None = None  # of the foot, as the source counts heights
-    min_height_m: float | None = None  # lowest and highest mount above the foot
-    max_height_m: float | None = None
-    cost_eur: float | None = None  # of making the site ready
-    capacity_units: int | None = None  # units that it can carry
-    has_power: bool | None = None
-    has_fibre: bool | None = None
-    is_forbidden: bool = False
-
-    def __post_init__(self) -> None:
-        set_arrays(self, f"site {self.id}.", position_m=(2,))
-
-    @property
-    def n_said(self) -> int:
-        """How many details are given."""
-        said = (
-            *(self.z_m, self.min_height_m, self.max_height_m, self.cost_eur),
-            *(self.capacity_units, self.has_power, self.has_fibre, self.kind or None),
-            self.is_forbidden or None,
-        )
-        return sum(value is not None for value in said)
-
-
 # Field to the names it goes by, without units, in lower case with _ between words.
 PLACE_FIELDS = {
     "x": ("x", "easting", "east", "ost", "rechtswert"),
@@ -86,28 +53,67 @@ _UNITS |= {"grad", "meter"}
 _OTHER_UNITS = {"ft", "feet", "in", "inch", "inches", "cm", "mm", "km", "usd", "gbp"}
 _YES_NO = {"yes": True, "y": True, "true": True, "1": True, "ja": True}
 _YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
+_Row = tuple[str, dict[str, Any]]
+_NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
+_COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
+_NAMES = ("name", "id", "district", "title")
+_JUNCTIONS = ("junction", "junction_id")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SiteWish:
+    """A place where somebody would mount sensors; None where nothing is stated."""
+
+    id: str  # unique in its list
+    position_m: FloatArray  # (2,), in the scene's coordinate reference system
+    kind: str = ""  # in the source's words, in lower case: "lamp post", "kerb"
+    z_m: float | None = None  # of the foot, as the source counts heights
+    min_height_m: float | None = None  # lowest and highest mount above the foot
+    max_height_m: float | None = None
+    cost_eur: float | None = None  # of making the site ready
+    capacity_units: int | None = None  # units that it can carry
+    has_power: bool | None = None
+    has_fibre: bool | None = None
+    is_forbidden: bool = False
+
+    def __post_init__(self) -> None:
+        set_arrays(self, f"site {self.id}.", position_m=(2,))
+
+    @property
+    def n_said(self) -> int:
+        """How many details are given."""
+        said: list[object] = [
+            self.z_m,
+            self.min_height_m,
+            self.max_height_m,
+            self.cost_eur,
+            self.capacity_units,
+        ]
+        said += [self.has_power, self.has_fibre, self.kind or None, self.is_forbidden or None]
+        return sum(value is not None for value in said)
 
 
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
 
-    Columns: id; x and y in `crs`, or lat and lon (in GeoJSON: the points); and as far as known z,
-    height of the pole, up to which sensors are mounted, min_height_m, max_height_m, kind, cost_eur,
-    power, fibre, capacity and forbidden (yes or no). Case does not matter, nor do units at the end
-    of a column's name, "height [m]". A comma may stand for the decimal point. Other columns are not
-    read; a warning names them. `crs` is the projected coordinate reference system of the scene;
-    empty: it has none. Raises InputError if the file cannot be read, or a field is missing or not
-    of its kind.
+    Columns are those of ``docs/formats.md``; case does not matter, nor do units at the end of a
+    name, "height [m]"; a comma may stand for the decimal point. `crs` is the projected one of the
+    scene; empty: it has none. Raises InputError if the file cannot be read, or a field is missing
+    or wrong.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        rows = list(_csv_rows(path))
+        rows = list(read_csv_rows(path))
+        names = list(rows[0][1]) if rows else []
+        fields = known_columns(names, str(path))
+        tell_unknown(names, fields, path)
+        rows = [(here, {fields[name]: row[name] for name in fields}) for here, row in rows]
     elif suffix in SUFFIXES:
         rows = list(_geojson_rows(path, crs))
     else:
         raise InputError(str(path), suffix, "one of " + ", ".join(SUFFIXES))
     if not rows:
-        raise InputError(str(path), Unquoted("no sites"), "one per line")
+        refuse(str(path), "no sites", "one per line")
     sites = []
     seen: set[str] = set()
     for where, values in rows:
@@ -122,10 +128,7 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
 def known_columns(
     names: Sequence[str], where: str, fields: Mapping[str, Sequence[str]] = _FIELDS
 ) -> dict[str, str]:
-    """Field of every column that is known, by the column; `fields` are names by the field.
-
-    Raises InputError where two columns are the same field, or one has a unit that is not read.
-    """
+    """Field of every known column; InputError: two are one field, or one has another unit."""
     found: dict[str, str] = {}
     field_of = {alias: field for field, aliases in fields.items() for alias in aliases}
     for name in names:
@@ -140,23 +143,16 @@ def known_columns(
         if field is None:
             continue
         if field in found.values():
-            raise InputError(f"{where}: column {name!r:.60}", Unquoted(f"a second {field}"), "one")
+            refuse(f"{where}: column {name!r:.60}", f"a second {field}", "one")
         found[name] = field
     return found
 
 
-_Row = tuple[str, dict[str, Any]]
-
-
 def read_csv_rows(path: Path) -> Iterator[_Row]:
-    """Rows of a CSV file with a header: where each is, and its cells by the names of the columns.
-
-    Comma, semicolon or tab; empty lines are left out. Raises InputError for what is no CSV.
-    """
+    """Rows of a CSV file (comma, semicolon or tab): where each is, and its cells by column."""
     where = str(path)
     text = read_text(path, "CSV")
-    head = text.partition("\n")[0]
-    separator = max(";\t,", key=head.count)
+    separator = max(";\t,", key=text.partition("\n")[0].count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     try:
         names = next(reader, [])
@@ -165,21 +161,12 @@ def read_csv_rows(path: Path) -> Iterator[_Row]:
             if not any(cell.strip() for cell in cells):
                 continue
             if len(cells) != len(names):
-                raise InputError(here, Unquoted(f"{len(cells)} fields"), f"{len(names)}")
+                refuse(here, f"{len(cells)} fields", f"{len(names)}")
             if reader.line_num > _MAX_SITES:
-                raise InputError(where, Unquoted(f"more than {_MAX_SITES:,} lines"), "fewer")
+                refuse(where, f"more than {_MAX_SITES:,} lines", "fewer")
             yield here, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}
     except csv.Error as error:
         raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "CSV") from None
-
-
-def _csv_rows(path: Path) -> Iterator[_Row]:
-    fields: dict[str, str] | None = None
-    for here, cells in read_csv_rows(path):
-        if fields is None:
-            fields = known_columns(list(cells), str(path))
-            tell_unknown(cells, fields, path)
-        yield here, {fields[name]: cell for name, cell in cells.items() if name in fields}
 
 
 def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> None:
@@ -193,28 +180,28 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
     table = read_features(path)
     declared = _declared_crs(table, str(path))
     if len(table.features) > _MAX_SITES:
-        raise InputError(str(path), Unquoted(f"{len(table.features):,} features"), "fewer")
+        refuse(str(path), f"{len(table.features):,} features", "fewer")
     known: dict[str, str] = {}
     for feature in table.features:
-        fields = known_columns(list(feature.values), feature.where)
+        geometry, where = feature.geometry, feature.where
+        fields = known_columns(list(feature.values), where)
         known |= fields
         values = {fields[name]: value for name, value in feature.values.items() if name in fields}
-        if feature.geometry is not None and not feature.geometry.is_empty:
-            if feature.geometry.geom_type != "Point":
-                raise InputError(f"{feature.where}.geometry", feature.geometry.geom_type, "a Point")
+        if geometry is not None and not geometry.is_empty:
+            if geometry.geom_type != "Point":
+                raise InputError(f"{where}.geometry", geometry.geom_type, "a Point")
             for name in ("x", "y", "lat", "lon"):
                 values.pop(name, None)
-            x, y = feature.geometry.x, feature.geometry.y
             if declared.is_geographic and declared.to_authority() in (None, ("EPSG", "4326")):
-                values |= {"lon": x, "lat": y}
+                values |= {"lon": geometry.x, "lat": geometry.y}
+            elif not crs:
+                refuse(where, f"coordinates in {table.crs[:80]}", "x and y of the scene")
             else:
-                if not crs:
-                    got = Unquoted(f"coordinates in {table.crs[:80]}")
-                    raise InputError(feature.where, got, "x and y of the scene")
-                values["x"], values["y"] = transform([x, y], table.crs, crs).tolist()
-            if feature.geometry.has_z:
-                values.setdefault("z", feature.geometry.z)
-        yield feature.where, values
+                place = transform([geometry.x, geometry.y], table.crs, crs)
+                values["x"], values["y"] = place.tolist()
+            if geometry.has_z:
+                values.setdefault("z", geometry.z)
+        yield where, values
     tell_unknown((name for feature in table.features for name in feature.values), known, path)
 
 
@@ -233,7 +220,7 @@ def _declared_crs(table: Features, where: str) -> "CRS":
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     site_id = str(values.get("id", "")).strip()
     if not site_id:
-        raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
+        refuse(f"{where}: id", "nothing", "a name")
     low = read_number(values, "min_height", where, least=0.0)
     high = read_number(values, "max_height", where, least=0.0)
     if high is None:
@@ -259,18 +246,15 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
 
 
 def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    """Position by x and y, or lat and lon, in a scene's reference system, (2,). [m].
-
-    Raises InputError if there is none, or it lies nowhere.
-    """
-    x, y = read_number(values, "x", where), read_number(values, "y", where)
+    """Position (2,) by x and y, or lat and lon, in a scene's system, in metres; or InputError."""
+    given = {name: read_number(values, name, where) for name in ("x", "y", "lat", "lon")}
+    x, y, lat, lon = given.values()
     if x is not None and y is not None:
         return np.array([x, y])
-    lat, lon = read_number(values, "lat", where), read_number(values, "lon", where)
     if lat is None or lon is None:
-        given = {"x": x, "y": y} if (x is None) != (y is None) else {"lat": lat, "lon": lon}
-        missing = " and ".join(name for name, value in given.items() if value is None)
-        raise InputError(f"{where}: {missing}", Unquoted("nothing"), "x and y, or lat and lon")
+        wanted = ("x", "y") if (x is None) != (y is None) else ("lat", "lon")
+        missing = " and ".join(name for name in wanted if given[name] is None)
+        refuse(f"{where}: {missing}", "nothing", "x and y, or lat and lon")
     if not crs:
         expected = "x and y in metres: the scene does not say where on earth it lies"
         raise InputError(f"{where}: lat", lat, expected)
@@ -288,9 +272,6 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     if not np.isfinite(position).all():
         raise InputError(f"{where}: lat", lat, f"a place in {crs}")
     return position
-
-
-_NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
 
 
 def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
@@ -335,11 +316,6 @@ def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
 
 
 # ---------- areas, and counts at places
-_COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
-_NAMES = ("name", "id", "district", "title")
-_JUNCTIONS = ("junction", "junction_id")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Area:
     """A polygon, or a place that something is near to."""
@@ -362,34 +338,26 @@ class Counts:
 
 
 def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
-    """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates.
-
-    Raises InputError if the file cannot be read, has no geometry, or the map does not say where on
-    earth it lies.
-    """
+    """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates; or InputError."""
     table = read_features(path)
-    areas = [
-        Area(
-            where=feature.where,
-            name=_name(feature, f"area {number}"),
-            geometry=_in_crs(feature, table, crs),
-            values={key.strip().lower(): value for key, value in feature.values.items()},
-        )
-        for number, feature in enumerate(table.features, start=1)
-        if feature.geometry is not None and not feature.geometry.is_empty
-    ]
+    areas = []
+    for number, feature in enumerate(table.features, start=1):
+        if feature.geometry is not None and not feature.geometry.is_empty:
+            values = {str(key).strip().lower(): value for key, value in feature.values.items()}
+            name = next((str(values[key]) for key in _NAMES if key in values), f"area {number}")
+            place = _in_crs(feature, table, crs)
+            areas.append(Area(where=feature.where, name=name, geometry=place, values=values))
     if not areas:
-        raise InputError(str(path), Unquoted("no geometry"), "polygons")
+        refuse(str(path), "no geometry", "polygons")
     return tuple(areas)
 
 
 def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     """Read counts: CSV with x and y, lat and lon, or junction; or points of a GIS file.
 
-    `path`: CSV, GeoJSON, GeoPackage or Shapefile. `crs`: of the map; columns x and y are in it.
-    `column`: of the counts; empty: "weight", "count" or the like, and where there is none, each
-    place counts 1. Raises InputError: the file cannot be read; there is no such column, or no
-    place; a count is no number of at least 0.
+    `crs` is that of the map and of x and y. `column`: of the counts; empty: "weight", "count" or
+    the like, or else each place counts 1. Raises InputError: no such column or place, or a wrong
+    count.
     """
     if path.suffix.lower() == ".csv":
         rows = list(read_csv_rows(path))
@@ -400,27 +368,27 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
         places = []
         for feature in table.features:
             if feature.geometry is None or feature.geometry.is_empty:
-                raise InputError(f"{feature.where}.geometry", Unquoted("nothing"), "a Point")
+                refuse(f"{feature.where}.geometry", "nothing", "a Point")
             middle = _in_crs(feature, table, crs).centroid
             places.append(np.array([middle.x, middle.y]))
     if not rows:
-        raise InputError(str(path), Unquoted("nothing"), "a row for each place")
+        refuse(str(path), "nothing", "a row for each place")
     names = {str(name): str(name).strip().lower() for _, values in rows for name in values}
     found = _column(names, column, path)
-    values = np.array([_count(row, found, where) for where, row in rows])
+    counts = [_count(row, found, where) for where, row in rows]
     junctions: tuple[str, ...] = ()
     by = next((name for name, plain in names.items() if plain in _JUNCTIONS), None)
     if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
     elif places is None:
-        places = [_place(row, where, crs) for where, row in rows]
+        fields = [known_columns(list(row), where) for where, row in rows]
+        places = [
+            read_position({known[name]: row[name] for name in known}, where, crs)
+            for (where, row), known in zip(rows, fields, strict=True)
+        ]
     positions = None if places is None else np.array(places).reshape(-1, 2)
+    values = np.array(counts)
     return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
-
-
-def _place(row: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    fields = known_columns(list(row), where)
-    return read_position({fields[name]: row[name] for name in fields}, where, crs)
 
 
 def _column(names: Mapping[str, str], column: str, path: Path) -> str:
@@ -434,9 +402,7 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
 
 
 def _count(row: Mapping[str, Any], column: str, where: str) -> float:
-    if not column:
-        return 1.0
-    value = row.get(column)
+    value = row.get(column) if column else 1.0
     try:
         number = np.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
@@ -449,21 +415,15 @@ def _count(row: Mapping[str, Any], column: str, where: str) -> float:
 def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
     assert feature.geometry is not None
     if not crs:
-        got = Unquoted(f"coordinates in {table.crs[:80] or 'an unknown system'}")
-        raise InputError(feature.where, got, "a map that says where on earth it lies: `crs`")
+        got = f"coordinates in {table.crs[:80] or 'an unknown system'}"
+        refuse(feature.where, got, "a map that says where on earth it lies: `crs`")
     declared = _declared_crs(table, feature.where)
     moved: BaseGeometry = shapely.transform(
-        shapely.force_2d(feature.geometry),
-        lambda points: transform(points, declared.to_wkt(), crs),
+        shapely.force_2d(feature.geometry), lambda points: transform(points, declared.to_wkt(), crs)
     )
     if not np.isfinite(shapely.get_coordinates(moved)).all():
-        raise InputError(feature.where, Unquoted("a place that is nowhere"), f"places in {crs}")
+        refuse(feature.where, "a place that is nowhere", f"places in {crs}")
     return moved
-
-
-def _name(feature: Feature, otherwise: str) -> str:
-    plain = {str(key).strip().lower(): value for key, value in feature.values.items()}
-    return next((str(plain[name]) for name in _NAMES if name in plain), otherwise)
 
 
 def snap(
@@ -480,8 +440,7 @@ def areas_of(
 ) -> list[list[int]]:
     """Indices of the areas that each point lies in, or no farther from than some metres."""
     tree = shapely.STRtree([area.geometry for area in areas])
-    points = shapely.points(points_m)
-    point, area = tree.query(points, predicate="dwithin", distance=within_m)
+    point, area = tree.query(shapely.points(points_m), predicate="dwithin", distance=within_m)
     found: list[list[int]] = [[] for _ in points_m]
     for index, one in sorted(zip(point.tolist(), area.tolist(), strict=True)):
         found[index].append(one)

@@ -1,5 +1,6 @@
 """Point clouds (LAS, LAZ, PCD): the ground below the points, and solids of voxels upon it."""
 
+import re
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -17,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import open_file
 from ..notes import Note
 from ..scene import CLASS_NAMES
@@ -36,17 +37,43 @@ CHUNK_POINTS = 1_000_000
 _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
 # Of the types that are packed in layers: how many; 0: one for every byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
-
 Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
+_MAX_HEADER_BYTES = 65_536
+_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
+_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
+CELL_M = 1.0
+_MAX_CELLS = 16_000_000  # 4 km x 4 km
+_WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
+_STEP_M, _SLOPE = 0.5, 0.1  # higher and steeper than this is not ground
+VOXEL_M = 0.25
+_MAX_VOXEL_M = 2.0
+_MAX_VOXELS = 30_000_000
+_MAX_THINGS = 20_000
+_MIDDLE = 1 << 19  # cell of the origin, on every axis
+_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
+_MIN_HEIGHT_M = 0.5  # lower things hide nobody
+_MIN_VOXELS = 4
+_MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
+_MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
+# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller names.
+_GROUND = (2,)
+_VEGETATION = (3, 4, 5)
+_BUILDING = (6,)
+_LEFT_OUT = {
+    7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
+    16: "wire", 17: "bridge deck", 18: "noise",
+}  # fmt: skip
+_BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
+_MASK = (1 << _BITS) - 1
+MAX_VOXELS_PER_AXIS = _MASK - 1
+MAX_COLUMN_VOXELS = 20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
+MAX_WALL_VOXELS = 100_000_000  # of all things of a file
+_MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 
 
 @contextmanager
 def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
-
-    Raises InputError if it cannot be read, claims more than 50 million points or more than it has
-    bytes for, or is damaged (also while its points are read).
-    """
+    """Open a ``.las``, ``.laz`` or ``.pcd`` file: its CRS, if any, and chunks; or InputError."""
     where = str(path)
     suffix = path.suffix.lower()
     check_one_of(where, suffix, SUFFIXES)
@@ -83,91 +110,80 @@ def _las_reader(path: Path) -> Any:
 
 
 def _check_header(path: Path) -> None:
-    """Raise InputError if a header claims more than the file can contain."""
-    where = str(path)
-    n_bytes = path.stat().st_size
+    where, n_bytes = str(path), path.stat().st_size
     with open_file(path) as file:
         head = file.read(375)
-    if len(head) < 227 or head[:4] != b"LASF":
-        raise InputError(where, Unquoted("something else"), "a LAS file")
-    minor = head[25]
-    header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
-    point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
-    if minor >= 4 and len(head) >= 375:
-        first_extended, n_extended, n_points_14 = struct.unpack_from("<QIQ", head, 235)
-        n_points = n_points_14 or n_points
-        if n_extended and first_extended + 60 * n_extended > n_bytes:
-            raise InputError(where, Unquoted(f"{n_extended:,} extended records"), "as many as fit")
-    if n_points > MAX_POINTS:
-        got = Unquoted(f"{n_points:,} points")
-        raise InputError(where, got, f"at most {MAX_POINTS:,}; thin it out first")
-    if not n_points:
-        raise InputError(where, Unquoted("no points"), "points")
-    if not header_bytes <= first_point <= n_bytes or header_bytes + 54 * n_records > first_point:
-        raise InputError(where, Unquoted(f"{n_records:,} records in its header"), "as many as fit")
-    is_packed = bool(point_format & 0xC0)
-    if is_packed:
-        n_layers = _n_layers(path, header_bytes, n_records, point_bytes)
-        _check_chunks(path, first_point, point_bytes, n_layers)
-    if not is_packed and first_point + n_points * point_bytes > n_bytes:
-        got = Unquoted(f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off")
-        raise InputError(where, got, f"{first_point + n_points * point_bytes:,} bytes")
+        if len(head) < 227 or head[:4] != b"LASF":
+            refuse(where, "something else", "a LAS file")
+        header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
+        point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
+        if head[25] >= 4 and len(head) >= 375:  # version 1.4
+            first_extended, n_extended, n_points_14 = struct.unpack_from("<QIQ", head, 235)
+            n_points = n_points_14 or n_points
+            if n_extended and first_extended + 60 * n_extended > n_bytes:
+                refuse(where, f"{n_extended:,} extended records", "as many as fit")
+        if n_points > MAX_POINTS:
+            refuse(where, f"{n_points:,} points", f"at most {MAX_POINTS:,}; thin it out first")
+        if not n_points:
+            refuse(where, "no points", "points")
+        is_inside = header_bytes <= first_point <= n_bytes
+        if not is_inside or header_bytes + 54 * n_records > first_point:
+            refuse(where, f"{n_records:,} records in its header", "as many as fit")
+        claimed = first_point + n_points * point_bytes
+        if point_format & 0xC0:  # packed
+            file.seek(header_bytes)
+            n_layers = _n_layers(file, where, n_records, point_bytes)
+            _check_chunks(file, where, first_point, point_bytes, n_layers)
+        elif claimed > n_bytes:
+            got = f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off"
+            refuse(where, got, f"{claimed:,} bytes")
     check_unpacked(n_points * max(point_bytes, 20), where)
 
 
-def _n_layers(path: Path, header_bytes: int, n_records: int, point_bytes: int) -> int:
-    """Number of layers in which chunks of points are packed; 0: they are not layered.
-
-    Raises InputError if the parts of a packed point do not make up a point.
-    """
-    where = str(path)
-    with open_file(path) as file:
-        file.seek(header_bytes)
-        for _ in range(n_records):
-            head = file.read(54)
-            if len(head) < 54:
-                break
-            owner, number, n_bytes = struct.unpack_from("<16sHH", head, 2)
-            data = file.read(n_bytes)
-            if owner.rstrip(b"\0") != b"laszip encoded" or number != 22204 or len(data) < 34:
-                continue
-            n_items = struct.unpack_from("<H", data, 32)[0]
-            items = [struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)]
-            sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
-            if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
-                raise InputError(where, Unquoted("packed points of no known kind"), "LASzip")
-            if items[0][0] not in _LAYERS:
-                return 0
-            return sum(_LAYERS.get(kind, 0) or size for kind, size, _ in items)
-    raise InputError(where, Unquoted("packed points without a LASzip record"), "a LAZ file")
+def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> int:
+    """Number of layers in which chunks of points are packed, 0: none; InputError: no known kind."""
+    for _ in range(n_records):
+        head = file.read(54)
+        if len(head) < 54:
+            break
+        owner, number, n_bytes = struct.unpack_from("<16sHH", head, 2)
+        data = file.read(n_bytes)
+        if owner.rstrip(b"\0") != b"laszip encoded" or number != 22204 or len(data) < 34:
+            continue
+        n_items = struct.unpack_from("<H", data, 32)[0]
+        items = [struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)]
+        sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
+        if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
+            refuse(where, "packed points of no known kind", "LASzip")
+        if items[0][0] not in _LAYERS:
+            return 0
+        return sum(_LAYERS.get(kind, 0) or size for kind, size, _ in items)
+    refuse(where, "packed points without a LASzip record", "a LAZ file")
 
 
-def _check_chunks(path: Path, first_point: int, point_bytes: int, n_layers: int) -> None:
+def _check_chunks(
+    file: BinaryIO, where: str, first_point: int, point_bytes: int, n_layers: int
+) -> None:
     """Refuse chunks of packed points that claim more bytes than there are before their table."""
-    n_bytes = path.stat().st_size
-    with open_file(path) as file:
-        file.seek(first_point)
-        head = file.read(8)
-        at = struct.unpack("<q", head)[0] if len(head) == 8 else 0
-        if at == -1:  # of a file that was written as a stream: in its last eight bytes
-            file.seek(-8, 2)
-            at = struct.unpack("<q", file.read(8))[0]
-        if not first_point < at <= n_bytes - 8:
-            raise InputError(str(path), Unquoted("a table of chunks outside the file"), "all of it")
-        file.seek(at)
-        _, n_chunks = struct.unpack("<2I", file.read(8))
-        claimed = n_chunks * point_bytes  # the first point of a chunk is not packed
-        begin = first_point + 8
-        while n_layers and begin < at:
-            begin += point_bytes + 4
-            file.seek(begin)
-            sizes = file.read(4 * n_layers)
-            begin += len(sizes) + sum(
-                struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
-            )
-    if claimed > n_bytes or begin > at:
-        got = Unquoted(f"{n_chunks:,} chunks of points that claim more bytes")
-        raise InputError(str(path), got, f"{at:,}")
+    n_bytes = file.seek(0, 2)
+    file.seek(first_point)
+    head = file.read(8)
+    at = struct.unpack("<q", head)[0] if len(head) == 8 else 0
+    if at == -1:  # of a file that was written as a stream: in its last eight bytes
+        file.seek(-8, 2)
+        at = struct.unpack("<q", file.read(8))[0]
+    if not first_point < at <= n_bytes - 8:
+        refuse(where, "a table of chunks outside the file", "all of it")
+    file.seek(at)
+    _, n_chunks = struct.unpack("<2I", file.read(8))
+    begin = first_point + 8
+    while n_layers and begin < at:
+        begin += point_bytes + 4
+        file.seek(begin)
+        sizes = file.read(4 * n_layers)
+        begin += len(sizes) + sum(struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3]))
+    if n_chunks * point_bytes > n_bytes or begin > at:  # a chunk's first point is not packed
+        refuse(where, f"{n_chunks:,} chunks of points that claim more bytes", f"{at:,}")
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
@@ -176,7 +192,7 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
         for points in reader.chunk_iterator(CHUNK_POINTS):
             n_points += len(points)
             if n_points > MAX_POINTS:
-                raise InputError(where, Unquoted(f"more than {MAX_POINTS:,} points"), "fewer")
+                refuse(where, f"more than {MAX_POINTS:,} points", "fewer")
             xyz = np.stack([np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1)
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -190,32 +206,23 @@ def _one_line(error: BaseException) -> str:
 
 
 # ---------- PCD files
-_MAX_HEADER_BYTES = 65_536
-_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
 
-_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
 _PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
 _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 
 
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
-
-    Points without coordinates (NaN) are left out. Raises InputError, while points are read, if the
-    file claims more than 50 million or more than it contains, or is damaged.
-    """
+    """Points with coordinates of an open PCD file, version 0.7, all of class 0; or InputError."""
     header = _pcd_header(file, where)
-    names = header.get("FIELDS", [])
+    names, kinds = header.get("FIELDS", []), header.get("TYPE", [])
     if not {"x", "y", "z"} <= set(names):
         raise InputError(f"{where}: FIELDS", " ".join(names)[:80], "x, y and z among them")
     sizes = _integers(header, "SIZE", len(names), where)
-    counts = (
-        _integers(header, "COUNT", len(names), where) if "COUNT" in header else [1] * len(sizes)
-    )
+    has_counts = "COUNT" in header
+    counts = _integers(header, "COUNT", len(names), where) if has_counts else [1] * len(sizes)
     n_points = _integers(header, "POINTS", 1, where)[0]
     if not 0 < n_points <= MAX_POINTS:
         raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
-    kinds = header.get("TYPE", [])
     formats = []
     for index, name in enumerate(names):
         kind = (kinds[index] if index < len(kinds) else "", sizes[index])
@@ -224,13 +231,12 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
         formats.append((f"{index}", _PCD_TYPES[kind], (counts[index],)))
     columns = [names.index(axis) for axis in "xyz"]
     encoding = " ".join(header.get("DATA", []))
-    if encoding == "binary":
-        chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
-    elif encoding == "ascii":
+    if encoding == "ascii":
         first = np.cumsum([0, *counts])
         chunks = _pcd_ascii(file, [int(first[column]) for column in columns], n_points, where)
-    elif encoding == "binary_compressed":
-        chunks = _pcd_compressed(file, np.dtype(formats), columns, n_points, where)
+    elif encoding in ("binary", "binary_compressed"):
+        read = _pcd_binary if encoding == "binary" else _pcd_compressed
+        chunks = read(file, np.dtype(formats), columns, n_points, where)
     else:
         raise InputError(f"{where}: DATA", encoding, "ascii, binary or binary_compressed")
     n_found = 0
@@ -239,7 +245,7 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
         n_found += len(xyz)
         yield xyz, np.zeros(len(xyz), dtype=np.uint8)
     if not n_found:
-        raise InputError(where, Unquoted("only points without coordinates"), "points")
+        refuse(where, "only points without coordinates", "points")
 
 
 def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
@@ -255,15 +261,13 @@ def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
             header[words[0]] = words[1:]
         if words and words[0] == "DATA":
             return header
-    raise InputError(where, Unquoted("no header with FIELDS to DATA"), "a PCD file")
+    refuse(where, "no header with FIELDS to DATA", "a PCD file")
 
 
 def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> list[int]:
     words = header.get(key, [])
-    if len(words) != n or not all(word.isascii() and word.isdigit() for word in words):
+    if len(words) != n or not all(re.fullmatch(r"[0-9]{1,18}", word) for word in words):
         raise InputError(f"{where}: {key}", " ".join(words)[:80], f"{n} whole numbers")
-    if any(len(word) > 18 for word in words):
-        raise InputError(f"{where}: {key}", words[0][:40], "a smaller number")
     return [int(word) for word in words]
 
 
@@ -274,8 +278,8 @@ def _pcd_binary(
     n_bytes = file.seek(0, 2) - here
     file.seek(here)
     if n_points * record.itemsize > n_bytes:
-        got = Unquoted(f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off")
-        raise InputError(where, got, f"{n_points * record.itemsize:,} bytes")
+        got = f"a header with {n_points:,} points over {n_bytes:,} bytes: cut off"
+        refuse(where, got, f"{n_points * record.itemsize:,} bytes")
     chunk = max(1, min(CHUNK_POINTS, 64_000_000 // record.itemsize))
     for first in range(0, n_points, chunk):
         n = min(chunk, n_points - first)
@@ -300,8 +304,7 @@ def _pcd_ascii(
         if len(lines):
             yield numbers.reshape(-1, 3)
     if n_found < n_points:
-        got = Unquoted(f"{n_found:,} of {n_points:,} points: cut off")
-        raise InputError(where, got, "all of them")
+        refuse(where, f"{n_found:,} of {n_points:,} points: cut off", "all of them")
 
 
 def _pcd_compressed(
@@ -312,10 +315,10 @@ def _pcd_compressed(
     n_packed, n_bytes = struct.unpack("<2I", head) if len(head) == 8 else (0, 0)
     if n_bytes != n_points * record.itemsize or n_bytes > _MAX_LZF_BYTES:
         expected = f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}"
-        raise InputError(where, Unquoted(f"{n_bytes:,} bytes of unpacked points"), expected)
+        refuse(where, f"{n_bytes:,} bytes of unpacked points", expected)
     data = _unpack_lzf(file.read(n_packed), n_bytes)
     if data is None:
-        raise InputError(where, Unquoted("damaged compressed points"), f"{n_bytes:,} bytes")
+        refuse(where, "damaged compressed points", f"{n_bytes:,} bytes")
     xyz = []
     for column in columns:
         offset = sum(record[before].itemsize for before in range(column)) * n_points
@@ -360,12 +363,6 @@ def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
 
 
 # ---------- the ground
-CELL_M = 1.0
-_MAX_CELLS = 16_000_000  # 4 km x 4 km
-_WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
-_STEP_M, _SLOPE = 0.5, 0.1  # higher and steeper than this is not ground
-
-
 class LowestPoints:
     """Lowest point of every square metre, collected a chunk at a time."""
 
@@ -389,16 +386,12 @@ class LowestPoints:
         return len(self._z_m)
 
     def grid(self, where: str) -> tuple[IntArray, FloatArray]:
-        """First cell (2,), and heights of all cells of the box, (n, m); NaN: no points. [m].
-
-        Raises InputError if the box is too large.
-        """
+        """First cell (2,), and heights of cells, (n, m), NaN: none; InputError: too large."""
         low = self._cells.min(axis=0)
         shape = self._cells.max(axis=0) - low + 1
         if np.prod(shape.astype(np.float64)) > _MAX_CELLS:
             size = " x ".join(f"{length * CELL_M / 1000.0:.1f} km" for length in shape)
-            got = Unquoted(f"points over {size}")
-            raise InputError(where, got, "at most 16 km2; cut them out first")
+            refuse(where, f"points over {size}", "at most 16 km2; cut them out first")
         heights = np.full(tuple(shape), np.nan)
         heights[tuple((self._cells - low).T)] = self._z_m
         return low, heights
@@ -409,21 +402,15 @@ def fill_gaps(heights_m: FloatArray) -> FloatArray:
     if not np.isnan(heights_m).any():
         return heights_m
     _, nearest = distance_transform_edt(np.isnan(heights_m), return_indices=True)
-    filled: FloatArray = heights_m[tuple(nearest)]
-    return filled
+    return np.asarray(heights_m[tuple(nearest)])
 
 
 def filter_ground(heights_m: FloatArray) -> FloatArray:
-    """Ground (n, m) under the lowest points of cells (NaN: none). [m].
+    """Ground (n, m) under the lowest points of cells (NaN: none), in metres.
 
-    A surface is opened with growing windows. A cell that an opening lowers by more than the ground
-    could rise within half the window carries something, and gets the height of the nearest ground.
-    Part of a house that is lower than the ground behind it is taken for ground.
-
-    References
-    ----------
-    .. [1] K. Zhang et al., "A progressive morphological filter for removing nonground measurements
-       from airborne lidar data", 2003.
+    A cell that an opening lowers by more than the ground could rise within half the window carries
+    something, and gets the height of the nearest ground. K. Zhang et al., "A progressive
+    morphological filter for removing nonground measurements from airborne lidar data", 2003.
     """
     surface = fill_gaps(heights_m)
     if min(surface.shape) >= 5:
@@ -443,45 +430,15 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
 
 
 # ---------- things
-VOXEL_M = 0.25
-_MAX_VOXEL_M = 2.0
-_MAX_VOXELS = 30_000_000
-_MAX_THINGS = 20_000
-_MIDDLE = 1 << 19  # cell of the origin, on every axis
-_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
-_MIN_HEIGHT_M = 0.5  # lower things hide nobody
-_MIN_VOXELS = 4
-_MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
-_MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
-
-# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller names.
-_GROUND = (2,)
-_VEGETATION = (3, 4, 5)
-_BUILDING = (6,)
-_LEFT_OUT = {
-    7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
-    16: "wire", 17: "bridge deck", 18: "noise",
-}  # fmt: skip
-
-
 def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
 
-    Ground is removed: class 2 where a LAS file has it, or else by a progressive morphological
-    filter. The other points become voxels; voxels that touch become one thing with their outer
-    faces as its surface. Heights are above ground; PCD is taken as metres with z up.
-
-    Why voxels, and not a Poisson, ball-pivoting or alpha surface: a surface fitted through points
-    closes gateways and passages where there is no point, or stays open where a scan is thin, and a
-    sensor's rays would find both. A voxel hides exactly where there is a point, to half its edge;
-    gaps of one voxel are bridged; enclosed voids are filled, so that nothing is hollow. Roofs seen
-    only from the air (class 6, or even patches of 10 m2 with nothing below) are filled to the
-    ground, for the walls that must carry them.
-
-    `class_name` is for points without a class of their own (LAS: 3 to 5 vegetation, 6 building).
-    The edge length, 0.25 m, is doubled until voxels of a thin scan touch, up to 2 m. Raises
-    InputError if the file cannot be read or claims too much; points are not finite, or spread over
-    more than 16 km2; only ground is left; or there are more than five million triangles.
+    Ground is removed: class 2, or else by a filter. The other points become voxels of 0.25 m,
+    doubled up to 2 m until those of a thin scan touch; voxels that touch become one thing. A voxel
+    hides exactly where there is a point, while a fitted surface closes gateways or stays open where
+    a scan is thin. Gaps of one voxel are bridged, enclosed voids filled, and roofs seen only from
+    the air filled to the ground. `class_name` is for points without a class. PCD is in metres, z
+    up. Raises InputError if it is damaged or too large, or only ground is left.
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
@@ -489,7 +446,7 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     with open_points(path) as (crs, chunks):
         for points, classes in chunks:
             if not np.isfinite(points).all():
-                raise InputError(where, Unquoted("a coordinate that is not finite"), "numbers")
+                refuse(where, "a coordinate that is not finite", "numbers")
             if not len(points):
                 continue
             if scan.place is None:
@@ -497,15 +454,15 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
                 scan.place = georeference(corners, crs, where=where)
             scan.add(scan.place.to_metres(points, where), classes, class_name)
     if scan.place is None:
-        raise InputError(where, Unquoted("no points"), "points")
+        refuse(where, "no points", "points")
     heights, voxel_m, notes = _above_ground(scan)
     things, small = _things(heights, voxel_m, scan, class_name)
     if not things and not len(scan.lowest_ground):
-        raise InputError(where, Unquoted("only ground"), "points on something above the ground")
+        refuse(where, "only ground", "points on something above the ground")
     notes += counted(scan.left_out, "points of a class that hides nothing here")
     if small:
         why = f"less than {_MIN_VOXELS} voxels, or below {_MIN_HEIGHT_M} m"
-        notes.append(Note(what=f"{small} clusters of points", why=why))
+        notes.append(Note(f"{small} clusters of points", why))
     return SourceMap(
         name=path.name,
         crs=scan.place.crs,
@@ -518,8 +475,6 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
 
 @dataclass(slots=True, kw_only=True)
 class _Scan:
-    """The part of a point cloud that is kept while it is read."""
-
     where: str
     place: Georeference | None = None
     origin_m: FloatArray | None = None
@@ -541,9 +496,8 @@ class _Scan:
     def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
         """Add a chunk of points."""
         for number, name in _LEFT_OUT.items():
-            n = int((classes == number).sum())
-            if n:
-                self.left_out[name] += n
+            if n_points := int((classes == number).sum()):
+                self.left_out[name] += n_points
         is_taken = ~np.isin(classes, list(_LEFT_OUT))
         points_m, classes = points_m[is_taken], classes[is_taken]
         if not len(points_m):
@@ -551,10 +505,8 @@ class _Scan:
         if self.origin_m is None:
             self.origin_m = np.floor(points_m.min(axis=0))
         local = points_m - self.origin_m
-        reach = MAX_VOXELS_PER_AXIS // 2 * VOXEL_M
-        if (np.abs(local) > reach).any():
-            got = Unquoted(f"points {np.abs(local).max():.3g} m apart")
-            raise InputError(self.where, got, "one place")
+        if (np.abs(local) > MAX_VOXELS_PER_AXIS // 2 * VOXEL_M).any():
+            refuse(self.where, f"points {np.abs(local).max():.3g} m apart", "one place")
         self.lowest.add(local)
         self.lowest_ground.add(local[np.isin(classes, _GROUND)])
         keys = to_keys(np.floor(local / VOXEL_M).astype(np.int64) + _MIDDLE)
@@ -566,10 +518,9 @@ class _Scan:
         for kind, is_kind in kinds.items():
             before = self.keys.get(kind, np.empty(0, dtype=np.int64))
             self.keys[kind] = np.unique(np.concatenate([before, keys[is_kind]]))
-        n_voxels = sum(len(known) for known in self.keys.values())
-        if n_voxels > _MAX_VOXELS:
-            got = Unquoted(f"more than {_MAX_VOXELS:,} voxels of {VOXEL_M} m")
-            raise InputError(self.where, got, "a larger voxel, or fewer points")
+        if sum(len(known) for known in self.keys.values()) > _MAX_VOXELS:
+            got = f"more than {_MAX_VOXELS:,} voxels of {VOXEL_M} m"
+            refuse(self.where, got, "a larger voxel, or fewer points")
 
 
 def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
@@ -585,28 +536,24 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         ground_m = filter_ground(lowest_m)
     heights: dict[str, IntArray] = {}
     for kind, keys in scan.keys.items():
-        middles_m = (to_cells(keys) - _MIDDLE + 0.5) * VOXEL_M
+        kept = to_cells(keys)
+        middles_m = (kept - _MIDDLE + 0.5) * VOXEL_M
         cells = np.floor(middles_m[:, :2] / CELL_M).astype(np.int64) - low
         cells = np.clip(cells, 0, np.array(ground_m.shape) - 1)
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
-        kept = to_cells(keys)
         kept[:, 2] = np.floor(above_m / VOXEL_M).astype(np.int64) + _MIDDLE
         heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
-    voxel_m, notes = VOXEL_M, []
     solid = [keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
-    while (
-        len(everything)
-        and 2.0 * voxel_m <= _MAX_VOXEL_M
-        and mean_neighbours(everything) < _MIN_NEIGHBOURS
-    ):
+    voxel_m, most_m = VOXEL_M, 0.5 * _MAX_VOXEL_M if len(everything) else 0.0
+    while voxel_m <= most_m and mean_neighbours(everything) < _MIN_NEIGHBOURS:
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
         everything = _coarser(everything)
-    if voxel_m > VOXEL_M:
-        why = f"points too far apart for voxels of {VOXEL_M:g} m"
-        notes.append(Note(what=f"detail below {voxel_m:g} m", why=why))
-    return heights, voxel_m, notes
+    if voxel_m == VOXEL_M:
+        return heights, voxel_m, []
+    why = f"points too far apart for voxels of {VOXEL_M:g} m"
+    return heights, voxel_m, [Note(f"detail below {voxel_m:g} m", why)]
 
 
 def _coarser(keys: IntArray) -> IntArray:
@@ -619,40 +566,32 @@ def _things(
     """One thing per cluster, and the number of clusters that are too small."""
     found: list[tuple[str, IntArray]] = []
     small = 0
-    for kind, keys in heights.items():
-        if not len(keys):
-            continue
-        if kind != "vegetation":
-            keys = bridged(keys)
-        keys = _stood(keys, voxel_m)
+    for kind, keys in ((kind, keys) for kind, keys in heights.items() if len(keys)):
+        keys = _stood(keys if kind == "vegetation" else bridged(keys), voxel_m)
         labels = clusters(keys)
         order = np.argsort(labels, kind="stable")
-        parts = np.split(keys[order], np.cumsum(np.bincount(labels))[:-1])
-        for part in parts:
-            top_m = (int((part & ((1 << 20) - 1)).max()) - _MIDDLE + 1) * voxel_m
+        for part in np.split(keys[order], np.cumsum(np.bincount(labels))[:-1]):
+            top_m = (int((part & _MASK).max()) - _MIDDLE + 1) * voxel_m
             if len(part) < _MIN_VOXELS or top_m < _MIN_HEIGHT_M:
                 small += 1
-                continue
-            found.append((kind, part))
+            else:
+                found.append((kind, part))
     if len(found) > _MAX_THINGS:
-        got = Unquoted(f"{len(found):,} things")
-        raise InputError(scan.where, got, f"at most {_MAX_THINGS:,}; cut it out")
+        refuse(scan.where, f"{len(found):,} things", f"at most {_MAX_THINGS:,}; cut it out")
     things: list[Thing] = []
     names: Counter[str] = Counter()
     assert scan.origin_m is not None
     origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
-    n_left, n_walls = MAX_TRIANGLES, MAX_WALL_VOXELS
+    n_left, n_walls, where = MAX_TRIANGLES, MAX_WALL_VOXELS, scan.where
     for kind, part in found:
         name = "building" if kind == "roofs" else kind
         if kind == "roofs" or (name == class_name == "building" and _is_roof(part, voxel_m)):
-            part = columns_to(part, _MIDDLE, scan.where, n_left=n_walls)
+            part = columns_to(part, _MIDDLE, where, n_left=n_walls)
             n_walls -= len(part)
         if kind != "vegetation":
             part = filled(part, _MIDDLE)
         names[name] += 1
-        mesh = faces(
-            part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=scan.where
-        )
+        mesh = faces(part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=where)
         n_left -= len(mesh[1])
         things.append(Thing.of(f"{name} {names[name]}", name, mesh))
     return things, small
@@ -664,11 +603,11 @@ def _stood(keys: IntArray, voxel_m: float) -> IntArray:
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     lowest = np.minimum.reduceat(cells[:, 2], start)
     stands = (lowest - _MIDDLE) * voxel_m <= _GROUND_M + voxel_m
-    added = [
-        np.column_stack([columns[stands & (lowest > z)], np.full((stands & (lowest > z)).sum(), z)])
-        for z in range(_MIDDLE, _MIDDLE + int(_GROUND_M / voxel_m) + 2)
-    ]
-    return np.unique(np.concatenate([keys, to_keys(np.concatenate(added))]))
+    added = [keys]
+    for z in range(_MIDDLE, _MIDDLE + int(_GROUND_M / voxel_m) + 2):
+        below = columns[stands & (lowest > z)]
+        added.append(to_keys(np.column_stack([below, np.full(len(below), z)])))
+    return np.unique(np.concatenate(added))
 
 
 def _is_roof(keys: IntArray, voxel_m: float) -> bool:
@@ -678,8 +617,7 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
     if len(columns) * voxel_m**2 < _MIN_ROOF_M2:
         return False
     top = np.maximum.reduceat(cells[:, 2], start) - _MIDDLE
-    lowest = np.minimum.reduceat(cells[:, 2], start) - _MIDDLE
-    hangs = lowest > 0.5 * top
+    hangs = (np.minimum.reduceat(cells[:, 2], start) - _MIDDLE) > 0.5 * top
     is_next = (np.diff(columns[:, 0]) == 0) & (np.diff(columns[:, 1]) == 1)
     is_even = np.abs(np.diff(top)[is_next]) <= 1
     return bool(
@@ -688,12 +626,6 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
 
 
 # ---------- voxels: cubes where there are points
-_BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
-_MASK = (1 << _BITS) - 1
-MAX_VOXELS_PER_AXIS = _MASK - 1
-MAX_COLUMN_VOXELS = 20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
-MAX_WALL_VOXELS = 100_000_000  # of all things of a file
-_MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 _HALF_OF_NEIGHBOURS = tuple(  # differences of keys
     (x << 2 * _BITS) + (y << _BITS) + z
     for x, y, z in product((-1, 0, 1), repeat=3)
@@ -716,15 +648,11 @@ def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
     if not len(sorted_keys):
         return np.zeros(len(keys), dtype=np.bool_)
     places = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
-    found: BoolArray = sorted_keys[places] == keys
-    return found
+    return np.asarray(sorted_keys[places] == keys)
 
 
 def clusters(keys: IntArray) -> IntArray:
-    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
-
-    `keys` are sorted and unique; numbers follow the order of the clusters' first voxels.
-    """
+    """Cluster number of every sorted voxel, by first voxel: those that touch, if at a corner."""
     n = len(keys)
     pairs = []
     for step in _HALF_OF_NEIGHBOURS:
@@ -752,10 +680,7 @@ def mean_neighbours(keys: IntArray) -> float:
 
 
 def filled(keys: IntArray, floor: int) -> IntArray:
-    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
-
-    `floor` is the lowest z above ground. A cluster whose box is too large stays as it is.
-    """
+    """Voxels of one cluster and the voids they enclose with the ground at z `floor`, sorted."""
     cells = to_cells(keys)
     low = cells.min(axis=0)
     low[2] = min(low[2], floor)
@@ -773,22 +698,16 @@ def filled(keys: IntArray, floor: int) -> IntArray:
 def columns_to(
     keys: IntArray, floor: int, where: str, *, n_left: int = MAX_WALL_VOXELS
 ) -> IntArray:
-    """Voxels from the floor to the highest of every column, sorted.
-
-    Raises InputError if they are more than any building has, or than `n_left` of what all buildings
-    of a file may have: heights in another unit, or damaged.
-    """
+    """Voxels from the floor to the highest of every column, sorted; InputError: too many."""
     columns, start = np.unique(keys >> _BITS, return_index=True)
-    top = np.maximum.reduceat(keys & _MASK, start)
-    counts = np.maximum(top - floor + 1, 0)
+    counts = np.maximum(np.maximum.reduceat(keys & _MASK, start) - floor + 1, 0)
     total = int(counts.sum())
     for n_voxels, most, whose in (
         (total, MAX_COLUMN_VOXELS, "a thing"),
         (MAX_WALL_VOXELS - n_left + total, MAX_WALL_VOXELS, "a file"),
     ):
         if n_voxels > most:
-            got = Unquoted(f"walls of {n_voxels:,} voxels")
-            raise InputError(where, got, f"at most {most:,} of {whose}")
+            refuse(where, f"walls of {n_voxels:,} voxels", f"at most {most:,} of {whose}")
     # Ascending, for columns are: one array, and no sorting.
     walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
     walls += np.arange(total)
@@ -799,16 +718,10 @@ def columns_to(
 def faces(
     keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
-
-    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m` (3,) is the
-    lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen from outside. Raises
-    InputError if there are more than `max_triangles`.
-    """
+    """The closed surface of sorted voxels in large rectangles, counter-clockwise from outside."""
     quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
     if 2 * len(quads) > max_triangles:
-        got = Unquoted(f"{2 * len(quads):,} triangles")
-        raise InputError(where, got, "a larger voxel, or fewer points")
+        refuse(where, f"{2 * len(quads):,} triangles", "a larger voxel, or fewer points")
     unique, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     index = inverse.reshape(-1, 4)
     triangles = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(np.int32)

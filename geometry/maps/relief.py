@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
-from ..errors import InputError, MissingExtraError, Unquoted
-from ..files import open_file
+from ..errors import InputError, MissingExtraError, refuse
+from ..files import open_file, reading
 from ..notes import Note
 from ..terrain import Terrain, fit_terrain
 from .georeferences import LocalFrame, transform
@@ -22,6 +22,15 @@ _BEYOND_M = 50.0  # points farther outside have no say
 _SAME_LEVEL_M, _STEEPEST = 2.0, 0.08  # more than this above the arms' roads is a bridge
 _OTHER_ZERO_M = 3.0  # a map whose things are this far off counts heights from another zero
 _FLOATS_M = 3.0  # at most: what is higher above the ground is meant to be there
+_COARSEST_M = 30.0  # the global models; coarser ones know no street
+_MIDDLE_M = 60.0  # there must be a height this near to the junction
+_LIMITS_M = (-500.0, 9000.0)
+_MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
+_MAX_BLOCK_BYTES = 100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# GDAL would look at files of any of its formats next to the raster, such as a mask.
+_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
+_EXPECTED = "a GeoTIFF of heights"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,7 +68,7 @@ class Relief:
 
         `given_m` is the height in the map of the road in the junction's middle. Where a map counts
         heights above the ground, walls follow it, and other things stand on the lowest ground below
-        them. Buildings that would float are set down, unless a plane's height was given.
+        them.
         """
         if source.heights == "above ground" and given_m is None:
             for thing in things:
@@ -83,17 +92,13 @@ class Relief:
         """The height in a map that becomes z = 0."""
         if source is self.roads and source.heights == "absolute":
             return self.zero_m if self.roads_m is None else float(self.roads_m.at(np.zeros(2)))
-        if given_m is not None:
-            return given_m
-        if not things:
-            return 0.0
+        if given_m is not None or not things:
+            return given_m or 0.0
         if self.terrain is None:
             return min(float(thing.vertices_m[:, 2].min()) for thing in things)
         # Feet of things above the ground, were heights counted as those of the ground.
-        feet_m = [
-            thing.vertices_m[:, 2].min() - self.at(thing.vertices_m[:, :2]).min()
-            for thing in things
-        ]
+        vertices = [thing.vertices_m for thing in things]
+        feet_m = [one[:, 2].min() - self.at(one[:, :2]).min() for one in vertices]
         off_m = float(np.median(feet_m) - self.zero_m)
         return self.zero_m + (off_m if abs(off_m) > _OTHER_ZERO_M else 0.0)
 
@@ -112,10 +117,9 @@ def find_relief(
 ) -> Relief:
     """The ground within a square around a junction of the first map.
 
-    Heights are those of `elevation`, or else of the first of the other maps that has some near the
-    junction, or else of the roads themselves. Ground between points is interpolated, ground beyond
-    them as high as the nearest one; roads on bridges, more than 2 m and 8 % off those of the
-    junction's arms, have no say.
+    Heights are those of `elevation`, or of the first of the other maps that has some near the
+    junction, or of the roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have
+    no say.
     """
     roads = maps[0]
     own = _near(frame.take(roads.ground_m, roads), half_m)
@@ -143,7 +147,7 @@ def find_relief(
         source=name,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        notes=(Note(what=f"heights of {name}", why=f"{why} around the junction ({span_m:.1f} m)"),),
+        notes=(Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),),
     )
 
 
@@ -164,30 +168,16 @@ def _on_level(
     level = frame.take(np.concatenate([middle[None], *arms]), roads)
     away_m, nearest = cKDTree(level[:, :2]).query(points_m[:, :2])
     most_m = _SAME_LEVEL_M + _STEEPEST * away_m
-    kept: FloatArray = points_m[np.abs(points_m[:, 2] - level[nearest, 2]) <= most_m]
-    return kept
+    return np.asarray(points_m[np.abs(points_m[:, 2] - level[nearest, 2]) <= most_m])
 
 
 # ---------- heights of the ground from GeoTIFF rasters
-_COARSEST_M = 30.0  # the global models; coarser ones know no street
-_MIDDLE_M = 60.0  # there must be a height this near to the junction
-_LIMITS_M = (-500.0, 9000.0)
-_MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
-_MAX_BLOCK_BYTES = 100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
-_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# GDAL would look at files of any of its formats next to the raster, such as a mask.
-_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
-_EXPECTED = "a GeoTIFF of heights"
-
-
 def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:
     """Read the heights of a raster in the square around a place, `half_m` to each side.
 
-    `path`: one band of heights in metres, with a coordinate reference system. `crs`: that of
-    `middle_m` and of what is returned; projected, in metres. Returns the middles of the pixels that
-    have a height. Raises InputError: the raster is no GeoTIFF, has no reference system or several
-    bands, lies elsewhere, is too coarse, too fine or packed in blocks that are too large, or has no
-    height near the place. MissingExtraError: rasterio is not installed.
+    `path`: one band of heights in metres, with a reference system. `crs`: that of `middle_m` and of
+    the points returned. Raises InputError: it is no such GeoTIFF, lies elsewhere, is too coarse,
+    too fine or in too large blocks. MissingExtraError: rasterio is not installed.
     """
     try:
         import rasterio
@@ -199,39 +189,37 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
         ) from None
     with open_file(path) as file:
         if not file.read(4).startswith(_MAGIC):  # GDAL goes by content: a text may name an address
-            raise InputError(str(path), Unquoted("something else"), _EXPECTED)
+            refuse(str(path), "something else", _EXPECTED)
     if not crs:
         expected = "a map that says where on earth it lies: `crs` says it for one that does not"
         raise InputError("terrain", str(path), expected)
-    try:
-        with rasterio.Env(**_ALONE), rasterio.open(path, driver="GTiff") as raster:
-            points = _read(raster, str(path), crs, middle_m, half_m)
-    except (rasterio.errors.RasterioError, ProjError) as error:
-        why = " ".join(str(error).split())
-        raise InputError(str(path), Unquoted(why), _EXPECTED) from None
+    with (
+        reading(path, _EXPECTED, rasterio.errors.RasterioError, ProjError),
+        rasterio.Env(**_ALONE),
+        rasterio.open(path, driver="GTiff") as raster,
+    ):
+        points = _read(raster, str(path), crs, middle_m, half_m)
     return Elevation(name=path.name, points_m=points)
 
 
 def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float) -> FloatArray:
-    """Points (n, 3) of an open data set within a square."""
     if raster.count != 1:
-        raise InputError(where, Unquoted(f"{raster.count} bands"), "one band, of heights in metres")
+        refuse(where, f"{raster.count} bands", "one band, of heights in metres")
     if raster.crs is None:
-        raise InputError(where, Unquoted("no coordinate reference system"), "a raster with one")
+        refuse(where, "no coordinate reference system", "a raster with one")
     own_crs = raster.crs.to_wkt()
     grid = raster.transform
     if not np.linalg.det([[grid.a, grid.b], [grid.d, grid.e]]):
-        raise InputError(where, Unquoted("pixels without area"), "a raster that lies on the map")
+        refuse(where, "pixels without area", "a raster that lies on the map")
     sides = np.linspace(-half_m, half_m, 9)
     lattice = middle_m + np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
     columns, rows = ~grid @ tuple(transform(lattice, crs, own_crs).T)
     if not (np.isfinite(columns).all() and np.isfinite(rows).all()):
-        raise InputError(where, Unquoted("another part of the earth"), "heights of the junction")
+        refuse(where, "another part of the earth", "heights of the junction")
     left, right = _span(columns, raster.width)
     top, bottom = _span(rows, raster.height)
     if left >= right or top >= bottom:
-        got = Unquoted("a raster that lies elsewhere")
-        raise InputError(where, got, "one that covers the junction")
+        refuse(where, "a raster that lies elsewhere", "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
     column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
     places = transform(np.stack(grid @ (column, row), axis=-1), own_crs, crs)
@@ -239,8 +227,7 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     corners = transform(np.stack(grid @ tuple(middle), axis=-1), own_crs, crs)
     size_m = np.hypot(*(corners[1:] - corners[0]).T).max()
     if size_m > _COARSEST_M * 1.2:
-        got = Unquoted(f"pixels of {size_m:.0f} m")
-        raise InputError(where, got, f"at most {_COARSEST_M:g} m: finer heights")
+        refuse(where, f"pixels of {size_m:.0f} m", f"at most {_COARSEST_M:g} m: finer heights")
     band = np.ma.masked_invalid(raster.read(1, window=((top, bottom), (left, right)), masked=True))
     low_m, high_m = _LIMITS_M
     heights = np.ma.filled(band.astype(np.float64), np.nan)
@@ -248,33 +235,28 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     if is_known.any() and not (
         low_m <= heights[is_known].min() <= heights[is_known].max() <= high_m
     ):
-        got = Unquoted(f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}")
-        raise InputError(where, got, f"metres above the sea, {low_m:g} to {high_m:g}")
+        got = f"heights from {heights[is_known].min():g} to {heights[is_known].max():g}"
+        refuse(where, got, f"metres above the sea, {low_m:g} to {high_m:g}")
     points = np.column_stack([places[is_known], heights[is_known]])
     away_m = np.hypot(*(points[:, :2] - middle_m).T)
     if not (away_m <= _MIDDLE_M).any():
-        got = Unquoted("no heights at the junction")
-        raise InputError(where, got, f"some within {_MIDDLE_M:g} m of it")
+        refuse(where, "no heights at the junction", f"some within {_MIDDLE_M:g} m of it")
     return points
 
 
 def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
-    """Raise InputError for more pixels around the place, or larger blocks, than rasters have."""
     if n_pixels > _MAX_PIXELS:
-        got = Unquoted(f"{n_pixels:,} pixels around the junction")
-        raise InputError(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
+        got = f"{n_pixels:,} pixels around the junction"
+        refuse(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
     rows, columns = raster.block_shapes[0]
     n_bytes = rows * columns * np.dtype(raster.dtypes[0]).itemsize
     if any(flag.name == "per_dataset" for flag in raster.mask_flag_enums[0]):
         n_bytes = max(n_bytes, raster.width * raster.height)
     if n_bytes > _MAX_BLOCK_BYTES:
-        got = Unquoted(f"blocks of {n_bytes:,} bytes")
-        raise InputError(where, got, f"at most {_MAX_BLOCK_BYTES:,}: a tiled GeoTIFF")
+        got = f"blocks of {n_bytes:,} bytes"
+        refuse(where, got, f"at most {_MAX_BLOCK_BYTES:,}: a tiled GeoTIFF")
 
 
 def _span(values: FloatArray, size: int) -> tuple[int, int]:
     """First and last but one of the pixels that values lie in, one more on each side, inside."""
-    return (
-        max(int(np.floor(values.min())) - 1, 0),
-        min(int(np.ceil(values.max())) + 1, size),
-    )
+    return (max(int(np.floor(values.min())) - 1, 0), min(int(np.ceil(values.max())) + 1, size))

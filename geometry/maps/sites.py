@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -13,6 +13,7 @@ from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
+from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
 from ..scene import HANGING_KINDS, Lane, Site, covered_area, flat_union
 from ..terrain import HEADROOM_M, headroom_m
@@ -38,77 +39,76 @@ _MEDIAN_M = 8.0  # between carriageways: a narrower gap is a median, no roadside
 _PARALLEL = np.cos(np.deg2rad(20.0))
 _STEP_M = 0.25
 _LONGER_M = 1.0  # the outline is not square to every lane
-_KINDS = ("driving", "parking")
 _BELOW_ROOF_M = 0.3  # a sensor and its bracket
+AUTO, MAP, KERB = "auto", "map", "kerb:"
+_SPACINGS_M = (2.0, 100.0)
+_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
+# Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
+SETBACK_M = 0.5
+_MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
+_MAX_MOVE_FROM_WALL_M = 2.0  # farther inside, it hangs on the building
+_FROM_WALL_M = 0.3
+_MAST_ARM_M = 12.0  # from what hangs over the road to the foot of its pole
+_ISLAND_M2 = 4.0  # smaller gaps between lanes are no place to stand
 
 
 def kerb_sites(
     lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float
 ) -> tuple[SiteWish, ...]:
-    """Sites along both kerbs of a junction's arms, from its corners outwards.
-
-    A kerb is the outer edge of a driving or parking lane that no other such lane borders on;
-    medians have none. Lanes that begin or end at the outline are arms, and are followed for 60 m.
-    The ids name the lane, the side and the distance: the first site of a kerb, at the outline, is a
-    corner of the junction. Raises InputError if the spacing or the outline is not valid.
-    """
+    """Sites along the outer kerbs of a junction's arms, from its corners 60 m outwards."""
     if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
         raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
     outline = float_array(outline_m, (-1, 2), "outline_m")
     if len(outline) < 3:
         raise InputError("outline_m", len(outline), "at least three points")
-    inside = _area(outline)
-    roads = [lane for lane in lanes if lane.kind in _KINDS]
-    arms = [(lane, line) for lane in roads for line in _outward(lane, roads, outline)]
+    inside, ring = _area(outline), shapely.LinearRing(outline)
+    roads = [lane for lane in lanes if lane.kind in ("driving", "parking")]
+    arms = [(lane, line) for lane in roads for line in _outward(lane, roads, ring)]
     strips = shapely.STRtree([_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms])
     sites: dict[str, SiteWish] = {}
     for lane, line in arms:
         for side, sign in (("left", 1.0), ("right", -1.0)):
-            along_m, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
+            along, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
             shapes = shapely.points(points)
             free = shapely.distance(shapes, inside) > 0.5 * SETBACK_M
-            free &= shapely.distance(shapes, shapely.LinearRing(outline)) <= _REACH_M
+            free &= shapely.distance(shapes, ring) <= _REACH_M
             free[np.unique(strips.query(shapes, predicate="within")[0])] = False
             free[free] = ~_is_median(points[free], outwards[free], arms)
             next_m = -np.inf
             for place in np.flatnonzero(free):
-                if along_m[place] < next_m - 1e-9:
-                    continue
-                next_m = along_m[place] + spacing_m
-                name = f"kerb {lane.id} {side} {along_m[place]:.0f} m"
-                position = np.round(points[place], 3)
-                sites.setdefault(name, SiteWish(id=name, kind="kerb", position_m=position))
+                if along[place] >= next_m - 1e-9:
+                    next_m = along[place] + spacing_m
+                    name = f"kerb {lane.id} {side} {along[place]:.0f} m"
+                    position = np.round(points[place], 3)
+                    sites.setdefault(name, SiteWish(id=name, kind="kerb", position_m=position))
     return tuple(sites.values())
 
 
-def _outward(lane: Lane, lanes: Sequence[Lane], outline: FloatArray) -> list[FloatArray]:
+def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray]:
     """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
-    ring = shapely.LinearRing(outline)
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
-        start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), ring)
-        is_stub = _length_m(line) < 2.0 * _AT_OUTLINE_M  # its far end is at the outline, too
+        start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), outline)
+        is_stub = length_m(line) < 2.0 * _AT_OUTLINE_M  # its far end is at the outline, too
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
         joined, used = [line], {lane.id}
-        while _length_m(np.concatenate(joined)) < _REACH_M + 10.0:
-            end = joined[-1][-1]
+        while length_m(np.concatenate(joined)) < _REACH_M + 10.0:
             following = (
                 (other.id, points)
                 for other in lanes
                 if other.id not in used and other.kind == lane.kind
                 for points in (other.centreline_m, other.centreline_m[::-1])
-                if np.hypot(*(points[0] - end)) <= _JOINED_M
+                if np.hypot(*(points[0] - joined[-1][-1])) <= _JOINED_M
             )
             after, points = next(following, ("", line))
             if not after:
                 break
             used.add(after)
             joined.append(points[1:] if len(points) > 2 else points)
-        whole = np.concatenate(joined)
-        is_new = np.r_[True, np.hypot(*np.diff(whole, axis=0).T) > 1e-6]
-        if is_new.sum() >= 2:
-            lines.append(whole[is_new])
+        whole = apart(np.concatenate(joined), 1e-6)
+        if len(whole) >= 2:
+            lines.append(whole)
     return lines
 
 
@@ -121,21 +121,14 @@ def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
     return longer.buffer(0.5 * lane.width_m + beside_m, cap_style="flat")
 
 
-def _length_m(line: FloatArray) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
-
-
 def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distance along a line, position and outward direction of points next to it, every 0.25 m."""
-    pieces = np.hypot(*np.diff(line, axis=0).T)
-    at = np.r_[0.0, np.cumsum(pieces)]
-    along_m: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
-    points = np.stack([np.interp(along_m, at, line[:, axis]) for axis in (0, 1)], axis=1)
-    piece = np.clip(np.searchsorted(at, along_m, side="right") - 1, 0, len(pieces) - 1)
+    pieces, at = steps_m(line), along_m(line)
+    along: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
+    piece = np.clip(np.searchsorted(at, along, side="right") - 1, 0, len(pieces) - 1)
     ahead = np.diff(line, axis=0)[piece] / pieces[piece, None]
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    points += offset_m * left
-    return along_m, points, np.sign(offset_m) * left
+    return along, points_at(line, along) + offset_m * left, np.sign(offset_m) * left
 
 
 def _is_median(
@@ -159,19 +152,15 @@ def _is_median(
 def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
-    """Drop sites inside a building, and all but one of those within `snap_m` of each other.
-
-    Of close ones the site with more details is kept, then the earlier one. `things` are in the same
-    coordinates. Returns the sites kept, in order, and the others with the reason.
-    """
+    """Drop sites inside buildings, and of those within `snap_m` all but the best known; notes."""
     if not (np.isfinite(snap_m) and snap_m >= 0.0):
         raise InputError("snap_m", snap_m, "metres, at least 0")
-    reasons: dict[int, str] = {}
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
-    for thing in things:
-        if thing.class_name == "building" and len(thing.triangles) and len(positions):
-            for hit in np.flatnonzero(is_under(positions, thing)):
-                reasons.setdefault(int(hit), f"inside {thing.class_name} {thing.id}")
+    buildings = [thing for thing in things if thing.class_name == "building"]
+    reasons = {
+        index: f"inside {thing.class_name} {thing.id}"
+        for index, thing in _things_over(positions, buildings).items()
+    }
     left = [index for index in range(len(sites)) if index not in reasons]
     kept: list[int] = []
     for index in sorted(left, key=lambda index: (-sites[index].n_said, index)):
@@ -181,21 +170,23 @@ def tidy_sites(
             reasons[index] = f"{apart_m.min():.1f} m beside {beside.id}"
         else:
             kept.append(index)
-    notes = [Note(what=f"site {sites[index].id}", why=reasons[index]) for index in sorted(reasons)]
+    notes = [Note(f"site {sites[index].id}", reasons[index]) for index in sorted(reasons)]
     return tuple(sites[index] for index in sorted(kept)), tuple(notes)
 
 
+def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Thing]:
+    """The first thing in whose footprint a point lies, by the index of the point."""
+    found: dict[int, Thing] = {}
+    for thing in things:
+        if len(thing.triangles):
+            for hit in np.flatnonzero(is_under(positions, thing)):
+                found.setdefault(int(hit), thing)
+    return found
+
+
 # ---------- the sites of a scene
-AUTO, MAP, KERB = "auto", "map", "kerb:"
-_SPACINGS_M = (2.0, 100.0)
-_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
-
-
 def check_sites(where: str, *, crs: str) -> None:
-    """Check where sites come from without a junction, see :func:`choose_sites`.
-
-    Raises InputError if `where` cannot be read; `crs` is that of the map with the roads.
-    """
+    """Raise InputError if sites cannot be read, see :func:`choose_sites`; `crs` of the roads."""
     if _is_list(where):
         read_sites(Path(where), crs=crs)
     elif where.startswith(KERB):
@@ -218,59 +209,54 @@ def choose_sites(
 
     `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates of `roads`),
     or "auto": the poles of the map but for low sign posts and what belongs to another junction, and
-    masts along the kerbs where none of them is near the middle, see ``data/sites.toml``. Sites
-    farther than `radius_m` from the middle of the junction are left out. Raises InputError if
-    `where` cannot be read, or no site is left.
+    masts along the kerbs where none of them is near the middle, see ``data/sites.toml``. Raises
+    InputError if `where` cannot be read, or no site is left within `radius_m`.
     """
     notes: list[Note] = []
     if _is_list(where):
-        wishes, far = _listed(Path(where), surroundings, roads, radius_m)
-        notes += far
+        wishes = _listed(Path(where), surroundings, roads, radius_m, notes)
     elif where in (AUTO, MAP):
-        wishes, low = _poles(surroundings)
-        notes += low
+        wishes = _poles(surroundings, notes)
         if where == AUTO:
-            wishes, others = _own_poles(wishes, surroundings)
-            masts, why = _masts(wishes, surroundings, radius_m)
-            wishes, notes = (*wishes, *masts), [*notes, *others, *why]
+            wishes = _own_poles(wishes, surroundings, notes)
+            wishes = [*wishes, *_masts(wishes, surroundings, radius_m, notes)]
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
-    placed, moved = _settled(_with_plain_ids(wishes), surroundings)
-    notes += [skip for skip in moved if not where.startswith(KERB) and where != AUTO]
+    is_asked_for = not where.startswith(KERB) and where != AUTO
+    taken: Counter[str] = Counter()  # ids that a comma-separated list can name
+    ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
+    wishes = [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
+    placed = _settled(wishes, surroundings, notes if is_asked_for else [])
     kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
-    kept, too_low = _below_roofs(kept, surroundings)
-    dropped = (*dropped, *too_low)
-    notes += dropped
-    if not kept:
-        free = f"a site within {radius_m:g} m that stands free ({len(dropped)} do not)"
+    left_out = [*dropped]
+    sites = tuple(_site(wish) for wish in _below_roofs(kept, surroundings, left_out))
+    if not sites:
+        free = f"a site within {radius_m:g} m that stands free ({len(left_out)} do not)"
         raise InputError("sites", where, f"{free}: kerb:15, or a list of your own")
-    return tuple(_site(wish) for wish in kept), tuple(notes)
+    return sites, (*notes, *left_out)
 
 
 def _settled(
-    wishes: Sequence[SiteWish], surroundings: Surroundings
-) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    """Sites next to the road, but for what hangs over it; those inside walls are moved out.
-
-    Sites inside buildings stay: :func:`tidy_sites` leaves them out.
-    """
-    kept, notes = [], []
+    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+) -> list[SiteWish]:
+    """Sites next to the road unless they hang, out of walls; those in buildings stay for later."""
+    kept = []
     places = find_places([wish.position_m for wish in wishes], surroundings)
     for wish, place in zip(wishes, places, strict=True):
         if not place.why or wish.kind in HANGING_KINDS:
             kept.append(wish)
         elif place.position_m is None:
-            notes.append(Note(what=f"site {wish.id}", why=f"it stands {place.why}"))
+            notes.append(Note(f"site {wish.id}", f"it stands {place.why}"))
         else:
             kept.append(replace(wish, position_m=place.position_m))
             why = f"it stood {place.why}"
-            notes.append(Note(what=f"site {wish.id}", why=why, kind="sites", site_ids=(wish.id,)))
-    return tuple(kept), notes
+            notes.append(Note(f"site {wish.id}", why, kind="sites", site_ids=(wish.id,)))
+    return kept
 
 
 def _own_poles(
-    wishes: Sequence[SiteWish], surroundings: Surroundings
-) -> tuple[tuple[SiteWish, ...], list[Note]]:
+    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+) -> list[SiteWish]:
     """Poles that are sites by default: no low sign posts, and none of another junction."""
     rules = load_auto_sites()
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
@@ -287,114 +273,97 @@ def _own_poles(
     for wish, is_far in zip(wishes, is_other.tolist(), strict=True):
         is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < rules.min_sign_m
         (far if is_far else low if is_low else kept).append(wish)
-    notes = [
-        Note(what=_several(group, noun), why=f"{why}: no site unless asked for")
-        for group, noun, why in (
-            (far, "poles", f"within {rules.neighbour_m:g} m of another junction, nearer than here"),
-            (low, "sign posts", f"lower than {rules.min_sign_m:g} m"),
-        )
-        if group
-    ]
-    return tuple(kept), notes
+    for group, noun, why in (
+        (far, "poles", f"within {rules.neighbour_m:g} m of another junction, nearer than here"),
+        (low, "sign posts", f"lower than {rules.min_sign_m:g} m"),
+    ):
+        if group:
+            what = f"{len(group)} {noun}, such as {group[0].id}"
+            what = what if len(group) > 1 else f"{group[0].kind} {group[0].id}"
+            notes.append(Note(what, f"{why}: no site unless asked for"))
+    return kept
 
 
 def _area(outline_m: FloatArray) -> Polygon:
     return shapely.make_valid(shapely.Polygon(outline_m))
 
 
-def _several(wishes: Sequence[SiteWish], noun: str) -> str:
-    if len(wishes) == 1:
-        return f"{wishes[0].kind} {wishes[0].id}"
-    return f"{len(wishes)} {noun}, such as {wishes[0].id}"
-
-
 def _masts(
-    poles: Sequence[SiteWish], surroundings: Surroundings, radius_m: float
-) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    """Masts along the kerbs where no pole is near the junction's middle, and why."""
+    poles: Sequence[SiteWish], surroundings: Surroundings, radius_m: float, notes: list[Note]
+) -> list[SiteWish]:
+    """Masts along the kerbs where no pole is near the junction's middle, which is noted."""
     rules = load_auto_sites()
     nearest_m = min((float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf)
     if nearest_m <= rules.near_m:
-        return (), []
+        return []
     where = f"none within {radius_m:g} m"
     if poles:
         where = f"the nearest one stands {nearest_m:.0f} m from the junction's middle"
     why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added"
-    note = Note(what="poles of the map", why=why)
-    return _kerbs(surroundings, rules.spacing_m, radius_m), [note]
+    notes.append(Note("poles of the map", why))
+    return _kerbs(surroundings, rules.spacing_m, radius_m)
 
 
 def _below_roofs(
-    wishes: Sequence[SiteWish], surroundings: Surroundings
-) -> tuple[tuple[SiteWish, ...], list[Note]]:
+    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+) -> list[SiteWish]:
     """Sites that carry sensors no higher than what is above them lets them."""
-    kept, notes = [], []
+    kept = []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
     for wish, clear_m in zip(wishes, clear_heights_m(positions, surroundings), strict=True):
-        most_m = round(float(clear_m) - _BELOW_ROOF_M, 3)
-        if most_m >= _mounts_m(wish)[1]:
+        most_m, (low_m, high_m) = round(float(clear_m) - _BELOW_ROOF_M, 3), _mounts_m(wish)
+        if most_m >= high_m:
             kept.append(wish)
         elif most_m < MIN_POLE_M:
             why = f"below a roof {clear_m:g} m above the ground: too low for sensors"
-            notes.append(Note(what=f"site {wish.id}", why=why))
+            notes.append(Note(f"site {wish.id}", why))
         else:
-            low_m = min(_mounts_m(wish)[0], most_m)
-            kept.append(replace(wish, min_height_m=low_m, max_height_m=most_m))
-    return tuple(kept), notes
+            kept.append(replace(wish, min_height_m=min(low_m, most_m), max_height_m=most_m))
+    return kept
 
 
-def _poles(surroundings: Surroundings) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    wishes, notes = [], []
+def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
+    wishes = []
     for pole in surroundings.poles:
         if pole.height_m is not None and pole.height_m < MIN_POLE_M:
             why = f"{pole.height_m:g} m high: too low for sensors"
-            notes.append(Note(what=f"{pole.kind} {pole.id}", why=why))
+            notes.append(Note(f"{pole.kind} {pole.id}", why))
             continue
         low_m, high_m = mount_range_m(pole)
-        wishes.append(
-            SiteWish(
-                id=pole.id,
-                kind=pole.kind,
-                position_m=pole.position_m[:2],
-                min_height_m=low_m,
-                max_height_m=high_m,
-            )
-        )
-    return tuple(wishes), notes
+        place = SiteWish(id=pole.id, kind=pole.kind, position_m=pole.position_m[:2])
+        wishes.append(replace(place, min_height_m=low_m, max_height_m=high_m))
+    return wishes
 
 
-def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> tuple[SiteWish, ...]:
-    wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
-    near = [wish for wish in wishes if np.hypot(*wish.position_m) <= radius_m]
+def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> list[SiteWish]:
+    """Sites along the kerbs, named by where they lie: kerb-ne-1 is the nearest one there."""
     count: Counter[str] = Counter()
     named = []
-    # By where they lie, seen from the junction: kerb-ne-1 is the nearest there.
-    for wish in sorted(near, key=lambda wish: float(np.hypot(*wish.position_m))):
+    wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
+    for wish in sorted(wishes, key=lambda wish: float(np.hypot(*wish.position_m))):
         east, north = wish.position_m
-        octant = _OCTANTS[round(np.degrees(np.arctan2(north, east)) / 45.0) % 8]
-        count[octant] += 1
-        named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
-    return tuple(named)
+        if np.hypot(east, north) <= radius_m:
+            octant = _OCTANTS[round(np.degrees(np.arctan2(north, east)) / 45.0) % 8]
+            count[octant] += 1
+            named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
+    return named
 
 
 def _listed(
-    path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float
-) -> tuple[tuple[SiteWish, ...], list[Note]]:
-    wishes, notes, n_far = [], [], 0
-    for wish in read_sites(path, crs=roads.crs):
-        position = surroundings.frame.take(wish.position_m, roads)
-        if np.hypot(*position) > radius_m:
-            n_far += 1
-            continue
-        wishes.append(replace(wish, position_m=position))
-    if n_far:
+    path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float, notes: list[Note]
+) -> list[SiteWish]:
+    every = [
+        replace(wish, position_m=surroundings.frame.take(wish.position_m, roads))
+        for wish in read_sites(path, crs=roads.crs)
+    ]
+    wishes = [wish for wish in every if np.hypot(*wish.position_m) <= radius_m]
+    if n_far := len(every) - len(wishes):
         why = f"farther than {radius_m:g} m from the junction"
-        notes.append(Note(what=f"{n_far} sites in {path.name}", why=why))
-    dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
-    if dark:
+        notes.append(Note(f"{n_far} sites in {path.name}", why))
+    if dark := sum(wish.has_power is False or wish.has_fibre is False for wish in wishes):
         why = "only what cost_eur states is counted"
-        notes.append(Note(what=f"power or fibre that {dark} sites lack", why=why))
-    return tuple(wishes), notes
+        notes.append(Note(f"power or fibre that {dark} sites lack", why))
+    return wishes
 
 
 def _spacing_m(where: str) -> float:
@@ -406,13 +375,6 @@ def _spacing_m(where: str) -> float:
     if not low <= spacing_m <= high:
         raise InputError("sites", where, f"kerb:SPACING in metres, {low:g} to {high:g}")
     return spacing_m
-
-
-def _with_plain_ids(wishes: Sequence[SiteWish]) -> list[SiteWish]:
-    """Sites with unique ids that a comma-separated list can name."""
-    taken: Counter[str] = Counter()
-    ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
-    return [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
 
 
 def _kind_of(wish: SiteWish) -> PoleKind:
@@ -444,19 +406,7 @@ def _site(wish: SiteWish) -> Site:
 
 
 # ---------- where poles and sites can stand
-SETBACK_M = (
-    0.5  # of a pole's middle from the kerb; assumption: the usual clearance of a carriageway
-)
-_MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
-_MAX_MOVE_FROM_WALL_M = 2.0  # farther inside, it hangs on the building
-_FROM_WALL_M = 0.3
-_MAST_ARM_M = 12.0  # from what hangs over the road to the foot of its pole
-_ISLAND_M2 = 4.0  # smaller gaps between lanes are no place to stand
-_HANGING = ("traffic light", "sign")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Place:
+class Place(NamedTuple):
     """Where something can stand: its place (2,) or None, and why it is not where it was."""
 
     position_m: FloatArray | None
@@ -464,12 +414,7 @@ class Place:
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
-    """Nearest places next to the road and outside walls for things at (n, 2), in metres.
-
-    What stands on a lane or in the junction is moved to the nearest kerb, half a metre behind it;
-    what stands inside a building or wall is moved out of it. None: that would be farther than 15 m,
-    or from inside a wall 2 m.
-    """
+    """Nearest places off the road and out of walls for things at (n, 2), 15 m or 2 m away."""
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 2)
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
@@ -479,18 +424,16 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         for thing in standing_things(surroundings)
         if thing.class_name in ("building", "wall") and len(thing.triangles)
     ]
-    walls: dict[int, Thing] = {}
-    for thing in solid:
-        for hit in np.flatnonzero(is_under(positions, thing)):
-            walls.setdefault(int(hit), thing)
+    walls = _things_over(positions, solid)
     boxes = [_box(thing) for thing in solid]
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
     places = []
     for index, position in enumerate(positions):
-        if not is_on_road[index] and index not in walls:
-            places.append(Place(position_m=position))
+        wall = walls.get(index)
+        if not is_on_road[index] and wall is None:
+            places.append(Place(position))
             continue
-        most_m = _MAX_MOVE_FROM_WALL_M if index in walls else _MAX_MOVE_M
+        most_m = _MAX_MOVE_M if wall is None else _MAX_MOVE_FROM_WALL_M
         near = [
             footprint(thing).buffer(_FROM_WALL_M, join_style="mitre")
             for thing, box in zip(solid, boxes, strict=True)
@@ -499,35 +442,28 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
         edge = here.boundary.difference(around.boundary.buffer(0.01))
-        if index in walls:
-            wall = walls[index]
-            why = f"inside {wall.class_name} {wall.id}"
-        else:
-            why = "on a lane or in the junction"
-        places.append(_moved(position, edge, why, most_m))
+        why, target = "on a lane or in the junction", "to the nearest kerb"
+        if wall is not None:
+            why, target = f"inside {wall.class_name} {wall.id}", "out of it"
+        point = shapely.Point(position)
+        if edge.is_empty or edge.distance(point) > most_m:
+            places.append(Place(None, f"{why}, farther than {most_m:g} m from where it could"))
+            continue
+        nearest = np.asarray(shapely.shortest_line(point, edge).coords)[1]
+        away_m = float(np.hypot(*(nearest - position)))
+        places.append(Place(np.round(nearest, 3), f"{why}: moved {away_m:.1f} m {target}"))
     return places
-
-
-def _moved(position: FloatArray, edge: Any, why: str, most_m: float) -> Place:
-    point = shapely.Point(position)
-    if edge.is_empty or edge.distance(point) > most_m:
-        return Place(position_m=None, why=f"{why}, farther than {most_m:g} m from where it could")
-    nearest = np.asarray(shapely.shortest_line(point, edge).coords)[1]
-    away_m = float(np.hypot(*(nearest - position)))
-    target = "to the nearest kerb" if why.startswith("on ") else "out of it"
-    return Place(position_m=np.round(nearest, 3), why=f"{why}: moved {away_m:.1f} m {target}")
 
 
 def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
-    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     return shapely.union_all(
         [
-            shapely.Polygon(
-                part.exterior,
-                [ring for ring in part.interiors if shapely.Polygon(ring).area > _ISLAND_M2],
+            Polygon(
+                part.exterior, [hole for hole in part.interiors if Polygon(hole).area > _ISLAND_M2]
             )
-            for part in parts
+            for part in shapely.get_parts(area)
+            if part.geom_type == "Polygon"
         ]
     )
 
@@ -541,11 +477,10 @@ def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> Floa
     """Height above the ground at which buildings begin over points (n, 2); infinite: none, (n,)."""
     clear: FloatArray = np.full(len(positions_m), np.inf)
     for thing in surroundings.things:
-        if thing.class_name == "building" and len(thing.triangles):
-            above_m = _headroom_m(thing, surroundings)
-            if above_m >= HEADROOM_M:
-                under = is_under(positions_m, thing)
-                clear[under] = np.minimum(clear[under], above_m)
+        above_m = _headroom_m(thing, surroundings)
+        if thing.class_name == "building" and len(thing.triangles) and above_m >= HEADROOM_M:
+            under = is_under(positions_m, thing)
+            clear[under] = np.minimum(clear[under], above_m)
     return clear
 
 
@@ -572,47 +507,29 @@ def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
 
 
 def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:
-    """Put the poles of a map, which may lie where their signals hang, where poles can stand.
-
-    A signal or sign over the road is left to the pole that the map has within 12 m; other poles on
-    the road or inside walls are moved to the nearest place, see :func:`find_places`, or left out if
-    there is none. Also returns notes on each that was moved or left out.
-    """
+    """Put poles where they can stand; signals over the road are left to a mast within 12 m."""
     if not surroundings.poles:
         return surroundings, ()
-    places = find_places(
-        np.array([pole.position_m[:2] for pole in surroundings.poles]), surroundings
-    )
-    masts = [
-        pole
-        for pole, place in zip(surroundings.poles, places, strict=True)
-        if pole.kind == "pole" and not place.why
-    ]
+    feet = np.array([pole.position_m[:2] for pole in surroundings.poles])
+    placed = [*zip(surroundings.poles, find_places(feet, surroundings), strict=True)]
+    masts = [pole for pole, place in placed if pole.kind == "pole" and not place.why]
     kept: list[Pole] = []
     notes: list[Note] = []
-    for pole, place in zip(surroundings.poles, places, strict=True):
+    for pole, place in placed:
         what = f"{pole.kind} {pole.id}"
-        mast = _mast_of(pole, masts) if place.why and pole.kind in _HANGING else None
-        if mast is not None:
-            why = f"it hangs over the road: its pole is {mast.id}"
-            notes.append(Note(what=what, why=why))
+        away_m = {
+            mast.id: float(np.hypot(*(mast.position_m - pole.position_m)[:2])) for mast in masts
+        }
+        mast = min(away_m, key=away_m.__getitem__, default="")
+        hangs = bool(place.why) and pole.kind in ("traffic light", "sign")
+        if hangs and mast and away_m[mast] <= _MAST_ARM_M:
+            notes.append(Note(what, f"it hangs over the road: its pole is {mast}"))
             continue
         if place.position_m is None:
-            notes.append(Note(what=what, why=f"no site: it stands {place.why}"))
+            notes.append(Note(what, f"no site: it stands {place.why}"))
             continue
         if place.why:
-            why = f"it stood {place.why}"
-            notes.append(Note(what=what, why=why, kind="sites", site_ids=(pole.id,)))
+            notes.append(Note(what, f"it stood {place.why}", kind="sites", site_ids=(pole.id,)))
             pole = replace(pole, position_m=np.append(place.position_m, pole.position_m[2]))
         kept.append(pole)
     return replace(surroundings, poles=tuple(kept)), tuple(notes)
-
-
-def _mast_of(pole: Pole, masts: Sequence[Pole]) -> Pole | None:
-    """The nearest mast from which a signal can hang."""
-
-    def away_m(mast: Pole) -> float:
-        return float(np.hypot(*(mast.position_m - pole.position_m)[:2]))
-
-    nearest = min(masts, key=away_m, default=None)
-    return nearest if nearest is not None and away_m(nearest) <= _MAST_ARM_M else None

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import Literal
+from typing import Any, Literal
 
 import mapbox_earcut
 import msgspec
@@ -16,33 +16,35 @@ from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, float_array, freeze, set_arrays
-from ..errors import InputError, Unquoted, check_one_of
+from ..errors import InputError, check_one_of, refuse
 from ..files import load_toml, pick
 from ..notes import Note
-from ..scene import LeadingRoad, Turn
+from ..scene import LeadingRoad, Mesh, Turn, join
 
 Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
-Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
-
 _SAME_M = 1e-3  # corners closer than this are one
 _MIN_AREA_M2 = 1e-6  # of a polygon in space
 _MIN_FOOTPRINT_M2 = 0.01
 _NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
+LANE_KINDS = ("driving", "parking", "cycling", "walking")
+POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
+Heights = Literal["above ground", "absolute"]
+MAX_TRIANGLES = 5_000_000  # of the things of a file
+_MAX_ID = 120  # characters
+_MAX_SKIPPED = 100  # entries
+_MAX_NAME = 200  # characters of a name that are looked at
+_SECTIONS = 10  # of a pole's cylinder
+MIN_POLE_M = 2.5
+"""A lower pole is a bollard: sensors on it could be reached from the pavement."""
 
 
 def triangulate(rings_m: Polygon3D) -> Mesh:
     """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
 
-    The polygon is projected onto the plane across Newell's normal, cut by ear clipping there, and
-    keeps its own corners, so that a polygon that is not quite flat still meets its neighbours. The
-    outer ring runs counter-clockwise seen from the polygon's front; holes run in either direction.
-    Returns vertices and triangles that face as the polygon does, none if it has no area.
-
-    References
-    ----------
-    .. [1] I. E. Sutherland, R. F. Sproull, R. A. Schumacker, "A characterization of ten
-       hidden-surface algorithms", 1974: Newell's normal, the sum of the cross products of
-       neighbouring corners.
+    It is projected across Newell's normal (Sutherland, Sproull, Schumacker, 1974), cut by ear
+    clipping there, and keeps its own corners, so that one that is not quite flat still meets its
+    neighbours. The outer ring runs counter-clockwise seen from the front. Returns none if it has no
+    area.
     """
     rings = [ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3]
     if not rings or len(_without_repeats(rings_m[0])) < 3:
@@ -75,11 +77,7 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
 
 
 def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
-    """One mesh of many polygons with shared corners; a closed mesh faces outwards.
-
-    Vertices closer than about a millimetre along every axis are merged. The mesh is empty if no
-    polygon has an area.
-    """
+    """One mesh of polygons with corners shared to a millimetre; a closed one faces outwards."""
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
@@ -89,11 +87,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
         np.round(corners / _SAME_M).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
     vertices, triangles = corners[taken], merged.reshape(-1)[triangles].astype(np.int32)
-    has_area = (
-        (triangles[:, 0] != triangles[:, 1])
-        & (triangles[:, 1] != triangles[:, 2])
-        & (triangles[:, 2] != triangles[:, 0])
-    )
+    has_area = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     triangles = triangles[has_area]
     if is_closed(triangles) and volume_m3(vertices, triangles) < 0.0:
         triangles = triangles[:, ::-1]
@@ -121,8 +115,7 @@ def _without_repeats(ring: FloatArray) -> FloatArray:
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
-    kept: FloatArray = points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
-    return kept
+    return np.asarray(points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)])
 
 
 def extrude(
@@ -133,11 +126,10 @@ def extrude(
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
 ) -> Mesh:
-    """A closed solid over a footprint: an outline (n, 2) and holes.
+    """A closed solid over a footprint: an outline (n, 2) and holes, in any direction.
 
-    Rings are open or closed, in either direction. Returns vertices (k, 3) and triangles that run
-    counter-clockwise seen from outside. Outlines that cross themselves are mended first. Raises
-    InputError, with `where` in its message, if no area is left or the roof is not above the floor.
+    Outlines that cross themselves are mended first. Raises InputError, with `where` in its message,
+    if no area is left or the roof is not above the floor.
     """
     import trimesh
 
@@ -145,11 +137,11 @@ def extrude(
         raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
     outer = float_array(outer_m, (-1, 2), where)
     if len(np.unique(outer, axis=0)) < 3:
-        raise InputError(where, Unquoted(f"{len(outer)} points"), "at least three different points")
+        refuse(where, f"{len(outer)} points", "at least three different points")
     shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
     parts = polygons_of(shape, above_m2=_MIN_FOOTPRINT_M2)
     if not parts:
-        raise InputError(where, Unquoted("an outline without area"), "a footprint")
+        refuse(where, "an outline without area", "a footprint")
     solids = [
         trimesh.creation.extrude_polygon(part, top_m - bottom_m, engine="earcut") for part in parts
     ]
@@ -174,14 +166,6 @@ def polygons_of(shape: BaseGeometry, *, above_m2: float = 0.0) -> list[Polygon]:
     return [shape] if shape.geom_type == "Polygon" and shape.area > above_m2 else []
 
 
-def join(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one."""
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]
-    vertices: FloatArray = np.concatenate([vertices for vertices, _ in meshes])
-    return vertices, np.concatenate(triangles).astype(np.int32)
-
-
 @cache
 def unit_ball() -> Mesh:
     """A ball of radius 1 from 80 triangles, for the crowns of trees."""
@@ -202,32 +186,18 @@ def unit_cylinder(n_sides: int) -> Mesh:
 
 
 # ---------- content of a map file
-LANE_KINDS = ("driving", "parking", "cycling", "walking")
-POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
-Heights = Literal["above ground", "absolute"]
-MAX_TRIANGLES = 5_000_000  # of the things of a file
-_MAX_ID = 120  # characters
-_MAX_SKIPPED = 100  # entries
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapLane:
     """One lane between two junctions, or from one to where it ends."""
 
     id: str  # from the source; unique in the map
     kind: str  # one of ``LANE_KINDS``
-    # mean full width; where it varies and the lane leads to a junction, that of the 30 m next to it
-    width_m: float
-    # (n, 3); at least two points in driving direction; lanes without one (walking, parking) have
-    # that of the driving lane next to them
-    centreline_m: FloatArray
-    # ids of the junctions at its ends, where it stops at the outline; empty: none
-    from_junction: str = ""
+    width_m: float  # mean full width; of a lane that leads to a junction along the last 30 m
+    centreline_m: FloatArray  # (n, 3); in driving direction, or that of the next driving lane
+    from_junction: str = ""  # ids of the junctions at whose outlines it stops; empty: none
     to_junction: str = ""
-    # where it leads into a junction, or else out of one; None: the source gives none
-    speed_limit_kmh: float | None = None
-    # where cars may drive from its end by its markings, see :class:`geometry.scene.Lane`
-    turns: tuple[Turn, ...] = ()
+    speed_limit_kmh: float | None = None  # where it leads into a junction, or else out of one
+    turns: tuple[Turn, ...] = ()  # by its markings, see :class:`geometry.scene.Lane`
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
@@ -245,11 +215,9 @@ class MapJunction:
 
     id: str  # from the source; unique in the map
     name: str  # for people, such as the streets that meet; may be empty
-    # (n, 2); outline of its road surface, where the lanes of its arms begin and end
-    outline_m: FloatArray
+    outline_m: FloatArray  # (n, 2); of its road surface, where the lanes of its arms begin and end
     height_m: float = 0.0  # height of the road in its middle, as the map counts heights
-    # roads that lead to it, as the map's network has them: what its arms are compared with
-    roads: tuple[LeadingRoad, ...] = ()
+    roads: tuple[LeadingRoad, ...] = ()  # that lead to it, as the map's network has them
 
     def __post_init__(self) -> None:
         where = f"junction {self.id}."
@@ -260,8 +228,7 @@ class MapJunction:
     @property
     def position_m(self) -> FloatArray:
         """Its middle, (2,): that of the box around the outline."""
-        middle: FloatArray = 0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0))
-        return middle
+        return np.asarray(0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -289,12 +256,9 @@ class Thing:
         cls, thing_id: str, class_name: str, mesh: Mesh, *, is_height_assumed: bool = False
     ) -> "Thing":
         """Thing with the vertices and triangles of a mesh."""
+        fields: dict[str, Any] = {"vertices_m": mesh[0], "triangles": mesh[1]}
         return cls(
-            id=thing_id,
-            class_name=class_name,
-            vertices_m=mesh[0],
-            triangles=mesh[1],
-            is_height_assumed=is_height_assumed,
+            id=thing_id, class_name=class_name, is_height_assumed=is_height_assumed, **fields
         )
 
 
@@ -315,38 +279,26 @@ class Pole:
 
 @dataclass(frozen=True, slots=True)
 class Omissions:
-    """Parts of a file that are left out, by kind and reason so that the list stays short.
-
-    ``found`` has the names by kind and reason.
-    """
+    """Names of parts of a file that are left out, by kind and reason: a short list."""
 
     found: dict[tuple[str, str], list[str]] = field(default_factory=dict)
 
     def add(self, kind: str, name: str, why: str) -> None:
-        """Note that a thing was left out, or changed.
-
-        `kind` is in the plural, "signals of other kinds", `name` the thing at hand: "road 5 signal
-        12". Repetitions in a row count once.
-        """
+        """Note a thing, "road 5 signal 12", of a kind in the plural; once if repeated."""
         names = self.found.setdefault((kind, why), [])
         if name not in names[-1:]:
             names.append(name)
 
     def listed(self) -> tuple[Note, ...]:
         """One entry per kind and reason."""
-        entries = [
-            Note(
-                what=names[0]
-                if len(names) == 1
-                else f"{len(names)} {kind}, such as {names[0]} and {names[1]}",
-                why=why,
-            )
-            for (kind, why), names in self.found.items()
-        ]
+        entries = []
+        for (kind, why), names in self.found.items():
+            many = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
+            entries.append(Note(names[0] if len(names) == 1 else many, why))
         if len(entries) > _MAX_SKIPPED:
             n_more = len(entries) - _MAX_SKIPPED + 1
-            entries = entries[: _MAX_SKIPPED - 1]
-            entries.append(Note(what=f"{n_more} more kinds of things", why="see those above"))
+            more = Note(f"{n_more} more kinds of things", "see those above")
+            entries = [*entries[: _MAX_SKIPPED - 1], more]
         return tuple(entries)
 
 
@@ -366,17 +318,15 @@ def unique_id(wanted: str, taken: Counter[str]) -> str:
     return candidate
 
 
-def shortened(skipped: Sequence[Note], most: int = _MAX_SKIPPED) -> tuple[Note, ...]:
+def shortened(skipped: Sequence[Note]) -> tuple[Note, ...]:
     """The first of many entries, and one that counts the rest."""
-    if len(skipped) <= most:
-        return tuple(skipped)
-    n_more = len(skipped) - most
-    return (*skipped[:most], Note(what=f"{n_more} more", why="for reasons like these"))
+    more = Note(f"{len(skipped) - _MAX_SKIPPED} more", "for reasons like these")
+    return (*skipped[:_MAX_SKIPPED], *([more] if len(skipped) > _MAX_SKIPPED else []))
 
 
 def counted(counts: Counter[str], why: str) -> list[Note]:
     """One entry per kind of thing: "3 Bridge"."""
-    return [Note(what=f"{n} {kind}", why=why) for kind, n in sorted(counts.items())]
+    return [Note(f"{n} {kind}", why) for kind, n in sorted(counts.items())]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -384,22 +334,17 @@ class SourceMap:
     """The content of one map file."""
 
     name: str  # name of the file
-    # projected coordinate reference system of all coordinates here, in metres, for pyproj; empty:
-    # the file does not say where on earth it lies
-    crs: str
+    crs: str  # projected one of all coordinates here, in metres, for pyproj; empty: unknown
     source_crs: str = ""  # the one that the file itself uses, such as "EPSG:4326"
     heights: Heights = "above ground"  # zero of the z axis
     lanes: tuple[MapLane, ...] = ()
-    # lanes through junctions, each from the end of a lane to the start of another; both their
-    # junctions are the one through which they lead. None: the map does not have them.
-    connections: tuple[MapLane, ...] = ()
+    connections: tuple[MapLane, ...] = ()  # lanes through junctions, if the map has them
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
     # (n, 2, 2); lines on which pedestrians cross, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    # (n, 3); points of the ground: of roads' surfaces, nodes with a height, a scan's ground. Their
-    # heights are absolute, whatever those of things are.
+    # (n, 3); points of the ground, with absolute heights, whatever those of things are
     ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     keeps_left: bool = False  # traffic keeps left
     skipped: tuple[Note, ...] = ()  # what was left out, and why
@@ -415,10 +360,6 @@ class SourceMap:
 
 
 # ---------- kinds of things and poles
-_MAX_NAME = 200  # characters of a name that are looked at
-_SECTIONS = 10  # of a pole's cylinder
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThingKind:
     """A kind of thing."""
@@ -443,15 +384,12 @@ class ThingDefaults:
 @cache
 def thing_defaults() -> ThingDefaults:
     """Read ``data/things.toml``."""
-    table = load_toml(files(__package__) / "data" / "things.toml")
-    return msgspec.convert(table, ThingDefaults)
+    return msgspec.convert(load_toml(files(__package__) / "data" / "things.toml"), ThingDefaults)
 
 
 def kind_from_name(name: str) -> ThingKind | None:
     """The first kind in ``data/things.toml`` one of whose words is in a name; None: no kind.
 
-    Examples
-    --------
     >>> kind_from_name("StreetLamp.003").class_name
     'lamp post'
     >>> kind_from_name("Wallace") is None
@@ -469,10 +407,6 @@ def kind_of_class(class_name: str) -> ThingKind:
     """The defaults of a class: its last kind in ``data/things.toml``."""
     known = {kind.class_name: kind for kind in thing_defaults().kinds}
     return pick(known, class_name, "class_name")
-
-
-MIN_POLE_M = 2.5
-"""A lower pole is a bollard: sensors on it could be reached from the pavement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,14 +7,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from ...untrusted_files import local_name, read_xml
 from ..source_map import MapJunction, MapLane, Omissions, SourceMap
-from .attributes import Offset, numbered, read_crs, read_offset, take_id, take_number
 from .junctions import build_junctions, find_road_ends, leading_roads, read_junction_records
 from .lanes import (
     MAX_POINTS,
-    RoadEnds,
     SampledSection,
     build_lanes,
     connecting_lanes,
@@ -22,32 +20,38 @@ from .lanes import (
     sample_road,
 )
 from .objects import build_rows, cross_paths, merge_poles, read_objects, read_signals
-from .roads import NO_JUNCTION, Road, RoadLink, read_links, read_road
+from .roads import (
+    NO_JUNCTION,
+    Offset,
+    Road,
+    RoadLink,
+    numbered,
+    read_crs,
+    read_links,
+    read_offset,
+    read_road,
+    take_id,
+    take_number,
+)
 
 __all__ = ["read_opendrive"]
+_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
 
 
 def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Roads outside junctions become lanes in driving direction, connecting roads lanes through their
-    junctions, whose outlines are those of these roads' surface; objects and signals become things,
-    poles, crosswalks and parking lanes. Heights are absolute; across, roads have their
-    superelevation and shape.
-
-    Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a number or
-    has one out of range, or needs too many points.
-
-    References
-    ----------
-    .. [1] ASAM OpenDRIVE 1.8.1, and 1.4 to 1.7 for features that were dropped.
+    Roads outside junctions become lanes, connecting roads lanes through their junctions, whose
+    outlines are those of these roads' surface; objects and signals things, poles, crosswalks and
+    parking lanes. Heights are absolute. Raises InputError if it is damaged, has no roads, or needs
+    too many points.
     """
     where = path.name
     root = read_xml(path, expected="OpenDRIVE")
     for element in root.iter():
         element.tag = local_name(element)
     if root.tag != "OpenDRIVE":
-        raise InputError(where, Unquoted(f"a document <{root.tag[:40]}>"), "<OpenDRIVE>")
+        refuse(where, f"a document <{root.tag[:40]}>", "<OpenDRIVE>")
     omissions = Omissions()
     crs, source_crs = read_crs(root, omissions)
     offset = read_offset(root, where)
@@ -67,7 +71,12 @@ def read_opendrive(path: Path) -> SourceMap:
     leading = leading_roads(roads, ends, sampled)
     junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]
     connections = _connections(roads, junctions, where)
-    junctions = _without_merges(junctions, roads, ends, omissions)
+    for one in junctions:
+        arms = [roads[name] for name, at in ends.items() if one.id in (at.start, at.end)]
+        if arms and all(road.is_motorway for road in arms):  # cars are led on through it
+            why = "motorways merge or part where nobody walks"
+            omissions.add("junctions", f"junction {one.id}", why)
+            junctions = [other for other in junctions if other is not one]
     found = read_objects(roads, omissions)
     lanes += [
         lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)
@@ -77,6 +86,10 @@ def read_opendrive(path: Path) -> SourceMap:
     for element in root.iter("include"):
         name = f"include {element.get('file', '')[:80]}"
         omissions.add("included files", name, "other files are not read")
+    n_left = sum(road.keeps_left for road in roads.values())
+    if 0 < n_left < len(roads):
+        name = f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads"
+        omissions.add("rules", name, "traffic in a map keeps one side: that of most roads")
     return SourceMap(
         name=where,
         crs=crs,
@@ -88,15 +101,12 @@ def read_opendrive(path: Path) -> SourceMap:
         things=tuple(found.things),
         poles=tuple(merge_poles([*found.poles, *poles])),
         crosswalks_m=np.array(crosswalks).reshape(-1, 2, 2),
-        keeps_left=_keeps_left(roads, omissions),
+        keeps_left=2 * n_left > len(roads),
         ground_m=np.concatenate(
             [section.surface_m() for sections in sampled.values() for section in sections]
         ),
         skipped=omissions.listed(),
     )
-
-
-_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
 
 
 def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions) -> dict[str, Road]:
@@ -115,7 +125,7 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
         else:
             roads[road_id] = read_road(element, where, offset)
     if not roads:
-        raise InputError(where, Unquoted("no road"), "a document with roads")
+        refuse(where, "no road", "a document with roads")
     return {
         road_id: replace(
             road, before=_beyond(road.before, joints), after=_beyond(road.after, joints)
@@ -125,7 +135,6 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
 
 
 def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:
-    """Link past roads that have no length."""
     for _ in range(len(joints)):
         if link.kind != "road" or link.id not in joints:
             break
@@ -141,8 +150,8 @@ def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
         sampled[road.id] = sample_road(road)
         n_points += sum(len(section.s_m) * (1 + len(section.lanes)) for section in sampled[road.id])
         if n_points > MAX_POINTS:
-            got = Unquoted(f"more than {MAX_POINTS:,} points up to here")
-            raise InputError(road.where, got, "a smaller file: cut it out first")
+            got = f"more than {MAX_POINTS:,} points up to here"
+            refuse(road.where, got, "a smaller file: cut it out first")
     return sampled
 
 
@@ -152,38 +161,10 @@ def _connections(
     there = {junction.id for junction in junctions}
     found: list[MapLane] = []
     n_points = 0
-    for road in roads.values():
-        if road.junction in there:
-            here = connecting_lanes(road)
-            n_points += sum(len(lane.centreline_m) for lane in here)
-            if n_points > MAX_POINTS:
-                got = Unquoted(f"more than {n_points:,} points of lanes through junctions")
-                raise InputError(where, got, f"at most {MAX_POINTS:,}")
-            found += here
+    for road in (road for road in roads.values() if road.junction in there):
+        found += (here := connecting_lanes(road))
+        n_points += sum(len(lane.centreline_m) for lane in here)
+        if n_points > MAX_POINTS:
+            got = f"more than {n_points:,} points of lanes through junctions"
+            refuse(where, got, f"at most {MAX_POINTS:,}")
     return tuple(found)
-
-
-def _without_merges(
-    junctions: Sequence[MapJunction],
-    roads: Mapping[str, Road],
-    ends: Mapping[str, RoadEnds],
-    omissions: Omissions,
-) -> list[MapJunction]:
-    """Junctions but for those of motorways, where nobody walks; cars are led on through these."""
-    kept = []
-    for junction in junctions:
-        arms = [roads[name] for name, at in ends.items() if junction.id in (at.start, at.end)]
-        if not arms or not all(road.is_motorway for road in arms):
-            kept.append(junction)
-            continue
-        why = "motorways merge or part where nobody walks"
-        omissions.add("junctions", f"junction {junction.id}", why)
-    return kept
-
-
-def _keeps_left(roads: Mapping[str, Road], omissions: Omissions) -> bool:
-    n_left = sum(road.keeps_left for road in roads.values())
-    if 0 < n_left < len(roads):
-        name = f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads"
-        omissions.add("rules", name, "traffic in a map keeps one side: that of most roads")
-    return 2 * n_left > len(roads)

@@ -10,18 +10,32 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
+from ...lines import along_m, unit
 from ...scene import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
-from .attributes import numbered, take_id
 from .lanes import RoadEnds, SampledSection, lane_kind
-from .roads import NO_JUNCTION, Road, RoadLink
+from .roads import NO_JUNCTION, Road, RoadLink, numbered, take_id
 
 _WITHOUT_SURFACE = {
     "direct": "its roads join without connecting roads: it has no surface of its own",
     "virtual": "it lies on a continuous road: no lane ends at it",
     "crossing": "its roads cross without a connection",
 }
+_AHEAD_M = 10.0  # over which the direction of a road is taken
+_MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
+_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
+_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
+_MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
+_MOUTH_M = 15.0  # of a lane, which is no part of the junction
+_WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline
+_CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
+_SIMPLIFY_M = 0.02
+_GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
+_MIN_WIDTH_M = 0.05
+_PIECE_POINTS = 40
+_MAX_POINTS = 200_000  # of the surface of one junction
+_MIN_AREA_M2 = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,11 +76,7 @@ def read_junction_records(
 def find_road_ends(
     roads: Mapping[str, Road], junctions: Mapping[str, JunctionRecord], omissions: Omissions
 ) -> dict[str, RoadEnds]:
-    """Junctions at both ends of the roads outside junctions, by id of the road.
-
-    They come from the roads' own links, or else from the connecting roads that lead to them. Links
-    to missing roads and junctions are noted in `omissions`.
-    """
+    """Junctions at both ends of roads, by their links or else by those of connecting roads."""
     led_to: dict[tuple[str, str], str] = {}
     for road in roads.values():
         if road.junction in junctions:
@@ -95,71 +105,49 @@ def find_road_ends(
     }
 
 
-_AHEAD_M = 10.0  # over which the direction of a road is taken
-
-
 def leading_roads(
     roads: Mapping[str, Road],
     ends: Mapping[str, RoadEnds],
     sampled: Mapping[str, Sequence[SampledSection]],
 ) -> dict[str, tuple[LeadingRoad, ...]]:
     """Roads that lead to each junction, by its id, with the driving lanes recorded there."""
-    found: dict[str, list[LeadingRoad]] = {}
+    found: dict[str, tuple[LeadingRoad, ...]] = defaultdict(tuple)
     for road_id, at in ends.items():
-        road, sections = roads[road_id], sampled[road_id]
         for junction, is_start in ((at.start, True), (at.end, False)):
-            if not junction:
-                continue
-            index = 0 if is_start else -1
-            section = sections[index]
-            lanes = [
-                lane
-                for lane in section.lanes.values()
-                if lane_kind(lane.record.type) == "driving"
-                and float(lane.width_m[index]) >= _MIN_LANE_M
-            ]
-            n_following = sum(
-                ((lane.record.number < 0) != road.keeps_left) != lane.record.is_reversed
-                for lane in lanes
-            )
-            edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
-            if not edges_m:
-                continue
-            middle_m = 0.5 * (min(edges_m) + max(edges_m))
-            tip = section.points_m[index, :2] + middle_m * section.left[index]
-            ahead_m = min(_AHEAD_M, road.length_m)
-            ends_m = (ahead_m, 0.0) if is_start else (road.length_m - ahead_m, road.length_m)
-            away = road.line.at(np.array(ends_m))[0]
-            step = away[0] - away[1]
-            n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
-            found.setdefault(junction, []).append(
-                LeadingRoad(
-                    name=road.name or f"road {road_id}",
-                    point_m=tip,
-                    direction=step / max(float(np.hypot(*step)), 1e-9),
-                    lanes_in=n_lanes[is_start],
-                    lanes_out=n_lanes[not is_start],
-                )
-            )
-    return {junction: tuple(here) for junction, here in found.items()}
+            section = sampled[road_id][0 if is_start else -1]
+            if junction and (lead := _leading_road(roads[road_id], section, is_start)):
+                found[junction] += (lead,)
+    return found
+
+
+def _leading_road(road: Road, section: SampledSection, is_start: bool) -> LeadingRoad | None:
+    index = 0 if is_start else -1
+    lanes = [
+        lane
+        for lane in section.lanes.values()
+        if lane_kind(lane.record.type) == "driving" and float(lane.width_m[index]) >= _MIN_LANE_M
+    ]
+    if not lanes:
+        return None
+    n_following = sum(
+        ((lane.record.number < 0) != road.keeps_left) != lane.record.is_reversed for lane in lanes
+    )
+    edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
+    middle_m = 0.5 * (min(edges_m) + max(edges_m))
+    ahead_m = min(_AHEAD_M, road.length_m)
+    ends_m = (ahead_m, 0.0) if is_start else (road.length_m - ahead_m, road.length_m)
+    away = road.line.at(np.array(ends_m))[0]
+    n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
+    return LeadingRoad(
+        name=road.name or f"road {road.id}",
+        point_m=section.points_m[index, :2] + middle_m * section.left[index],
+        direction=unit(away[0] - away[1]),
+        lanes_in=n_lanes[is_start],
+        lanes_out=n_lanes[not is_start],
+    )
 
 
 # ---------- outlines
-_MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
-_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
-_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
-_MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
-_MOUTH_M = 15.0  # of a lane, which is no part of the junction
-_WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline
-_CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
-_SIMPLIFY_M = 0.02
-_GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
-_MIN_WIDTH_M = 0.05
-_PIECE_POINTS = 40
-_MAX_POINTS = 200_000  # of the surface of one junction
-_MIN_AREA_M2 = 1.0
-
-
 def build_junctions(
     records: Mapping[str, JunctionRecord],
     roads: Mapping[str, Road],
@@ -168,17 +156,16 @@ def build_junctions(
     omissions: Omissions,
     where: str,
 ) -> tuple[list[MapJunction], list[MapLane]]:
-    """Junctions with their outlines, and lanes without links to missing junctions.
-
-    An outline is that of the union of the driving lanes of the connecting roads, without holes; the
-    ends of driving and parking lanes that lead there lie on it. Junctions without surface, and
-    lanes that end far from theirs, are noted. Raises InputError if a junction needs too many
-    points.
-    """
+    """Junctions with the outlines of their roads' surface, and lanes with links to these alone."""
     members: dict[str, list[str]] = {}
     for road in roads.values():
         members.setdefault(road.junction, []).append(road.id)
-    tips = _tips_by_junction(lanes)
+    # Lanes of arms that end or begin at each junction, as lines that lead away from it.
+    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
+    for lane in (lane for lane in lanes if lane.kind in _ARM_KINDS):
+        line = lane.centreline_m[:, :2]
+        tips[lane.from_junction].append((lane, line))
+        tips[lane.to_junction].append((lane, line[::-1]))
     junctions = []
     apart: set[tuple[str, str]] = set()
     for record in records.values():
@@ -187,23 +174,23 @@ def build_junctions(
         pieces = [section for road in members.get(record.id, []) for section in sampled[road]]
         n_points = sum(len(section.s_m) * len(section.lanes) for section in pieces)
         if n_points > _MAX_POINTS:
-            got = Unquoted(f"roads of {n_points:,} points")
-            raise InputError(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
+            got = f"roads of {n_points:,} points"
+            refuse(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
+        own_tips = tips.get(record.id, [])
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
             surface = _surface(pieces)
-        if surface is None:
+            fitted, far = (None, []) if surface is None else fit_outline(surface, own_tips)
+        if fitted is None:
             why = "it has no connecting road with a driving lane"
             omissions.add("junctions without surface", f"junction {record.id}", why)
-            apart |= {(record.id, lane.id) for lane, _ in tips.get(record.id, [])}
+            apart |= {(record.id, lane.id) for lane, _ in own_tips}
             continue
-        with np.errstate(divide="ignore", invalid="ignore"):
-            surface, far = fit_outline(surface, tips.get(record.id, []))
         for lane in far:
             why = f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there"
             name = f"lane {lane.id} at junction {record.id}"
             omissions.add("lanes that end far from their junction", name, why)
         apart |= {(record.id, lane.id) for lane in far}
-        outline = np.asarray(surface.simplify(_SIMPLIFY_M).exterior.coords)[:-1]
+        outline = np.asarray(fitted.simplify(_SIMPLIFY_M).exterior.coords)[:-1]
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         points = np.concatenate([section.points_m for section in pieces])
         nearest = np.hypot(*(points[:, :2] - middle).T).argmin()
@@ -217,26 +204,18 @@ def build_junctions(
             )
         )
     there = {junction.id for junction in junctions}
-    known = [
-        [name if name in there and (name, lane.id) not in apart else "" for name in names]
-        for lane in lanes
-        for names in [(lane.from_junction, lane.to_junction)]
-    ]
+
+    def known(lane: MapLane, name: str) -> str:
+        return name if name in there and (name, lane.id) not in apart else ""
+
     return junctions, [
-        replace(lane, from_junction=before, to_junction=after)
-        for lane, (before, after) in zip(lanes, known, strict=True)
+        replace(
+            lane,
+            from_junction=known(lane, lane.from_junction),
+            to_junction=known(lane, lane.to_junction),
+        )
+        for lane in lanes
     ]
-
-
-def _tips_by_junction(lanes: Sequence[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:
-    """Lanes of arms that end or begin at each junction, as lines that lead away from it."""
-    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
-    for lane in lanes:
-        if lane.kind in _ARM_KINDS:
-            line = lane.centreline_m[:, :2]
-            tips[lane.from_junction].append((lane, line))
-            tips[lane.to_junction].append((lane, line[::-1]))
-    return tips
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:
@@ -261,7 +240,6 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
 
 
 def largest_polygon(shape: Any) -> Any:
-    """Largest polygon of a shape with its holes filled, or None if it is tiny."""
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)
@@ -271,16 +249,13 @@ def largest_polygon(shape: Any) -> Any:
 def fit_outline(
     surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]
 ) -> tuple[Any, list[MapLane]]:
-    """Move an outline to the ends of the lanes that lead to it.
-
-    The mouths of lanes that end inside are cut off, and narrow ways lead to those that end outside.
-    Returns also the lanes whose ends are too far outside.
-    """
+    """Move an outline to the ends of the lanes that lead to it; and the lanes too far outside."""
     inside = []
     for lane, line in tips:
         tip = shapely.Point(line[0])
         if surface.exterior.distance(tip) > _AT_OUTLINE_M and surface.contains(tip):
-            mouth = shapely.LineString(_first_metres(line, _MOUTH_M))
+            n_points = max(int(np.searchsorted(along_m(line), _MOUTH_M, side="right")), 2)
+            mouth = shapely.LineString(line[:n_points])
             inside.append(mouth.buffer(0.5 * lane.width_m, cap_style="flat"))
     if inside:
         mouths = shapely.union_all(inside, grid_size=_GRID_M)
@@ -299,10 +274,3 @@ def fit_outline(
     if ways:
         surface = largest_polygon(shapely.union_all([surface, *ways], grid_size=_GRID_M))
     return surface, far
-
-
-def _first_metres(line: FloatArray, length_m: float) -> FloatArray:
-    steps = np.hypot(*np.diff(line, axis=0).T)
-    reached = np.append(0.0, np.cumsum(steps))
-    n_points = max(int(np.searchsorted(reached, length_m, side="right")), 2)
-    return line[:n_points]

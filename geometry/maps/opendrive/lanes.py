@@ -1,5 +1,6 @@
 """Lanes of roads: sampled as points, joined along lane sections and with short stubs."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -8,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
+from ...lines import along_m, length_m, steps_m, true_runs
 from ..source_map import MapLane
-from .attributes import lane_kinds
 from .roads import (
     MAX_COORDINATE_M,
     CrossSections,
@@ -19,6 +20,7 @@ from .roads import (
     PiecewiseCubic,
     Road,
     evaluate,
+    lane_kinds,
 )
 
 MAX_POINTS = 5_000_000  # of a file
@@ -29,6 +31,13 @@ _MAX_PIECE_POINTS = 100_000  # the longest road that is straight takes 20 000
 _MAX_EDGE_M = 10_000.0
 _MAX_HEIGHT_M = 10_000.0
 _MAX_TURN_RAD = 200.0  # of one piece: some thirty rounds
+_MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
+_SAME_POINT_M = 0.005
+_MIN_LENGTH_M = 0.01
+_STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its width there counts
+_STUB_M = 5.0
+_SAME_POINT_M_STUBS = 0.5
+_MAX_IN_A_ROW = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,11 +83,7 @@ class SampledSection:
 
 
 def sample_road(road: Road, *, chord_error_m: float = _CHORD_ERROR_M) -> tuple[SampledSection, ...]:
-    """Sample all lane sections of a road.
-
-    Stations are at most 5 m apart along any lane, and chords by default at most 3 cm from the
-    curve. Raises InputError if that needs too many points.
-    """
+    """Sample the lane sections of a road, every 5 m along any lane and 3 cm off it at most."""
     bends = road.line.bends()
     return tuple(_sample_section(road, section, bends, chord_error_m) for section in road.sections)
 
@@ -114,11 +119,11 @@ def _sample_section(
 
     s_m = starts[interval] + ds
     points, heading = road.line.at(s_m, inside[interval])
-    t_m = {number: evaluate(cubic[interval], ds) for number, cubic in edges.items()}
+    t_m = {number: evaluate(ds, cubic[interval]) for number, cubic in edges.items()}
     if np.abs(points).max() > MAX_COORDINATE_M:
         got = float(np.abs(points).max())
         raise InputError(f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m")
-    height = evaluate(elevation[interval], ds) + road.base_m
+    height = evaluate(ds, elevation[interval]) + road.base_m
     if np.abs(height).max() > _MAX_HEIGHT_M:
         expected = f"heights of at most {_MAX_HEIGHT_M:g} m"
         raise InputError(f"{road.where} elevationProfile", float(np.abs(height).max()), expected)
@@ -126,7 +131,7 @@ def _sample_section(
         s_m=s_m,
         points_m=np.column_stack([points, height]),
         left=np.stack([-np.sin(heading), np.cos(heading)], axis=1),
-        rise=np.sin(evaluate(road.bank.rebased(starts, inside)[interval], ds)),
+        rise=np.sin(evaluate(ds, road.bank.rebased(starts, inside)[interval])),
         shape=road.shape,
         lanes={
             lane.number: SampledLane(
@@ -139,8 +144,7 @@ def _sample_section(
 
 def _check_count(road: Road, n_points: float) -> None:
     if n_points > MAX_POINTS:
-        got = Unquoted(f"{n_points:,.0f} points to draw it")
-        raise InputError(road.where, got, f"at most {MAX_POINTS:,}")
+        refuse(road.where, f"{n_points:,.0f} points to draw it", f"at most {MAX_POINTS:,}")
 
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
@@ -161,7 +165,7 @@ def _border(
     """Outer edge from <border>: a t coordinate, or as some write it a distance on either side."""
     border = lane.border.rebased(starts, inside)
     ds = inside - starts
-    is_beyond = sign * (evaluate(border, ds) - evaluate(center, ds)) < 0.0
+    is_beyond = sign * (evaluate(ds, border) - evaluate(ds, center)) < 0.0
     return np.where(is_beyond[:, None], -border, border)
 
 
@@ -187,22 +191,15 @@ def _count_steps(
         t = np.maximum(t, np.abs(a + ds * (b + ds * (c + ds * d))).max(axis=0))
         slope = np.maximum(slope, np.abs(b + ds * (2.0 * c + 3.0 * ds * d)).max(axis=0))
     second = np.maximum(np.abs(2.0 * c), np.abs(2.0 * c + 6.0 * d * lengths)).max(axis=0)
-    rise = np.maximum(
-        np.abs(2.0 * elevation[:, 2]),
-        np.abs(2.0 * elevation[:, 2] + 6.0 * elevation[:, 3] * lengths),
-    )
+    bent, steeper = 2.0 * elevation[:, 2], 6.0 * elevation[:, 3] * lengths
+    rise = np.maximum(np.abs(bent), np.abs(bent + steeper))
     turn = curvature * stride * lengths
     if turn.max() > _MAX_TURN_RAD:
-        where = road.line.wheres[piece[int(turn.argmax())]]
-        raise InputError(
-            where,
-            Unquoted(f"a curve that turns by {turn.max():.3g} rad"),
-            f"at most {_MAX_TURN_RAD:g} rad",
-        )
+        where, got = road.line.wheres[piece[int(turn.argmax())]], f"{turn.max():.3g} rad"
+        refuse(where, f"a curve that turns by {got}", f"at most {_MAX_TURN_RAD:g} rad")
     if t.max() > _MAX_EDGE_M:
-        raise InputError(
-            f"{road.where}: edge of a lane", float(t.max()), f"at most {_MAX_EDGE_M:g} m off"
-        )
+        where, most = f"{road.where}: edge of a lane", f"at most {_MAX_EDGE_M:g} m off"
+        raise InputError(where, float(t.max()), most)
     widening = 1.0 + curvature * t
     bend = stride * (stride * curvature * widening + 2.0 * curvature * slope + change * t)
     by_chord = lengths * np.sqrt((bend + second + rise) / (8.0 * chord_error_m))
@@ -210,22 +207,12 @@ def _count_steps(
     n_steps = np.ceil(np.maximum(np.maximum(by_chord, by_step), 1.0) - 1.0e-9)
     if n_steps.max() > _MAX_PIECE_POINTS:
         where = road.line.wheres[piece[int(n_steps.argmax())]]
-        raise InputError(
-            where,
-            Unquoted(f"bends that take {n_steps.max():.3g} points to follow"),
-            f"a curve, or widths along it, that at most {_MAX_PIECE_POINTS:,} follow",
-        )
-    counts: NDArray[np.int64] = n_steps.astype(np.int64)
-    return counts
+        expected = f"a curve, or widths along it, that at most {_MAX_PIECE_POINTS:,} follow"
+        refuse(where, f"bends that take {n_steps.max():.3g} points to follow", expected)
+    return np.asarray(n_steps, dtype=np.int64)
 
 
 # ---------- lanes
-_MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
-_SAME_POINT_M = 0.005
-_MIN_LENGTH_M = 0.01
-_STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its width there counts
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadEnds:
     """Junctions at the ends of a road; empty: none."""
@@ -242,7 +229,7 @@ def lane_kind(lane_type: str) -> str | None:
 def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) -> list[MapLane]:
     """Lanes of a road outside junctions, each joined along the sections as its links say."""
     lanes = []
-    used: dict[str, int] = {}
+    used: Counter[str] = Counter()
     for chain in _chains(sections):
         first = next(iter(chain))
         record = sections[first].lanes[chain[first]].record
@@ -255,7 +242,7 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
             name = f"{road.id}/{record.number}"
             if name in used:
                 name = f"{name}/{first}"
-            used[name] = used.get(name, 0) + 1
+            used[name] += 1
             if used[name] > 1:
                 name = f"{name}:{used[name]}"
             junctions = ends.start if at_start else "", ends.end if at_end else ""
@@ -263,20 +250,21 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
             # Where it leads into a junction, or else out of one.
             is_at_end = bool(junctions[1]) if follows else not junctions[0]
             last = max(chain) if is_at_end else min(chain)
-            limit_kmh = road.speed_limit_kmh(
-                road.length_m if is_at_end else 0.0, sections[last].lanes[chain[last]].record
+            at_m, its_record = (
+                road.length_m if is_at_end else 0.0,
+                sections[last].lanes[chain[last]],
             )
-            lanes.append(
-                MapLane(
-                    id=name,
-                    kind=kind,
-                    width_m=width_m,
-                    centreline_m=points if follows else points[::-1],
-                    from_junction=junctions[0 if follows else 1],
-                    to_junction=junctions[1 if follows else 0],
-                    speed_limit_kmh=limit_kmh,
-                )
+            before, after = junctions if follows else junctions[::-1]
+            lane = MapLane(
+                id=name,
+                kind=kind,
+                width_m=width_m,
+                centreline_m=points if follows else points[::-1],
+                from_junction=before,
+                to_junction=after,
+                speed_limit_kmh=road.speed_limit_kmh(at_m, its_record.record),
             )
+            lanes.append(lane)
     return lanes
 
 
@@ -330,11 +318,9 @@ def _following(sections: Sequence[SampledSection], index: int, number: int) -> i
 
 def _width_m(points: FloatArray, widths_m: FloatArray, at_begin: bool, at_end: bool) -> float:
     """Mean width of a lane along the metres next to its junctions, or all along without one."""
-    steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
-    along = np.append(0.0, np.cumsum(steps))
+    along, steps = along_m(points), steps_m(points)
     middle_m = 0.5 * (along[1:] + along[:-1])
-    counts = np.zeros(len(steps), dtype=bool)
-    counts |= at_begin & (middle_m <= _STAGED_M)
+    counts = at_begin & (middle_m <= _STAGED_M)
     counts |= at_end & (along[-1] - middle_m <= _STAGED_M)
     if not counts.any():
         counts[0], counts[-1] = at_begin, at_end
@@ -351,13 +337,10 @@ def _runs(
     middles = [part.points_at(0.5 * (lane.inner_m + lane.outer_m)) for part, lane in lanes]
     points = np.concatenate(middles)
     widths = np.concatenate([lane.width_m for _, lane in lanes])
-    is_there = np.concatenate([[False], widths >= _MIN_WIDTH_M, [False]])
-    changes = np.flatnonzero(is_there[1:] != is_there[:-1])
-    for begin, end in changes.reshape(-1, 2):
+    for begin, end in true_runs(widths >= _MIN_WIDTH_M):
         line, width = points[begin:end], widths[begin:end]
-        steps = np.hypot(*np.diff(line[:, :2], axis=0).T)
-        length_m = float(steps.sum())
-        if length_m < _MIN_LENGTH_M:
+        steps = steps_m(line)
+        if steps.sum() < _MIN_LENGTH_M:
             continue
         is_new = np.append(True, steps > _SAME_POINT_M)
         is_new[-1] = True  # the end stays, and a point too close before it goes
@@ -370,17 +353,8 @@ def _runs(
 
 
 # ---------- short roads at the mouth of a junction
-_STUB_M = 5.0
-_SAME_POINT_M_STUBS = 0.5
-_MAX_IN_A_ROW = 8
-
-
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Join very short lanes that lead to a junction at one end to the lanes at their other end.
-
-    A stub's points and junction go to the lane of its kind that continues within half a metre and
-    keeps its id.
-    """
+    """Join very short lanes at a junction to those of their kind that go on within half a metre."""
     joined = list(lanes)
     for _ in range(_MAX_IN_A_ROW):
         n_before = len(joined)
@@ -394,7 +368,8 @@ def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
     stubs = [
         index
         for index, lane in enumerate(lanes)
-        if bool(lane.from_junction) != bool(lane.to_junction) and _length_m(lane) < _STUB_M
+        if bool(lane.from_junction) != bool(lane.to_junction)
+        and length_m(lane.centreline_m) < _STUB_M
     ]
     if not stubs:
         return [*lanes]
@@ -414,7 +389,7 @@ def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
             if touched & {index, int(other)}:
                 break  # the next round comes to it
             pieces = [stub, lane] if leads_out else [lane, stub]
-            lengths_m = [_length_m(piece) for piece in pieces]
+            lengths_m = [length_m(piece.centreline_m) for piece in pieces]
             result[int(other)] = replace(
                 lane,
                 width_m=float(np.average([one.width_m for one in pieces], weights=lengths_m)),
@@ -426,7 +401,3 @@ def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
             touched |= {index, int(other)}
             break
     return list(result.values())
-
-
-def _length_m(lane: MapLane) -> float:
-    return float(np.hypot(*np.diff(lane.centreline_m[:, :2], axis=0).T).sum())

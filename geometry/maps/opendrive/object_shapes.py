@@ -11,9 +11,12 @@ import shapely
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ..source_map import Mesh, extrude, join, unit_ball
-from .attributes import (
+from ...lines import steps_m
+from ...scene import Mesh, join
+from ..source_map import extrude, unit_ball
+from .roads import (
     MAX_SIZE_M,
+    Road,
     assumed,
     load_facts,
     numbered,
@@ -21,12 +24,14 @@ from .attributes import (
     take_number_or,
     take_size,
 )
-from .roads import Road
 
 _SIZES = ("length", "width", "height", "radius")
 _MAX_COPIES = 20_000  # of one <repeat>
 _STEP_M = 2.0  # along a sweep
 _BEYOND_M = 1.0
+_FLAT_M = 0.05  # lower slopes are levelled
+_STRAIGHT_M = 0.02
+_N_ROUND = 12  # corners of a cylinder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,36 +62,18 @@ class Outline:
 
 def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
     """All places of an object on its road; raises InputError if a <repeat> asks for too much."""
-    own = Spot(
-        s_m=take_number(element, "s", where),
-        t_m=take_number(element, "t", where),
-        z_m=take_number_or(element, "zOffset", where, 0.0),
-        **_read_sizes(element, "", where, None),
-    )
-    _check_reach(own, where)
+    own = _read_spot(element, "", where, take_number(element, "s", where), None)
     repeats = list(numbered(element, "repeat", where))
-    if not repeats:
-        if is_on(road, own.s_m):
-            yield own
-        return
+    if not repeats and is_on(road, own.s_m):
+        yield own
     for repeat, here in repeats:
-        start_m = take_number(repeat, "s", here)
-        length_m = take_number(repeat, "length", here)
-        distance_m = take_number(repeat, "distance", here)
-        if length_m < 0.0 or distance_m < 0.0:
-            key, value = ("length", length_m) if length_m < 0.0 else ("distance", distance_m)
-            raise InputError(f"{here}.{key}", value, "metres, at least 0")
-        start, end = (
-            Spot(
-                s_m=s_m,
-                t_m=take_number_or(repeat, f"t{side}", here, own.t_m),
-                z_m=take_number_or(repeat, f"zOffset{side}", here, own.z_m),
-                **_read_sizes(repeat, side, here, own),
-            )
-            for side, s_m in (("Start", start_m), ("End", start_m + length_m))
-        )
-        _check_reach(start, here)
-        _check_reach(end, here)
+        keys = ("s", "length", "distance")
+        start_m, length_m, distance_m = (take_number(repeat, key, here) for key in keys)
+        for key, value in (("length", length_m), ("distance", distance_m)):
+            if value < 0.0:
+                raise InputError(f"{here}.{key}", value, "metres, at least 0")
+        start = _read_spot(repeat, "Start", here, start_m, own)
+        end = _read_spot(repeat, "End", here, start_m + length_m, own)
         if distance_m == 0.0 and length_m > 0.0:
             if is_on(road, start_m):
                 end_m = min(end.s_m, road.length_m)
@@ -101,18 +88,21 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
                 yield _between(start, end, index * distance_m / max(length_m, 1.0e-9), s_m)
 
 
-def _read_sizes(element: Element, side: str, where: str, own: Spot | None) -> dict[str, Any]:
-    """Sizes of a body, at one side of a <repeat> where it has them, or else the object's own."""
-    return {
+def _read_spot(element: Element, side: str, where: str, s_m: float, own: Spot | None) -> Spot:
+    """Place and sizes of an object, or at a side of a <repeat>, which may leave them to it."""
+    if own is None:
+        t_m = take_number(element, "t", where)
+    else:
+        t_m = take_number_or(element, f"t{side}", where, own.t_m)
+    z_m = take_number_or(element, f"zOffset{side}", where, own.z_m if own else 0.0)
+    for key, value in (("t", t_m), ("zOffset", z_m)):
+        if abs(value) > MAX_SIZE_M:
+            raise InputError(f"{where}.{key}", value, f"at most {MAX_SIZE_M:g} m off the road")
+    sizes: dict[str, Any] = {
         f"{size}_m": take_size(element, f"{size}{side}", where) or getattr(own, f"{size}_m", None)
         for size in _SIZES
     }
-
-
-def _check_reach(spot: Spot, where: str) -> None:
-    for key, value in (("t", spot.t_m), ("zOffset", spot.z_m)):
-        if abs(value) > MAX_SIZE_M:
-            raise InputError(f"{where}.{key}", value, f"at most {MAX_SIZE_M:g} m off the road")
+    return Spot(s_m=s_m, t_m=t_m, z_m=z_m, **sizes)
 
 
 def is_on(road: Road, s_m: float) -> bool:
@@ -125,13 +115,9 @@ def _between(start: Spot, end: Spot, share: float, s_m: float) -> Spot:
         one, other = getattr(start, name), getattr(end, name)
         return None if one is None or other is None else one + share * (other - one)
 
-    sizes: dict[str, Any] = {f"{size}_m": mix(f"{size}_m") for size in _SIZES}
-    return Spot(
-        s_m=s_m,
-        t_m=start.t_m + share * (end.t_m - start.t_m),
-        z_m=start.z_m + share * (end.z_m - start.z_m),
-        **sizes,
-    )
+    names = ("t_m", "z_m", *(f"{size}_m" for size in _SIZES))
+    mixed: dict[str, Any] = {name: mix(name) for name in names}
+    return Spot(s_m=s_m, **mixed)
 
 
 def place(road: Road, spot: Spot) -> tuple[FloatArray, float]:
@@ -153,26 +139,25 @@ def read_outlines(element: Element, road: Road, spot: Spot, where: str) -> list[
         reach_m = float(np.abs(rows[:, 2:] - [*place(road, spot)[0][2:], 0, spot.s_m, 0]).max())
         if reach_m > MAX_SIZE_M:
             raise InputError(f"{here}: corner", reach_m, f"at most {MAX_SIZE_M:g} m off")
-        is_new = np.append(True, np.hypot(*np.diff(rows[:, :2], axis=0).T) > 1.0e-3)
+        is_new = np.append(True, steps_m(rows) > 1.0e-3)
         if len(rows) > 1 and np.hypot(*(rows[-1, :2] - rows[0, :2])) <= 1.0e-3:
-            is_new[-1] = False  # closed by naming its first corner again
-            is_new[0] = True
+            is_new[-1], is_new[0] = False, True  # closed by naming its first corner again
         rows = rows[is_new]
+        is_closed, is_outer = (
+            outline.get(key, "true").strip().lower() not in ("false", "0")
+            for key in ("closed", "outer")
+        )
         outlines.append(
             Outline(
                 points_m=rows[:, :2],
                 road_m=rows[:, 4:6],
                 bottom_m=rows[:, 2],
                 height_m=np.maximum(rows[:, 3], 0.0),
-                is_closed=_flag(outline, "closed"),
-                is_outer=_flag(outline, "outer"),
+                is_closed=is_closed,
+                is_outer=is_outer,
             )
         )
     return outlines
-
-
-def _flag(outline: Element, key: str) -> bool:
-    return outline.get(key, "true").strip().lower() not in ("false", "0")
 
 
 def _read_corners(
@@ -196,12 +181,8 @@ def _read_corners(
         u, v, z, height = np.array(corners).T
         along, across = _turned(u, v, turn)
         x, y = _turned(along, across, road_heading)
-        return np.column_stack(
-            [
-                *(foot[0] + x, foot[1] + y, foot[2] + spot.z_m + z, height),
-                *(spot.s_m + along, spot.t_m + across),
-            ]
-        )
+        on_map = (foot[0] + x, foot[1] + y, foot[2] + spot.z_m + z, height)
+        return np.column_stack([*on_map, spot.s_m + along, spot.t_m + across])
     corners = read("cornerRoad", "st", "dz")
     if not corners:
         return np.empty((0, 6))
@@ -217,22 +198,15 @@ def _turned(x: FloatArray, y: FloatArray, angle_rad: float) -> tuple[FloatArray,
     return x * cos - y * sin, x * sin + y * cos
 
 
-def box_corners(spot: Spot, turn_rad: float) -> FloatArray | None:
-    """Corners (4, 2) of a place's box as s and t, or None if it has no length or width."""
-    if spot.length_m is None or spot.width_m is None:
-        return None
-    u = 0.5 * spot.length_m * np.array([-1.0, 1.0, 1.0, -1.0])
-    v = 0.5 * spot.width_m * np.array([-1.0, -1.0, 1.0, 1.0])
+def box_corners(spot: Spot, length_m: float, width_m: float, turn_rad: float) -> FloatArray:
+    """Corners (4, 2) of a place's box as s and t."""
+    u = 0.5 * length_m * np.array([-1.0, 1.0, 1.0, -1.0])
+    v = 0.5 * width_m * np.array([-1.0, -1.0, 1.0, 1.0])
     along, across = _turned(u, v, turn_rad)
     return np.stack([spot.s_m + along, spot.t_m + across], axis=1)
 
 
 # ---------- solids
-_FLAT_M = 0.05  # lower slopes are levelled
-_STRAIGHT_M = 0.02
-_N_ROUND = 12  # corners of a cylinder
-
-
 def build_prism(
     outline_m: FloatArray,
     *,
@@ -241,11 +215,7 @@ def build_prism(
     holes_m: Sequence[FloatArray] = (),
     where: str,
 ) -> Mesh:
-    """A closed solid over an open outline (n, 2) with floor and roof heights (n,) at its corners.
-
-    With holes, or if the outline crosses itself, floor and roof are level at the lowest and highest
-    corner. Raises InputError if the outline has no area, or the solid no height.
-    """
+    """A solid over an outline (n, 2) with heights (n,) at its corners; level if that has holes."""
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
         return extrude(
@@ -275,12 +245,7 @@ def build_prism(
 
 
 def build_band(
-    line_m: FloatArray,
-    left: FloatArray,
-    *,
-    width_m: FloatArray,
-    bottom_m: FloatArray,
-    top_m: FloatArray,
+    line_m: FloatArray, left: FloatArray, *, width_m: Any, bottom_m: Any, top_m: Any
 ) -> Mesh:
     """A wall along a line (n, 2), with unit vectors to its left (n, 2); other arrays are (n,)."""
     table = np.column_stack([line_m, left, width_m, bottom_m, top_m])
@@ -292,33 +257,13 @@ def build_band(
     # (n, 4, 3): right, left, left above, right above; seen from its end they run clockwise
     corners = ((-half, bottom), (half, bottom), (half, top), (-half, top))
     ring = np.stack([np.column_stack([line + by * normal, z]) for by, z in corners], axis=1)
-    n = len(line)
-    first = 4 * np.arange(n - 1)[:, None]
-    corner = np.arange(4)
+    first, corner = 4 * np.arange(len(line) - 1)[:, None], np.arange(4)
     here, next_one = first + corner, first + (corner + 1) % 4
     sides = np.stack([[here, next_one, next_one + 4], [here, next_one + 4, here + 4]])
     sides = np.moveaxis(sides, 1, -1).reshape(-1, 3)
-    end = 4 * (n - 1)
+    end = 4 * (len(line) - 1)
     caps = np.array([[0, 2, 1], [0, 3, 2], [end, end + 1, end + 2], [end, end + 2, end + 3]])
-    triangles = np.concatenate([sides, caps])
-    return ring.reshape(-1, 3), triangles.astype(np.int32)
-
-
-def build_box(
-    middle_m: FloatArray, heading_rad: float, *, length_m: float, width_m: float, height_m: float
-) -> Mesh:
-    """A box above the middle of its base (3,), its length along the heading."""
-    along = np.array([np.cos(heading_rad), np.sin(heading_rad)])
-    left = np.array([-along[1], along[0]])
-    ends = middle_m[:2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * along
-    two = np.ones(2)
-    return build_band(
-        ends,
-        np.array([left, left]),
-        width_m=width_m * two,
-        bottom_m=middle_m[2] * two,
-        top_m=(middle_m[2] + height_m) * two,
-    )
+    return ring.reshape(-1, 3), np.concatenate([sides, caps]).astype(np.int32)
 
 
 def build_cylinder(foot_m: FloatArray, *, radius_m: float, height_m: float) -> Mesh:
@@ -343,25 +288,13 @@ def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) ->
 
 # ---------- bodies of objects
 def build_body(
-    road: Road,
-    kind: str,
-    spot: Spot,
-    outlines: Sequence[Outline],
-    *,
-    turn_rad: float,
-    where: str,
+    road: Road, kind: str, spot: Spot, outlines: Sequence[Outline], *, turn_rad: float, where: str
 ) -> tuple[Mesh, bool] | None:
-    """Body of an object at one of its places, and whether its height is assumed; None: no extent.
-
-    `kind` is "building", "wall", "vegetation", "tree", "parked vehicle" or "obstacle", which is a
-    wall if the file gives its height. `turn_rad` is the heading against the road. Raises InputError
-    if an outline surrounds nothing, or there is no height.
-    """
+    """Body of an object at a place, and whether its height is assumed; None: no extent."""
     height_m = spot.height_m
     has_outline = any(outline.is_outer for outline in outlines)
-    says_height = height_m is not None or (
-        has_outline and any(outline.height_m.any() for outline in outlines)
-    )
+    has_corner_heights = has_outline and any(outline.height_m.any() for outline in outlines)
+    says_height = height_m is not None or has_corner_heights
     if kind == "obstacle" and not says_height:
         return None
     if height_m is None:
@@ -380,34 +313,21 @@ def build_body(
 def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> Mesh:
     holes = [outline.points_m for outline in outlines if not outline.is_outer]
     solids = []
-    for outline in outlines:
-        if not outline.is_outer:
-            continue
-        n_corners = len(outline.points_m)
-        heights = outline.height_m if outline.height_m.any() else np.full(n_corners, height_m)
-        bottom_m, top_m = outline.bottom_m, outline.bottom_m + heights
-        if not outline.is_closed and n_corners > 1:
-            solids.append(
-                build_band(
-                    outline.points_m,
-                    _left_of(outline.points_m),
-                    width_m=np.full(n_corners, assumed("thickness_m")),
-                    bottom_m=bottom_m,
-                    top_m=top_m,
-                )
-            )
+    for outline in (outline for outline in outlines if outline.is_outer):
+        points, bottom_m = outline.points_m, outline.bottom_m
+        heights = outline.height_m if outline.height_m.any() else np.full(len(points), height_m)
+        top_m = bottom_m + heights
+        if not outline.is_closed and len(points) > 1:
+            left, width_m = _left_of(points), np.full(len(points), assumed("thickness_m"))
+            solid = build_band(points, left, width_m=width_m, bottom_m=bottom_m, top_m=top_m)
         else:
-            inside = _holes_inside(outline.points_m, holes)
-            solids.append(
-                build_prism(
-                    outline.points_m, bottom_m=bottom_m, top_m=top_m, holes_m=inside, where=where
-                )
-            )
+            inside = _holes_inside(points, holes)
+            solid = build_prism(points, bottom_m=bottom_m, top_m=top_m, holes_m=inside, where=where)
+        solids.append(solid)
     return join(solids)
 
 
 def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[FloatArray]:
-    """The holes of this outline, if an object has several outlines."""
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)
@@ -468,11 +388,14 @@ def _simple(road: Road, kind: str, spot: Spot, height_m: float, turn_rad: float)
         return build_cylinder(foot, radius_m=radius_m, height_m=height_m)
     if not sides or (len(sides) == 1 and kind != "wall"):
         return None
-    thickness_m = assumed("thickness_m")
-    return build_box(
-        foot,
-        heading + turn_rad,
-        length_m=spot.length_m or thickness_m,
-        width_m=spot.width_m or thickness_m,
-        height_m=height_m,
+    thickness_m, two = assumed("thickness_m"), np.ones(2)
+    along = np.array([np.cos(heading + turn_rad), np.sin(heading + turn_rad)])
+    left = np.array([-along[1], along[0]])
+    length_m, width_m = spot.length_m or thickness_m, spot.width_m or thickness_m
+    return build_band(
+        foot[:2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * along,
+        np.array([left, left]),
+        width_m=width_m * two,
+        bottom_m=foot[2] * two,
+        top_m=(foot[2] + height_m) * two,
     )

@@ -16,15 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
+from ...errors import InputError, refuse
 from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
-from .attributes import (
-    Offset,
-    load_facts,
-    take_number,
-    take_number_or,
-    take_size,
-)
 from .junctions import JunctionRecord
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
@@ -37,20 +30,35 @@ from .object_shapes import (
     read_outlines,
     read_places,
 )
-from .roads import Road, RoadElement
+from .roads import Offset, Road, RoadElement, load_facts, take_number, take_number_or, take_size
 
 _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
 _SAYS_NOTHING = ("", "none", "obstacle", "unknown", "undefined", "object", "other", "misc")
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+_CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
+_MIN_LENGTH_M = 0.5
+_SAME_ROW_T_M = 1.0
+_SAME_ROW_GAP_M = 1.5
+_STEP_M = 2.0
+_MIN_SIZE_M = 0.5
+_MAX_PLACES = 100_000  # of all objects of a file
+_MAX_VERTICES = 5_000_000
+_CLASSES = {"tree": "vegetation", "obstacle": "wall"}
+_NOT_TAKEN = {
+    "tunnel": "nothing is known of its walls",
+    "bridge": "nothing is known of its parapets and piers",
+    "objectReference": "the object itself is taken on the road that has it",
+}
+_NO_SIZE = "it has no outline, length, width or radius"
+_PAINT = "paint on the road, or nothing above it"
+_CELL_M = 0.05
+# The kind of a pole with several signals is the first of these.
+_KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def object_kind(element: Element) -> str | None:
-    """Kind of an object from its type and name; None: none that matters here.
-
-    "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked vehicle", one of
-    ``POLE_KINDS``, or "obstacle" if the standard's type says no more than that.
-    """
+    """Kind of an object from its type and name, "obstacle" if these say no more; or None."""
     object_type, name = element.get("type", ""), element.get("name", "")
     subtype = element.get("subtype", "")
     if has_word((object_type, name, subtype), load_facts()["object_words"]["crosswalk"]):
@@ -59,7 +67,7 @@ def object_kind(element: Element) -> str | None:
         return None
     if element.find("parkingSpace") is not None:
         return "parking space"
-    plain = "".join(words(object_type))
+    plain = "".join(_words(object_type))
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
@@ -71,10 +79,7 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint.
-
-    What the file calls static is no traffic light, whatever its name.
-    """
+    """Signal as "sign", "crosswalk" (painted), unless static "traffic light"; None: paint."""
     facts = load_facts()["signals"]
     texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
     number = element.get("type", "").strip()
@@ -91,7 +96,7 @@ def signal_kind(element: Element) -> str | None:
     return "sign"
 
 
-def words(text: str) -> list[str]:
+def _words(text: str) -> list[str]:
     """Words of a name in lower case: "streetLamp_3" has street and lamp."""
     return [word.lower() for word in _WORD.findall(text[:_MAX_CHARACTERS])]
 
@@ -103,7 +108,7 @@ def has_word(texts: Iterable[str], wanted: Sequence[str]) -> bool:
 
 @lru_cache(maxsize=4096)
 def _phrases(text: str) -> frozenset[str]:
-    found = words(text)
+    found = _words(text)
     return frozenset(
         "".join(found[begin:end]).removesuffix(plural)
         for begin in range(len(found))
@@ -113,27 +118,30 @@ def _phrases(text: str) -> frozenset[str]:
 
 
 # ---------- crosswalks
-_CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
-_MIN_LENGTH_M = 0.5
-
-
 def crosswalk_line(
     road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
-    """Line (2, 2) on which pedestrians cross, or None if the object has no extent.
-
-    It runs through the middle of the smallest box the long way; if that is nearly a square, across
-    the road. Two corners are the line itself. `turn_rad` is the heading of the object against the
-    road.
-    """
-    found = _corners(road, spot, outlines, turn_rad)
-    if found is None:
-        return None
-    corners, _ = found
+    """Line (2, 2) the long way through the smallest box, or across the road; None: no extent."""
+    corners, _ = _corners(road, spot, outlines, turn_rad) or (np.empty((0, 2)), None)
     if len(corners) == 2:
         return corners if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M else None
-    _, heading = place(road, spot)
-    return _long_way(corners, np.array([-np.sin(heading), np.cos(heading)]))
+    if not len(corners):
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
+        box = shapely.MultiPoint(corners).minimum_rotated_rectangle
+    if box.geom_type != "Polygon":
+        return None
+    ring = np.asarray(box.exterior.coords)[:4]
+    sides = np.array([ring[1] - ring[0], ring[2] - ring[1]])
+    lengths = np.hypot(*sides.T)
+    longer = int(lengths.argmax())
+    if lengths[longer] < _CLEARLY_LONGER * lengths[1 - longer]:
+        _, heading = place(road, spot)
+        across_road = np.array([-np.sin(heading), np.cos(heading)])
+        longer = int(np.abs(sides @ across_road / lengths).argmax())
+    if lengths[longer] < _MIN_LENGTH_M:
+        return None
+    return np.asarray(ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer])
 
 
 def _corners(
@@ -143,8 +151,10 @@ def _corners(
     outer = next((outline for outline in outlines if outline.is_outer), None)
     if outer is not None:
         return outer.points_m, outer.road_m
-    box = box_corners(spot, turn_rad)
-    return None if box is None else (road.place(*box.T)[0][:, :2], box)
+    if spot.length_m is None or spot.width_m is None:
+        return None
+    box = box_corners(spot, spot.length_m, spot.width_m, turn_rad)
+    return road.place(*box.T)[0][:, :2], box
 
 
 def cross_paths(
@@ -162,31 +172,7 @@ def cross_paths(
     return lines
 
 
-def _long_way(corners_m: FloatArray, across_road: FloatArray) -> FloatArray | None:
-    with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
-        box = shapely.MultiPoint(corners_m).minimum_rotated_rectangle
-    if box.geom_type != "Polygon":
-        return None
-    ring = np.asarray(box.exterior.coords)[:4]
-    sides = np.array([ring[1] - ring[0], ring[2] - ring[1]])
-    lengths = np.hypot(*sides.T)
-    longer = int(lengths.argmax())
-    if lengths[longer] < _CLEARLY_LONGER * lengths[1 - longer]:
-        longer = int(np.abs(sides @ across_road / lengths).argmax())
-    if lengths[longer] < _MIN_LENGTH_M:
-        return None
-    middle = ring.mean(axis=0)
-    line: FloatArray = middle + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
-    return line
-
-
 # ---------- parking spaces
-_SAME_ROW_T_M = 1.0
-_SAME_ROW_GAP_M = 1.5
-_STEP_M = 2.0
-_MIN_SIZE_M = 0.5
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
     """A parking space as a box along its road: s from first to last, t from right to left."""
@@ -216,19 +202,15 @@ def read_space(
         if found is None:
             return None
         _, corners = found
-    (first_m, right_m), (last_m, left_m) = corners.min(axis=0), corners.max(axis=0)
+    first_m, right_m = corners.min(axis=0).tolist()
+    last_m, left_m = corners.max(axis=0).tolist()
     if min(last_m - first_m, left_m - right_m) < _MIN_SIZE_M:
         return None
-    return Space(
-        first_m=float(first_m), last_m=float(last_m), right_m=float(right_m), left_m=float(left_m)
-    )
+    return Space(first_m=first_m, last_m=last_m, right_m=right_m, left_m=left_m)
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
-    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane.
-
-    It is as wide as the spaces are on average, and runs in the direction of traffic on its side.
-    """
+    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane."""
     rows: list[list[Space]] = []
     open_rows: list[list[Space]] = []  # those that may still go on
     for space in sorted(spaces, key=lambda space: space.first_m):
@@ -241,41 +223,29 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
         else:
             rows.append([space])
             open_rows.append(rows[-1])
-    lanes = (_build_row(road, row, f"{road.id}/parking {at + 1}") for at, row in enumerate(rows))
-    return [lane for lane in lanes if lane is not None]
-
-
-def _build_row(road: Road, row: Sequence[Space], name: str) -> MapLane | None:
-    first_m = max(min(space.first_m for space in row), 0.0)
-    last_m = min(max(space.last_m for space in row), road.length_m)
-    if last_m - first_m < _MIN_SIZE_M:
-        return None
-    s_m = np.linspace(first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1))
-    middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
-    order = np.argsort(middles)
-    t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
-    points, _ = road.place(s_m, t_m)
-    follows = (float(t_m.mean()) < 0.0) != road.keeps_left
-    return MapLane(
-        id=name,
-        kind="parking",
-        width_m=float(np.mean([space.left_m - space.right_m for space in row])),
-        centreline_m=points if follows else points[::-1],
-    )
+    lanes = []
+    for at, row in enumerate(rows, start=1):
+        first_m = max(min(space.first_m for space in row), 0.0)
+        last_m = min(max(space.last_m for space in row), road.length_m)
+        if last_m - first_m < _MIN_SIZE_M:
+            continue
+        s_m = np.linspace(first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1))
+        middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
+        order = np.argsort(middles)
+        t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
+        points, _ = road.place(s_m, t_m)
+        follows = (float(t_m.mean()) < 0.0) != road.keeps_left
+        lane = MapLane(
+            id=f"{road.id}/parking {at}",
+            kind="parking",
+            width_m=float(np.mean([space.left_m - space.right_m for space in row])),
+            centreline_m=points if follows else points[::-1],
+        )
+        lanes.append(lane)
+    return lanes
 
 
 # ---------- all objects
-_MAX_PLACES = 100_000  # of all objects of a file
-_MAX_VERTICES = 5_000_000
-_CLASSES = {"tree": "vegetation", "obstacle": "wall"}
-_NOT_TAKEN = {
-    "tunnel": "nothing is known of its walls",
-    "bridge": "nothing is known of its parapets and piers",
-    "objectReference": "the object itself is taken on the road that has it",
-}
-_NO_SIZE = "it has no outline, length, width or radius"
-
-
 @dataclass(frozen=True, slots=True)
 class Found:
     """Objects along the roads."""
@@ -287,18 +257,14 @@ class Found:
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
-    """Objects of all roads; what is left out is noted in `omissions`.
-
-    Raises InputError if a number is missing or not finite, or there are too many objects or
-    corners.
-    """
+    """Objects of all roads; InputError: a number is missing, or there are too many of them."""
     found = Found()
     n_places = n_vertices = n_counted = 0
 
     def refuse_many(n: int, most: int, noun: str, where: str) -> None:
         if n > most:
-            got = Unquoted(f"more than {most:,} {noun} up to here")
-            raise InputError(where, got, "a smaller file: cut it out first")
+            got = f"more than {most:,} {noun} up to here"
+            refuse(where, got, "a smaller file: cut it out first")
 
     for kind, one in list(_taken_objects(roads, omissions)):
         places = list(islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1))
@@ -372,20 +338,13 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
 
 
 # ---------- signals
-_PAINT = "paint on the road, or nothing above it"
-
-
 def read_signals(
     roads: Mapping[str, Road],
     sampled: Mapping[str, Sequence[SampledSection]],
     offset: Offset,
     omissions: Omissions,
 ) -> tuple[list[Pole], list[FloatArray]]:
-    """Poles, one per signal, and crosswalk lines (2, 2) that are written as signals.
-
-    A signal that hangs over a driving lane has no pole there. Raises InputError if a number is
-    missing or not finite.
-    """
+    """Poles, one per signal not over a driving lane, and crosswalks written as signals (2, 2)."""
     facts = load_facts()["signals"]
     poles: list[Pole] = []
     crosswalks: list[FloatArray] = []
@@ -396,28 +355,17 @@ def read_signals(
         if not is_on(one.road, s_m):
             omissions.add("signals beyond their road's end", one.name, "beyond its road's end")
         elif kind == "crosswalk":
-            length_m = take_size(one.element, "width", one.where)
-            edges = _driving_edges(sampled[one.road.id], s_m)
-            if not length_m and edges:
-                length_m = max(left for _, left in edges) - min(right for right, _ in edges)
-            if length_m:
-                points, heading = one.road.place(np.array([s_m]), np.array([t_m]))
-                # Around the other way is the same line: whole and half turns are of no matter.
-                angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
-                angle += 0.5 * np.pi
-                across = np.array([np.cos(angle), np.sin(angle)])
-                ends_m = 0.5 * length_m * np.array([[-1.0], [1.0]])
-                crosswalks.append(points[0, :2] + ends_m * across)
+            line = _painted_line(one, s_m, t_m, _driving_edges(sampled[one.road.id], s_m))
+            crosswalks += [] if line is None else [line]
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
             foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
             is_light = kind == "traffic light"
+            edges = [] if at is None else _driving_edges(sampled[at[0]], at[1])
             if not is_light and top_m < facts["min_sign_top_m"]:
                 omissions.add(f"signals ({kind})", one.name, _PAINT)
-            elif at is not None and any(
-                right < at[2] < left for right, left in _driving_edges(sampled[at[0]], at[1])
-            ):
+            elif at is not None and any(right < at[2] < left for right, left in edges):
                 why = "it hangs over a lane: there is no pole below it"
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
@@ -427,13 +375,27 @@ def read_signals(
     return poles, crosswalks
 
 
+def _painted_line(
+    one: RoadElement, s_m: float, t_m: float, edges: Sequence[tuple[float, float]]
+) -> FloatArray | None:
+    """Line (2, 2) of a crosswalk across the driving lanes, or as wide as it says; None: neither."""
+    length_m = take_size(one.element, "width", one.where)
+    if not length_m and edges:
+        length_m = max(left for _, left in edges) - min(right for right, _ in edges)
+    if not length_m:
+        return None
+    points, heading = one.road.place(np.array([s_m]), np.array([t_m]))
+    # Around the other way is the same line: whole and half turns are of no matter.
+    angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
+    angle += 0.5 * np.pi
+    across = np.array([np.cos(angle), np.sin(angle)])
+    return np.asarray(points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across)
+
+
 def _find_position(
     one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
 ) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
-    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown).
-
-    The place may be given apart from that where it applies.
-    """
+    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown)."""
     height_m = take_size(one.element, "height", one.where) or 0.0
     road = one.road
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
@@ -453,31 +415,20 @@ def _find_position(
 
 
 def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple[float, float]]:
-    """Edges (right, left) of the driving lanes at a station."""
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
     section = sections[min(index, len(sections) - 1)]
     edges = []
     for lane in section.lanes.values():
         if lane_kind(lane.record.type) == "driving":
-            inner, outer = (
-                float(np.interp(s_m, section.s_m, edge)) for edge in (lane.inner_m, lane.outer_m)
-            )
-            edges.append((min(inner, outer), max(inner, outer)))
+            sides = (lane.inner_m, lane.outer_m)
+            right, left = sorted(float(np.interp(s_m, section.s_m, side)) for side in sides)
+            edges.append((right, left))
     return edges
 
 
 # ---------- poles
-_CELL_M = 0.05
-# The kind of a pole with several signals is the first of these.
-_KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
-
-
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
-    """Join poles within half a metre of one another.
-
-    A joined pole is as high as the highest and of the most telling kind; it stands where the file
-    has the pole itself, or else where the first signal hangs.
-    """
+    """Join poles within half a metre: as high as the highest, of the most telling kind."""
     if len(poles) < 2:
         return list(poles)
     positions = np.array([pole.position_m[:2] for pole in poles])

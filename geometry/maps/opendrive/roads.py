@@ -1,9 +1,13 @@
-"""Roads of a file: reference line, elevation, superelevation and shape, lane sections, links."""
+"""Roads of a file with all that runs along them, the header, and checked attributes of XML."""
 
 import math
+import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -11,18 +15,163 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ...arrays import FloatArray
-from ...errors import InputError, Unquoted
-from .attributes import Offset, lane_kinds, numbered, take_id, take_number, take_number_or
+from ...errors import InputError, refuse
+from ...files import load_toml
+from ...frames import parse_crs
+from ..source_map import Omissions
 
+MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
+MAX_SIZE_M = 1.0e4
+_UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
+_MAX_CRS_CHARACTERS = 20_000
+# They speak of heights, and name grids that need not be at hand.
+_VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
 _ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
 _N_ARC_LENGTH = 2049
+SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
+_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
+MAX_COORDINATE_M = 1.0e8
+_N_CURVATURES = 33  # samples of a polynomial's curvature
+_ROUNDED_M = 1.0e-6
+_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
+NO_JUNCTION = "-1"
+_MAX_LENGTH_M = 100_000.0
+_MAX_SECTION_GAP_M = 1.0e-3
+_MAX_LANES = 200  # on one side of a section
+SpeedLimits = tuple[tuple[float, float | None], ...]
+"""Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
+_KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
+
+
+def take_number(element: Element, key: str, where: str) -> float:
+    """Finite number of an attribute that must be there; `where` is file and element."""
+    text = element.get(key)
+    if text is None:
+        refuse(f"{where}.{key}", "nothing", "a number")
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(f"{where}.{key}", text, "a number") from None
+    if not (math.isfinite(value) and abs(value) <= MAX_MAGNITUDE):
+        expected = f"a finite number, at most {MAX_MAGNITUDE:g} in size"
+        raise InputError(f"{where}.{key}", value, expected)
+    return value
+
+
+def take_number_or(element: Element, key: str, where: str, default: float) -> float:
+    """Finite number of an attribute, or the default if it is missing or left open."""
+    is_open = element.get(key, "").strip().lower() in _UNSET
+    return default if is_open else take_number(element, key, where)
+
+
+def take_size(element: Element, key: str, where: str) -> float | None:
+    """A length above 0, or None; InputError: not finite, or larger than anything near a road."""
+    value = take_number_or(element, key, where, 0.0)
+    if value > MAX_SIZE_M:
+        raise InputError(f"{where}.{key}", value, f"metres, at most {MAX_SIZE_M:g}")
+    return value if value > 0.0 else None
+
+
+def take_id(element: Element, where: str) -> str:
+    """Attribute id; raises InputError if it is missing or empty."""
+    text = element.get("id", "").strip()
+    if not text:
+        refuse(f"{where}.id", "nothing", "an id")
+    return text
+
+
+def numbered(parent: Element | None, tag: str, where: str) -> Iterator[tuple[Element, str]]:
+    """Children with a tag, and their names for messages: "Town.xodr: road 5 geometry[2]"."""
+    for index, child in enumerate([] if parent is None else parent.findall(tag)):
+        yield child, f"{where} {tag}[{index}]"
+
+
+# ---------- the header
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offset:
+    """Offset from a file's coordinates to those of its projection; rotation is applied first."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    z_m: float = 0.0
+    heading_rad: float = 0.0
+
+    def apply(self, points_m: FloatArray) -> FloatArray:
+        """Points (n, 2) in the projection."""
+        cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return np.asarray(points_m @ np.array([[cos, sin], [-sin, cos]]) + [self.x_m, self.y_m])
+
+
+def read_offset(root: Element, where: str) -> Offset:
+    """Offset of a document's header; all zero without one."""
+    element = root.find("header/offset")
+    keys = {"x_m": "x", "y_m": "y", "z_m": "z", "heading_rad": "hdg"}
+    if element is None:
+        return Offset()
+    here = f"{where}: header offset"
+    return Offset(**{name: take_number_or(element, key, here, 0.0) for name, key in keys.items()})
+
+
+def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
+    """Coordinate reference system for pyproj, in metres without heights, and the declared one."""
+    element = root.find("header/geoReference")
+    source = "" if element is None else " ".join("".join(element.itertext()).split())
+    if not source:
+        return "", ""
+    if {word.partition("=")[0] for word in source.split()} == {"+lat_0", "+lon_0"}:
+        # CARLA's short form: a transverse Mercator there.
+        source = f"+proj=tmerc {source} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+    crs = source
+    if source.startswith("+"):
+        words = [word for word in source.split() if not word.startswith(_VERTICAL_PARAMETERS)]
+        crs = " ".join(words)
+    if why := _why_not(crs):
+        omissions.add("geoReferences", f"geoReference {source[:120]}", why)
+        return "", source
+    return crs, source
+
+
+def _why_not(crs: str) -> str:
+    """Why pyproj cannot take it as metres on a plane; empty: it can."""
+    from pyproj.exceptions import CRSError
+
+    if len(crs) > _MAX_CRS_CHARACTERS:
+        return f"longer than {_MAX_CRS_CHARACTERS} characters"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # +init=epsg:.. is old, not wrong
+            system = parse_crs(crs)
+    except (CRSError, ValueError, TypeError):
+        return "not a coordinate reference system that pyproj knows"
+    if system.is_geographic or system.is_geocentric:
+        return "degrees or geocentric, while roads are in metres on a plane"
+    if not system.is_projected:
+        return "no projection"
+    units = {round(axis.unit_conversion_factor, 9) for axis in system.axis_info[:2]}
+    return "" if units == {1.0} else "not in metres"
+
+
+# ---------- facts of the format
+@cache
+def load_facts() -> dict[str, Any]:
+    """Lane kinds, words, types and assumed numbers from ``geometry/maps/data/opendrive.toml``."""
+    return load_toml(files("geometry.maps") / "data" / "opendrive.toml")
+
+
+@cache
+def lane_kinds() -> dict[str, str]:
+    """Kind of lane by the standard's type in lower case."""
+    kinds: dict[str, list[str]] = load_facts()["lane_kinds"]
+    return {name.lower(): kind for kind, names in kinds.items() for name in names}
+
+
+def assumed(key: str) -> float:
+    """A number of the section of assumptions."""
+    return float(load_facts()["assumed"][key])
 
 
 def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of circular arcs at arc lengths.
-
-    Positive curvature, in 1/m, turns to the left; 0 is a straight line.
-    """
+    """Points (n, 2) and headings (n,) of circular arcs; curvatures, in 1/m, turn to the left."""
     half = 0.5 * curvature * s_m
     chord = s_m * np.sinc(half / np.pi)
     return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1), 2.0 * half
@@ -33,10 +182,8 @@ def spiral(
 ) -> tuple[FloatArray, FloatArray]:
     """Points (n, 2) and headings (n,) of clothoids; the slope is the change of curvature per metre.
 
-    References
-    ----------
-    .. [1] Abramowitz, Stegun, section 7.3: completing the square in the heading
-       k0 s + k' s^2 / 2 leaves the Fresnel integrals C and S.
+    Abramowitz, Stegun, section 7.3: completing the square in the heading k0 s + k' s^2 / 2 leaves
+    the Fresnel integrals C and S.
     """
     points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
     bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
@@ -60,7 +207,7 @@ def spiral(
 
 def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
-    points = np.stack([_cubic(p, u), _cubic(p, v)], axis=1)
+    points = np.stack([evaluate(p, u), evaluate(p, v)], axis=1)
     du, dv = _slope(p, u), _slope(p, v)
     # Where the curve starts with a standstill its second derivative says where it leads.
     stands = du**2 + dv**2 < 1.0e-18
@@ -77,8 +224,9 @@ def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArr
     return np.interp(s_m, np.append(0.0, np.cumsum(steps)), grid)
 
 
-def _cubic(p: FloatArray, k: FloatArray) -> FloatArray:
-    return k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3]))
+def evaluate(p: FloatArray, k: FloatArray) -> FloatArray:
+    """Values of cubics with coefficients k (..., 4) at p (...)."""
+    return np.asarray(k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3])))
 
 
 def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
@@ -86,14 +234,6 @@ def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
 
 
 # ---------- the reference line
-SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
-_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
-MAX_COORDINATE_M = 1.0e8
-_N_CURVATURES = 33  # samples of a polynomial's curvature
-_ROUNDED_M = 1.0e-6
-_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReferenceLine:
     """Pieces one after the other.
@@ -113,48 +253,37 @@ class ReferenceLine:
     def at(
         self, s_m: FloatArray, inside_m: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Points (k, 2) and headings (k,) at arc lengths, which are clipped to the line.
-
-        `inside_m` (k,) are stations that select the piece where two meet.
-        """
+        """Points (k, 2) and headings (k,) at arc lengths; `inside_m` selects where two meet."""
         lookup = s_m if inside_m is None else inside_m
         piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
         ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
-        points, turns = self._local(piece, ds)
+        points, turns = np.empty((len(ds), 2)), np.empty(len(ds))
+        shape = self.shapes[piece]
+        for wanted in np.unique(shape):
+            mask = shape == wanted
+            points[mask], turns[mask] = self._local(SHAPES[wanted], piece[mask], ds[mask])
         heading = self.headings_rad[piece]
         cos, sin = np.cos(heading), np.sin(heading)
         x, y = points.T
         turned = np.stack([x * cos - y * sin, x * sin + y * cos], axis=1)
         return self.origins_m[piece] + turned, heading + turns
 
-    def _local(self, piece: NDArray[np.int64], ds: FloatArray) -> tuple[FloatArray, FloatArray]:
-        points, turns = np.empty((len(ds), 2)), np.empty(len(ds))
-        shape = self.shapes[piece]
-        for wanted in np.unique(shape):
-            mask = shape == wanted
-            s, which = ds[mask], piece[mask]
-            parameters = self.parameters[which]
-            if SHAPES[wanted] in _CURVES:
-                points[mask], turns[mask] = spiral(s, parameters[:, 0], parameters[:, 1])
-            else:
-                p = s * parameters[:, 8]
-                if SHAPES[wanted] == "poly3":
-                    for one in np.unique(which):
-                        here = which == one
-                        p[here] = graph_parameter(
-                            s[here], self.parameters[one, 4:8], float(self.lengths_m[one])
-                        )
-                points[mask], turns[mask] = polynomial(p, parameters[:, :4], parameters[:, 4:8])
-        return points, turns
+    def _local(
+        self, shape: str, piece: NDArray[np.int64], s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        parameters = self.parameters[piece]
+        if shape in _CURVES:
+            return spiral(s, parameters[:, 0], parameters[:, 1])
+        p = s * parameters[:, 8]
+        for one in np.unique(piece) if shape == "poly3" else ():
+            here = piece == one
+            v, length_m = self.parameters[one, 4:8], float(self.lengths_m[one])
+            p[here] = graph_parameter(s[here], v, length_m)
+        return polynomial(p, parameters[:, :4], parameters[:, 4:8])
 
     def bends(self) -> FloatArray:
-        """How fast each piece turns, (n, 3).
-
-        The largest curvature [1/m], its largest change per metre [1/m^2], and the largest distance
-        that the line takes per metre of s (1 except for parametric polynomials).
-        """
-        rows = np.zeros((len(self.starts_m), 3))
-        rows[:, 2] = 1.0
+        """Largest curvature of each piece, of its change per metre, and of metres per s, (n, 3)."""
+        rows = np.ones((len(self.starts_m), 3))
         for index, shape in enumerate(self.shapes):
             length_m, k = self.lengths_m[index], self.parameters[index]
             if SHAPES[shape] in _CURVES:
@@ -181,20 +310,16 @@ def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, flo
 def read_reference_line(
     road: Element, where: str, *, length_m: float, offset: Offset
 ) -> ReferenceLine:
-    """Read a road's planView.
-
-    Raises InputError if there is no piece of a length above 0, a number is missing or not finite, a
-    piece begins outside the road or far from its start, or has an unknown shape.
-    """
+    """Read a road's planView; InputError: a number is missing or wrong, or a shape unknown."""
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
         row = _read_piece(element, here)
-        if row[0] > length_m + _MAX_GAP_M or row[0] < -_MAX_GAP_M:
+        if not -_MAX_GAP_M <= row[0] <= length_m + _MAX_GAP_M:
             raise InputError(f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length")
         if row[4] > _ROUNDED_M:
             rows.append((row, here))
     if not rows:
-        raise InputError(f"{where} planView", Unquoted("no geometry"), "pieces of a length above 0")
+        refuse(f"{where} planView", "no geometry", "pieces of a length above 0")
     rows.sort(key=lambda pair: pair[0][0])
     table = np.array([row for row, _ in rows])
     starts_m = table[:, 0].copy()
@@ -214,9 +339,8 @@ def read_reference_line(
 
 def _read_piece(element: Element, where: str) -> tuple[float, ...]:
     """s, x, y, hdg, length, index of the shape, nine parameters."""
-    s, x, y, heading, length_m = (
-        take_number(element, key, where) for key in ("s", "x", "y", "hdg", "length")
-    )
+    keys = ("s", "x", "y", "hdg", "length")
+    s, x, y, heading, length_m = (take_number(element, key, where) for key in keys)
     for key, value in (("x", x), ("y", y)):
         if abs(value) > MAX_COORDINATE_M:
             raise InputError(f"{where}.{key}", value, f"at most {MAX_COORDINATE_M:g} m")
@@ -224,13 +348,10 @@ def _read_piece(element: Element, where: str) -> tuple[float, ...]:
         raise InputError(f"{where}.length", length_m, "metres, at least 0")
     shape = next((child for child in element if child.tag in SHAPES), None)
     if shape is None:
-        tags = [str(child.tag) for child in element]
-        got = Unquoted(", ".join(tags)[:80] or "no shape")
-        raise InputError(where, got, "one of " + ", ".join(SHAPES))
-    return (
-        *(s, x, y, heading, length_m, SHAPES.index(str(shape.tag))),
-        *_read_shape(shape, f"{where} {shape.tag}", length_m),
-    )
+        tags = ", ".join(str(child.tag) for child in element)[:80]
+        refuse(where, tags or "no shape", "one of " + ", ".join(SHAPES))
+    parameters = _read_shape(shape, f"{where} {shape.tag}", length_m)
+    return (s, x, y, heading, length_m, SHAPES.index(str(shape.tag)), *parameters)
 
 
 def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...]:
@@ -261,10 +382,7 @@ class PiecewiseCubic:
     coefficients: FloatArray  # (n, 4): a, b, c, d
 
     def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
-        """Coefficients (k, 4) of the same polynomials counted from other stations (Taylor's shift).
-
-        `inside_m` (k,) are stations that select the piece where two meet.
-        """
+        """Coefficients (k, 4) from other stations on; `inside_m` selects where two meet."""
         if not len(self.starts_m):
             return np.zeros((len(starts_m), 4))
         piece = np.searchsorted(self.starts_m, inside_m, side="right") - 1
@@ -281,27 +399,15 @@ class PiecewiseCubic:
         return self.rebased(s_m, s_m)[:, 0]
 
 
-def evaluate(coefficients: FloatArray, ds_m: FloatArray) -> FloatArray:
-    """Values of one cubic per point, (n,): coefficients (n, 4) at ds_m (n,)."""
-    return _cubic(ds_m, coefficients)
-
-
 def read_cubics(
     parent: Element | None, tag: str, where: str, *, start_key: str = "s", first_m: float = 0.0
 ) -> PiecewiseCubic:
-    """Read the children of `parent` with a tag and attributes a, b, c, d, sorted by begin.
-
-    `first_m` is the zero of the attribute `start_key`. Of several that begin at one station the
-    last one holds.
-    """
+    """Children of `parent` with a, b, c, d, by begin; of several that begin there the last one."""
     rows = [
-        (
-            first_m + take_number(element, start_key, here),
-            *(take_number(element, key, here) for key in "abcd"),
-        )
+        tuple(take_number(element, key, here) for key in (start_key, *"abcd"))
         for element, here in numbered(parent, tag, where)
     ]
-    return build_cubics(rows)
+    return build_cubics([(first_m + start_m, *cubic) for start_m, *cubic in rows])
 
 
 def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
@@ -312,12 +418,6 @@ def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
 
 
 # ---------- roads
-NO_JUNCTION = "-1"
-_MAX_LENGTH_M = 100_000.0
-_MAX_SECTION_GAP_M = 1.0e-3
-_MAX_LANES = 200  # on one side of a section
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadLink:
     """The road or junction at an end of a road."""
@@ -325,11 +425,6 @@ class RoadLink:
     kind: str = ""  # "road", "junction"; empty: nothing
     id: str = ""
     contact: str = ""  # end of the other road: "start" or "end"
-
-
-SpeedLimits = tuple[tuple[float, float | None], ...]
-"""Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
-_KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 # ---------- how the surface rises and falls across
@@ -355,14 +450,7 @@ class CrossSections:
 
 
 def read_cross_sections(lateral: Element | None, where: str) -> CrossSections:
-    """The shapes of a road's lateral profile; none if all of them are flat.
-
-    Raises InputError if a number is missing or out of range.
-
-    References
-    ----------
-    .. [1] ASAM OpenDRIVE 1.8, section on lateral profiles: road shape.
-    """
+    """The shapes of a road's lateral profile; none if all of them are flat."""
     rows: dict[float, list[tuple[float, ...]]] = defaultdict(list)
     for piece, here in numbered(lateral, "shape", where):
         row = tuple(take_number(piece, key, here) for key in ("t", *"abcd"))
@@ -482,9 +570,7 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
     rule = element.get("rule", "RHT").upper()
     if rule not in ("RHT", "LHT"):
         raise InputError(f"{where}.rule", rule, "RHT or LHT")
-    lanes = element.find("lanes")
-    elevation = read_cubics(element.find("elevationProfile"), "elevation", where)
-    lateral = element.find("lateralProfile")
+    lanes, lateral = element.find("lanes"), element.find("lateralProfile")
     before, after = read_links(element)
     return Road(
         id=road_id,
@@ -494,7 +580,7 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
         length_m=length_m,
         keeps_left=rule == "LHT",
         line=read_reference_line(element, where, length_m=length_m, offset=offset),
-        elevation=elevation,
+        elevation=read_cubics(element.find("elevationProfile"), "elevation", where),
         base_m=offset.z_m,
         offset=read_cubics(lanes, "laneOffset", where),
         sections=_read_sections(lanes, where, length_m),
@@ -530,15 +616,13 @@ def _speed_kmh(speed: Element) -> float | None:
 
 def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
     """Links to what lies before and after a road."""
+    keys = {"kind": "elementType", "id": "elementId", "contact": "contactPoint"}
+    found = (road.find("link/predecessor"), road.find("link/successor"))
     before, after = (
         RoadLink()
-        if element is None
-        else RoadLink(
-            kind=element.get("elementType", ""),
-            id=element.get("elementId", "").strip(),
-            contact=element.get("contactPoint", ""),
-        )
-        for element in (road.find("link/predecessor"), road.find("link/successor"))
+        if one is None
+        else RoadLink(**{k: one.get(v, "").strip() for k, v in keys.items()})
+        for one in found
     )
     return before, after
 
@@ -550,28 +634,26 @@ def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[
         if not -_MAX_SECTION_GAP_M <= start_m <= length_m + _MAX_SECTION_GAP_M:
             raise InputError(f"{here}.s", start_m, f"0 .. {length_m:g}, the road's length")
         if element.find("center/lane") is None:
-            raise InputError(f"{here} center", Unquoted("no lane"), "a lane section's lane 0")
+            refuse(f"{here} center", "no lane", "a lane section's lane 0")
         found.append((start_m, element, here))
     if not found:
-        raise InputError(f"{where} lanes", Unquoted("no laneSection"), "at least one")
+        refuse(f"{where} lanes", "no laneSection", "at least one")
     found.sort(key=lambda item: item[0])
-    ends_m = [start_m for start_m, _, _ in found[1:]] + [length_m]
-    sections = tuple(
-        LaneSection(
-            start_m=min(max(start_m, 0.0), length_m),
-            end_m=end_m,
-            left=_read_side(element, "left", here, start_m),
-            right=_read_side(element, "right", here, start_m),
-        )
-        for (start_m, element, here), end_m in zip(found, ends_m, strict=True)
-    )
+    sections = []
+    for at, (start_m, element, here) in enumerate(found):
+        left, right = (_read_side(element, side, here, start_m) for side in ("left", "right"))
+        begin_m = min(max(start_m, 0.0), length_m)
+        end_m = found[at + 1][0] if at + 1 < len(found) else length_m
+        sections.append(LaneSection(start_m=begin_m, end_m=end_m, left=left, right=right))
     # A last section without length would hide that lanes reach the road's end.
-    is_empty = len(sections) > 1 and sections[-1].end_m - sections[-1].start_m < _MAX_SECTION_GAP_M
-    return sections[:-1] if is_empty else sections
+    if len(sections) > 1 and sections[-1].end_m - sections[-1].start_m < _MAX_SECTION_GAP_M:
+        sections.pop()
+    return tuple(sections)
 
 
 def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple[LaneRecord, ...]:
     sign = 1 if side == "left" else -1
+    from_here: Any = {"start_key": "sOffset", "first_m": start_m}
     records: dict[int, LaneRecord] = {}
     for element, here in numbered(section.find(side), "lane", f"{where} {side}"):
         value = take_number(element, "id", here)
@@ -587,11 +669,9 @@ def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple
             is_reversed=element.get("direction", "standard") == "reversed",
             predecessors=_linked_lanes(element, "predecessor"),
             successors=_linked_lanes(element, "successor"),
-            width=read_cubics(element, "width", here, start_key="sOffset", first_m=start_m),
-            border=read_cubics(element, "border", here, start_key="sOffset", first_m=start_m),
-            limits=_read_limits(
-                element.findall("speed"), here, start_key="sOffset", first_m=start_m
-            ),
+            width=read_cubics(element, "width", here, **from_here),
+            border=read_cubics(element, "border", here, **from_here),
+            limits=_read_limits(element.findall("speed"), here, **from_here),
         )
     if len(records) > _MAX_LANES:
         raise InputError(f"{where} {side}", len(records), f"at most {_MAX_LANES} lanes")

@@ -9,59 +9,55 @@ import shapely
 from numpy.typing import ArrayLike
 
 from ...arrays import FloatArray, float_array
-from ...errors import InputError, MissingExtraError, Unquoted
+from ...errors import InputError, MissingExtraError, Unquoted, refuse
 from ...files import write_atomically
 from ...notes import Note
 from ..georeferences import WGS84, local_crs, transform
-from ..source_map import Omissions, SourceMap
-from .buildings import find_bridges, find_buildings
+from ..source_map import SourceMap
 from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
-from .lanes import is_oneway, runs_backward
-from .network import build_network, is_for_cars, known_runs
-from .things import find_barriers, find_crosswalks, find_poles, find_trees
+from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward
+from .things import (
+    find_barriers,
+    find_bridges,
+    find_buildings,
+    find_crosswalks,
+    find_poles,
+    find_trees,
+)
 
 __all__ = ["fetch_openstreetmap", "read_openstreetmap"]
-
-
 _CLEAR = 0.8  # of all that shows a side
 _CARRIAGEWAYS_M = (3.0, 30.0)  # apart
 
 
-def find_driving_side(elements: Elements, positions_m: FloatArray) -> tuple[bool, str]:
-    """True if traffic keeps left, and what shows it (empty: nothing, it is assumed).
-
-    Evidence is the tag, the driving direction in roundabouts, or the side of a street's other
-    carriageway. `positions_m` (n, 2) are those of the nodes.
-    """
+def find_driving_side(elements: Elements) -> tuple[bool, str]:
+    """True if traffic keeps left, and what shows it; empty: nothing, it is assumed."""
     ways = [way for way in elements.ways if is_for_cars(way.tags)]
     sides = Counter(way.tags.get("driving_side") for way in ways)
     if sides["left"] or sides["right"]:
         return sides["left"] > sides["right"], "its tag"
-    for votes, how in (
-        (_roundabouts(ways, positions_m), "roundabouts"),
-        (_carriageways(ways, positions_m), "carriageways"),
-    ):
-        n_votes = sum(votes.values())
+    for count, how in ((_roundabouts, "roundabouts"), (_carriageways, "carriageways")):
+        votes = count(ways, elements)
         for keeps_left in (True, False):
-            if n_votes and votes[keeps_left] >= _CLEAR * n_votes:
+            if votes.total() and votes[keeps_left] >= _CLEAR * votes.total():
                 return keeps_left, how
     return False, ""
 
 
-def _points(way: Way, positions_m: FloatArray) -> list[FloatArray]:
+def _points(way: Way, elements: Elements) -> list[FloatArray]:
     step = -1 if runs_backward(way.tags) else 1
-    return [positions_m[rows[::step]] for rows in known_runs(way.rows, positions_m)]
+    return [line_m[::step] for line_m in lines_of(way, elements)]
 
 
-def _roundabouts(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
+def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
     """Votes of roundabouts: driven clockwise if traffic keeps left; parts of a ring count too."""
     votes: Counter[bool] = Counter()
     for way in ways:
         if way.tags.get("junction") not in ("roundabout", "circular"):
             continue
-        for points in _points(way, positions_m):
+        for points in _points(way, elements):
             if len(points) >= 3:
                 steps = np.diff(points, axis=0)
                 bend = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
@@ -70,7 +66,7 @@ def _roundabouts(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
     return votes
 
 
-def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
+def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
     """Votes of streets: the other carriageway lies on the right if traffic keeps left."""
     votes: Counter[bool] = Counter()
     segments_m: list[FloatArray] = []
@@ -78,7 +74,7 @@ def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
     for way in ways:
         name = way.tags.get("name") or way.tags.get("ref")
         if name and is_oneway(way.tags) and way.tags.get("junction") is None:
-            for points in _points(way, positions_m):
+            for points in _points(way, elements):
                 segments_m.append(np.stack([points[:-1], points[1:]], axis=1))
                 names += [name] * (len(points) - 1)
     if not names:
@@ -103,12 +99,11 @@ def _carriageways(ways: list[Way], positions_m: FloatArray) -> Counter[bool]:
 
 # ---------- files
 def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
-    """Read a file of OpenStreetMap data.
+    """Read a file of OpenStreetMap data: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
 
-    Coordinates are metres around the middle of the roads, heights are above the ground; there may
-    be no junction. Raises InputError: the file cannot be read, is damaged or too large, or has no
-    road for cars. `path`: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf). `keeps_left`: traffic
-    keeps left; by default what the file shows: a tag, roundabouts, carriageways.
+    Coordinates are metres around the middle of the roads, heights are above the ground.
+    `keeps_left`: by default what the file shows. Raises InputError: it is damaged or too large, or
+    has no road.
     """
     elements = read_elements(path)
     roads = [way for way in elements.ways if is_for_cars(way.tags)]
@@ -116,29 +111,27 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
     rows = rows[rows >= 0]
     if not len(rows):
         found = "no road for cars" if len(elements.node_ids) else "no nodes"
-        raise InputError(str(path), Unquoted(found), "a map with roads")
-    positions_m, crs = _project(elements, rows, path)
-    elements = _near(elements, positions_m)
-    omissions, side = Omissions(), "given"
+        refuse(str(path), found, "a map with roads")
+    elements, crs = _placed(elements, rows, path)
+    side = "given"
     if keeps_left is None:
-        keeps_left, side = find_driving_side(elements, positions_m)
-    network = build_network(elements, positions_m, keeps_left=keeps_left, omissions=omissions)
+        keeps_left, side = find_driving_side(elements)
+    network = build_network(elements, keeps_left=keeps_left)
     if not network.edges:
-        raise InputError(str(path), Unquoted("no road with two nodes"), "a map with roads")
-    reaches, junctions = find_junctions(network, elements, omissions)
+        refuse(str(path), "no road with two nodes", "a map with roads")
+    reaches, junctions = find_junctions(network)
     lanes = build_lanes(reaches)
-    poles = find_poles(network, reaches, elements, keeps_left=keeps_left, omissions=omissions)
-    crosswalks_m = find_crosswalks(network, elements, omissions)
+    poles, crosswalks_m = find_poles(network, reaches), find_crosswalks(network)
     things = [
-        *find_buildings(network, elements, omissions),
-        *find_bridges(network, reaches, elements, omissions),
-        *find_barriers(elements, positions_m, omissions),
-        *find_trees(elements, positions_m, omissions),
+        *find_buildings(network),
+        *find_bridges(network, reaches),
+        *find_barriers(elements),
+        *find_trees(elements),
     ]
-    skipped = omissions.listed()
+    skipped = elements.omissions.listed()
     if not side:
         why = "no tag, roundabout or pair of carriageways shows it: taken to keep right"
-        skipped = (Note(what="side of the road", why=why, kind="side of the road"), *skipped)
+        skipped = (Note("side of the road", why, kind="side of the road"), *skipped)
     return SourceMap(
         name=path.name,
         crs=crs,
@@ -149,62 +142,48 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         things=tuple(things),
         poles=poles,
         crosswalks_m=crosswalks_m,
-        ground_m=_heights(elements, rows, positions_m),
+        ground_m=_heights(elements, rows),
         keeps_left=keeps_left,
         skipped=skipped,
     )
 
 
-def _heights(elements: Elements, rows: np.ndarray, positions_m: FloatArray) -> FloatArray:
+def _heights(elements: Elements, rows: np.ndarray) -> FloatArray:
     """Nodes of roads that say how high above the sea they lie, (n, 3), in metres."""
     found = [
-        (*positions_m[row], height_m)
+        (*elements.positions_m[row], height_m)
         for row in rows.tolist()
         if (height_m := parse_length_m(elements.node_tags.get(row, {}).get("ele", ""))) is not None
     ]
     return np.array(found).reshape(-1, 3)
 
 
-def _project(elements: Elements, rows: np.ndarray, path: Path) -> tuple[FloatArray, str]:
-    """Positions of all nodes in metres around the middle of the roads, and their CRS."""
+def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements, str]:
+    """Elements in metres around the middle of the roads but those far off; and their CRS."""
     lon_lat = elements.lon_lat_deg[rows]
     low, high = lon_lat.min(axis=0), lon_lat.max(axis=0)
     limit_deg = DEFAULTS["reading"]["max_span_deg"]
     if (high - low).max() > limit_deg:
         place = f"latitude {low[1]:g} to {high[1]:g}, longitude {low[0]:g} to {high[0]:g}"
         expected = f"a map of a place, at most {limit_deg:g} degree wide; cut it out first"
-        raise InputError(str(path), Unquoted(f"roads from {place}"), expected)
+        refuse(str(path), f"roads from {place}", expected)
     crs = local_crs(0.5 * (low + high), WGS84, where=str(path))
     # Far from the roads the projection ends, and nothing is needed there.
     is_near = (np.abs(elements.lon_lat_deg - 0.5 * (low + high)) <= 2.0 * limit_deg).all(axis=1)
     positions = np.full((len(is_near), 2), np.inf)
     positions[is_near] = transform(elements.lon_lat_deg[is_near], WGS84, crs)
-    return positions, crs
-
-
-def _near(elements: Elements, positions_m: FloatArray) -> Elements:
-    """Elements without nodes that have no place."""
-    is_there = np.isfinite(positions_m).all(axis=1)
-    if is_there.all():
-        return elements
-    is_there = np.append(is_there, False)  # row -1: a node that the file does not have
-    return replace(
-        elements,
-        node_tags={row: tags for row, tags in elements.node_tags.items() if is_there[row]},
-        ways=tuple(
-            replace(way, rows=np.where(is_there[way.rows], way.rows, -1)) for way in elements.ways
-        ),
-    )
+    elements = replace(elements, positions_m=positions)
+    is_there = np.append(np.isfinite(positions).all(axis=1), False)  # row -1: not in the file
+    if is_there[:-1].all():
+        return elements, crs
+    tags = {row: tags for row, tags in elements.node_tags.items() if is_there[row]}
+    ways = (replace(way, rows=np.where(is_there[way.rows], way.rows, -1)) for way in elements.ways)
+    return replace(elements, node_tags=tags, ways=tuple(ways)), crs
 
 
 # ---------- a public server
 def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
-    """Fetch all OpenStreetMap data within a box, by the Overpass API.
-
-    `bbox` (4,): west, south, east, north. WGS 84. `path`: file to write, as XML; its folder must
-    exist. Raises InputError: the box is not valid or too large; or the server does not answer with
-    a map. MissingExtraError: the package for requests over the network is not installed.
-    """
+    """Fetch OpenStreetMap within west, south, east, north by the Overpass API; or InputError."""
     west, south, east, north = box = float_array(bbox, (4,), "bbox")
     online = DEFAULTS["online"]
     size_deg = np.array([east - west, north - south])
@@ -230,5 +209,5 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     except requests.RequestException as error:
         raise InputError(online["url"], Unquoted(error), "a server that answers") from None
     if b"<osm" not in answer.content[:1000]:
-        raise InputError(online["url"], Unquoted("no map"), "OpenStreetMap data as XML")
+        refuse(online["url"], "no map", "OpenStreetMap data as XML")
     write_atomically(path, answer.content)

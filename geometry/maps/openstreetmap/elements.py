@@ -7,7 +7,7 @@ import zlib
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -17,19 +17,30 @@ import osmium
 from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
-from ...errors import InputError, Unquoted
-from ...files import load_toml, open_file
+from ...errors import refuse
+from ...files import load_toml, open_file, reading
 from ...untrusted_files import MAX_FILE_BYTES, check_pbf
 from ..source_map import Omissions
 
 DEFAULTS: dict[str, Any] = load_toml(files("geometry.maps") / "data" / "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
-
-
 Tags = dict[str, str]
-
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
+_BROKEN = "its outline is not closed, or misses nodes"
+_FOOT_M = 0.3048
+_INCH_M = 0.0254
+_UNITS_M = {
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **{"cm": 0.01, "km": 1000.0},
+    **dict.fromkeys(("ft", "foot", "feet", "'"), _FOOT_M),
+    **dict.fromkeys(("in", "inch", "inches", '"'), _INCH_M),
+}
+_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
+_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
+_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
+_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
+OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,26 +68,22 @@ class Relation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Elements:
-    """The elements of a file."""
+    """The elements of a file, where its nodes lie, and what is left out of them."""
 
     node_ids: IntArray  # (n,), ascending
     lon_lat_deg: FloatArray  # (n, 2), WGS 84
     node_tags: dict[int, Tags]  # by row, for nodes with tags
     ways: tuple[Way, ...]
     relations: tuple[Relation, ...]
+    # (n, 2), of the nodes, around the middle of the roads
+    positions_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    omissions: Omissions = field(default_factory=Omissions)
 
 
 def read_elements(path: Path) -> Elements:
-    """Read a file of OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF.
-
-    The first bytes show the format. Deleted elements are left out; of several versions the last one
-    counts. Raises InputError if the file cannot be read, has another format, is damaged or too
-    large, or a node lies nowhere on earth.
-    """
-    try:
+    """Read OpenStreetMap data, by its first bytes; of several versions the last one counts."""
+    with reading(path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError):
         return _collect(path, _file_format(path))
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
 
 
 def _file_format(path: Path) -> str:
@@ -92,22 +99,23 @@ def _file_format(path: Path) -> str:
         return "pbf"
     if begin.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
         return "osm"
-    raise InputError(str(path), Unquoted("something else"), _EXPECTED)
+    refuse(str(path), "something else", _EXPECTED)
 
 
 def _check_unpacked_size(path: Path, unpack: Any) -> None:
     """Refuse what unpacks to too much; a second reading, but without keeping anything."""
     limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
     n_bytes = 0
-    try:
-        with open_file(path) as packed, unpack(packed, "rb") as file:
-            while chunk := file.read(1 << 20):
-                n_bytes += len(chunk)
-                if n_bytes > limit:
-                    got = Unquoted(f"more than {limit:,} bytes when unpacked")
-                    raise InputError(str(path), got, "fewer; cut it out first")
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(str(path), Unquoted(error), f"{_EXPECTED}: a whole archive") from None
+    with (
+        reading(path, f"{_EXPECTED}: a whole archive", OSError, EOFError, zlib.error),
+        open_file(path) as packed,
+        unpack(packed, "rb") as file,
+    ):
+        while chunk := file.read(1 << 20):
+            n_bytes += len(chunk)
+            if n_bytes > limit:
+                got = f"more than {limit:,} bytes when unpacked"
+                refuse(str(path), got, "fewer; cut it out first")
 
 
 def _collect(path: Path, file_format: str) -> Elements:
@@ -116,49 +124,37 @@ def _collect(path: Path, file_format: str) -> Elements:
     ways: dict[int, tuple[list[int], Tags]] = {}
     relations: dict[int, Relation] = {}
     n_left = int(DEFAULTS["reading"]["max_nodes"])
-    source = osmium.io.File(str(path), file_format)
     bits = osmium.osm.NODE | osmium.osm.WAY | osmium.osm.RELATION
-    try:
-        processor = osmium.FileProcessor(source, bits)
-        box = processor.header.box()
-        for item in processor:
-            element: Any = item
-            if element.deleted:
-                continue
-            tags = {tag.k: tag.v for tag in element.tags} if len(element.tags) else {}
-            if element.is_node():
-                location = element.location
-                ids.append(element.id)
-                places.append(location.lon_without_check())
-                places.append(location.lat_without_check())
-                if not location.valid():
-                    lat_deg, lon_deg = location.lat_without_check(), location.lon_without_check()
-                    is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
-                    words = f"latitude {lat_deg}, longitude {lon_deg}"
-                    got = Unquoted("no coordinates" if is_missing else words)
-                    expected = "latitude -90..90 and longitude -180..180"
-                    raise InputError(f"{path}: node {element.id}", got, expected)
-                if tags:
-                    tags_by_id[element.id] = tags
-                n_left -= 1
-            elif element.is_way():
-                references = [node.ref for node in element.nodes]
-                ways[element.id] = (references, tags)
-                n_left -= 1 + len(references) // 10
-            else:
-                members = tuple(
-                    (member.ref, member.role) for member in element.members if member.type == "w"
-                )
-                relations[element.id] = Relation(id=element.id, members=members, tags=tags)
-                n_left -= 1 + len(members) // 10
-            if n_left < 0:
-                got = Unquoted(f"more than {DEFAULTS['reading']['max_nodes']:,} elements")
-                raise InputError(str(path), got, "fewer; cut it out first")
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
-        message = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(str(path), Unquoted(message), _EXPECTED) from None
+    processor = osmium.FileProcessor(osmium.io.File(str(path), file_format), bits)
+    box = processor.header.box()
+    for item in processor:
+        element: Any = item
+        if element.deleted:
+            continue
+        tags = {tag.k: tag.v for tag in element.tags} if len(element.tags) else {}
+        n_left -= 1
+        if element.is_node():
+            location = element.location
+            ids.append(element.id)
+            lon_deg, lat_deg = location.lon_without_check(), location.lat_without_check()
+            places.extend((lon_deg, lat_deg))
+            if not location.valid():
+                is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
+                got = "no coordinates" if is_missing else f"latitude {lat_deg}, longitude {lon_deg}"
+                expected = "latitude -90..90 and longitude -180..180"
+                refuse(f"{path}: node {element.id}", got, expected)
+            if tags:
+                tags_by_id[element.id] = tags
+        elif element.is_way():
+            ways[element.id] = ([node.ref for node in element.nodes], tags)
+            n_left -= len(element.nodes) // 10
+        else:
+            members = tuple((one.ref, one.role) for one in element.members if one.type == "w")
+            relations[element.id] = Relation(id=element.id, members=members, tags=tags)
+            n_left -= len(members) // 10
+        if n_left < 0:
+            got = f"more than {DEFAULTS['reading']['max_nodes']:,} elements"
+            refuse(str(path), got, "fewer; cut it out first")
     if box.valid():
         corners = [[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)]
         _check_order(path, np.array(places).reshape(-1, 2), np.array(corners))
@@ -175,9 +171,8 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
         bool(((point >= low) & (point <= high)).all()) for point in (middle, middle[::-1])
     )
     if is_inside_exchanged and not is_inside:
-        got = Unquoted(f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}")
         expected = "nodes within the file's bounds: latitude and longitude are exchanged"
-        raise InputError(str(path), got, expected)
+        refuse(str(path), f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}", expected)
 
 
 def _assemble(
@@ -210,7 +205,6 @@ def _assemble(
 
 
 def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
-    """Row of each id, -1 where there is none."""
     if not len(node_ids):
         return np.full(len(wanted), -1, dtype=np.int64)
     found = np.minimum(np.searchsorted(node_ids, wanted), len(node_ids) - 1)
@@ -233,66 +227,64 @@ class Area:
         return Polygon(self.outer_m, self.holes_m)
 
 
-def find_areas(
-    elements: Elements, positions_m: FloatArray, keys: Sequence[str], omissions: Omissions
-) -> Iterator[Area]:
+def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
     """Closed ways and rings of multipolygons with one of the tags `keys`; broken ones are noted."""
     by_id = {way.id: way for way in elements.ways}
     used: set[int] = set()
+
+    def is_meant(tags: Tags) -> bool:
+        return any(key in tags for key in keys)
+
     for relation in elements.relations:
         if relation.tags.get("type") != "multipolygon":
             continue
         outers = [by_id[ref] for ref, role in relation.members if role != "inner" and ref in by_id]
         tags = relation.tags
-        if not any(key in tags for key in keys):
-            # As it used to be: the outer way has the tags.
-            tags = next((way.tags for way in outers if any(k in way.tags for k in keys)), {})
+        if not is_meant(tags):  # as it used to be: the outer way has the tags
+            tags = next((way.tags for way in outers if is_meant(way.tags)), {})
         if tags:
-            used.update(way.id for way in outers if any(key in way.tags for key in keys))
-            yield from _multipolygon(relation, tags, by_id, positions_m, omissions)
+            used.update(way.id for way in outers if is_meant(way.tags))
+            yield from _multipolygon(elements, relation, tags, by_id)
     for way in elements.ways:
-        if way.id in used or not any(key in way.tags for key in keys):
+        if way.id in used or not is_meant(way.tags):
             continue
         if not way.is_closed or (way.rows < 0).any():
-            omissions.add("outlines", f"way {way.id}", "its outline is not closed, or misses nodes")
-            continue
-        yield Area(id=f"w{way.id}", tags=way.tags, outer_m=positions_m[way.rows])
+            elements.omissions.add("outlines", f"way {way.id}", _BROKEN)
+        else:
+            yield Area(id=f"w{way.id}", tags=way.tags, outer_m=elements.positions_m[way.rows])
 
 
 def _multipolygon(
-    relation: Relation,
-    tags: Tags,
-    by_id: Mapping[int, Way],
-    positions_m: FloatArray,
-    omissions: Omissions,
+    elements: Elements, relation: Relation, tags: Tags, by_id: Mapping[int, Way]
 ) -> Iterator[Area]:
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):
         refs = [ref for ref, role in relation.members if (role == "inner") == is_inner]
         ways = [by_id[ref] for ref in refs if ref in by_id]
         found, is_whole = join_rings(ways)
-        rings[is_inner] = [positions_m[ring] for ring in found]
+        rings[is_inner] = [elements.positions_m[ring] for ring in found]
         if len(ways) < len(refs) or not is_whole:
-            why = "its outline is not closed, or misses nodes"
-            omissions.add("outlines", f"relation {relation.id}", why)
+            elements.omissions.add("outlines", f"relation {relation.id}", _BROKEN)
     holes: dict[int, list[FloatArray]] = defaultdict(list)
     outers = [make_valid(Polygon(ring)) for ring in rings[False]]
     if outers and rings[True]:
         tree = STRtree(outers)
         for ring in rings[True]:
-            found = tree.query(Polygon(ring).representative_point(), predicate="within")
-            if len(found):
-                holes[int(found[0])].append(ring)
+            inside = tree.query(Polygon(ring).representative_point(), predicate="within")
+            if len(inside):
+                holes[int(inside[0])].append(ring)
     for number, ring in enumerate(rings[False]):
-        name = f"r{relation.id}.{number}" if number else f"r{relation.id}"
+        name = numbered(f"r{relation.id}", number)
         yield Area(id=name, tags=tags, outer_m=ring, holes_m=tuple(holes[number]))
 
 
-def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
-    """Closed rings of node rows from ways in any order and direction.
+def numbered(name: str, number: int, between: str = ".") -> str:
+    """Name of one of several parts; the first, 0, has no number."""
+    return f"{name}{between}{number}" if number else name
 
-    Returns also whether every way is part of a ring.
-    """
+
+def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
+    """Closed rings of node rows from ways in any order, and whether every way is part of one."""
     rings, is_whole = [], True
     open_ways: dict[int, Way] = {}
     at_end: dict[int, list[int]] = defaultdict(list)
@@ -326,26 +318,9 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
 
 
 # ---------- values of tags
-_FOOT_M = 0.3048
-_INCH_M = 0.0254
-_UNITS_M = {
-    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
-    **{"cm": 0.01, "km": 1000.0},
-    **dict.fromkeys(("ft", "foot", "feet", "'"), _FOOT_M),
-    **dict.fromkeys(("in", "inch", "inches", '"'), _INCH_M),
-}
-_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
-_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
-_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
-_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
-OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
-
-
 def parse_length_m(text: str) -> float | None:
     r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
 
-    Examples
-    --------
     >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
     [3.5, 3.6576000000000004, 3.5, None]
     >>> round(parse_length_m("6'7\""), 4)
@@ -393,8 +368,6 @@ def side_value(tags: Tags, key: str, side: str) -> str | None:
 def reversed_tags(tags: Tags) -> Tags:
     """Tags of the same line with its nodes in the opposite order.
 
-    Examples
-    --------
     >>> reversed_tags({"sidewalk": "left", "lanes:forward": "2"})
     {'sidewalk': 'right', 'lanes:backward': '2'}
     """

@@ -4,6 +4,7 @@ from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
+from typing import Any
 
 import numpy as np
 import shapely
@@ -12,14 +13,24 @@ from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...junction import chained
+from ...lines import unit
 from ...scene import LeadingRoad
-from ..source_map import MapJunction, Omissions, polygons_of
+from ..source_map import MapJunction, polygons_of
 from .elements import DEFAULTS, Elements, Tags
 from .network import Edge, End, Network, Street, axis_points, surface, trace_streets
 
 _STEP_M = 0.5
 _SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
 _SAME_ARM_GAP_M = 12.0
+_FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
+_STUB = "it ends nowhere, less than {:g} m beyond a junction: no arm".format(
+    DEFAULTS["cross_section"]["stub_m"]
+)
+_MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
+_Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
+_Placed = dict[tuple[_Path, ...], list[float]]  # mouths of arms by the streets of a junction
+_BEYOND_M = 1.0  # of the outline, which is rounded
+_AHEAD_M = 10.0  # over which a direction is taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,8 +47,7 @@ class Arm:
         """Unit vector away from the junction where the arm begins, (2,)."""
         begin_m = min(self.mouth_m, max(self.street.length_m - 5.0, 0.0))
         (near, far), _ = axis_points(self.street, [begin_m, begin_m + 10.0])
-        unit: FloatArray = (far - near) / max(float(np.hypot(*(far - near))), 1e-9)
-        return unit
+        return unit(far - near)
 
     @property
     def mouth_point_m(self) -> FloatArray:
@@ -48,43 +58,36 @@ class Arm:
     @property
     def half_width_m(self) -> float:
         """Half the width of its carriageway at the mouth, in metres."""
-        return 0.5 * self.street.sections[self.street.part_at(self.mouth_m)].width_m
+        return 0.5 * self.street.section_at(self.mouth_m).width_m
 
 
 def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
-    """Find how far from a junction's nodes its arms begin.
-
-    They begin a corner beyond the point where their carriageways have left those of the others and
-    of the streets `inside`; the carriageways of one arm begin side by side.
-    """
+    """Find how far from a junction's nodes its arms begin: a corner beyond all others' surfaces."""
     limits = DEFAULTS["junction"]
     directions = [arm.direction for arm in arms]
-    surfaces = [
-        surface(arm.street, 0.0, min(arm.street.length_m, limits["max_mouth_m"] + 5.0))
-        for arm in arms
-    ]
+    most_m = limits["max_mouth_m"]
+    surfaces = [surface(arm.street, 0.0, min(arm.street.length_m, most_m + 5.0)) for arm in arms]
     middle = [surface(street, 0.0, street.length_m) for street in inside]
+
+    def is_in_way(one: int, other: int) -> bool:
+        if one == other or directions[one] @ directions[other] < _SAME_ARM_COSINE:
+            return one != other
+        # Carriageways of one road may overlap.
+        (edge, is_along), (beside, runs_along) = (arms[at].street.parts[0] for at in (one, other))
+        is_pair = edge.is_oneway and beside.is_oneway and is_along != runs_along
+        return not is_pair and (edge.name == "" or edge.name != beside.name)
+
     placed = []
     for index, arm in enumerate(arms):
-        others = [
-            other_surface
-            for other, other_surface in enumerate(surfaces)
-            if other != index
-            and not (
-                directions[index] @ directions[other] >= _SAME_ARM_COSINE
-                and _is_one_road(arm, arms[other])
-            )
-        ]
+        others = [surfaces[other] for other in range(len(arms)) if is_in_way(index, other)]
         clear_m = _clear_from_m(arm.street, shapely.union_all([*middle, *others]))
-        mouth_m = min(clear_m + limits["corner_m"], limits["max_mouth_m"])
-        placed.append(replace(arm, mouth_m=mouth_m))
+        placed.append(replace(arm, mouth_m=min(clear_m + limits["corner_m"], most_m)))
     aligned = list(placed)
     for group in (found for found in group_arms(placed) if len(found) > 1):
         mean = np.mean([placed[index].direction for index in group], axis=0)
         ahead_m = [float(placed[index].mouth_point_m @ mean) for index in group]
         for index, own_m in zip(group, ahead_m, strict=True):
-            mouth_m = placed[index].mouth_m + max(ahead_m) - own_m
-            mouth_m = min(mouth_m, limits["max_mouth_m"] + 10.0)
+            mouth_m = min(placed[index].mouth_m + max(ahead_m) - own_m, most_m + 10.0)
             aligned[index] = replace(placed[index], mouth_m=mouth_m)
     return aligned
 
@@ -104,18 +107,11 @@ def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
     return chained(len(arms), is_pair)
 
 
-def _is_one_road(one: Arm, other: Arm) -> bool:
-    """Two arms in the same direction are carriageways of one road, which may overlap."""
-    edges = [one.street.parts[0], other.street.parts[0]]
-    is_pair = all(edge.is_oneway for edge, _ in edges) and edges[0][1] != edges[1][1]
-    return is_pair or (edges[0][0].name != "" and edges[0][0].name == edges[1][0].name)
-
-
 def _clear_from_m(street: Street, others: BaseGeometry) -> float:
     """Distance in metres at which a street's cross-section first touches no other surface."""
     limit_m = DEFAULTS["junction"]["max_mouth_m"]
     stations = np.arange(0.0, limit_m, _STEP_M)
-    half = np.array([0.5 * street.sections[street.part_at(one)].width_m for one in stations])
+    half = np.array([0.5 * street.section_at(one).width_m for one in stations])
     half -= 0.05  # neighbours may touch
     middle, across = axis_points(street, stations)
     ends = [middle + sign * half[:, None] * across for sign in (1.0, -1.0)]
@@ -127,9 +123,6 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
 
 
 # ---------- nodes of junctions
-_FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
-
-
 @dataclass(slots=True)
 class Clusters:
     """Nodes of junctions, joined step by step."""
@@ -151,27 +144,20 @@ class Clusters:
             self.members[one] += self.members.pop(other)
 
 
-def find_clusters(network: Network, node_tags: Mapping[int, Tags]) -> Clusters:
-    """Nodes where roads meet, those of one junction together.
-
-    These are nodes on the ground with three or more ends of roads, or of roads and yards at a
-    signal, unless a road only forks into its carriageways or ramps. Nodes are joined along short
-    streets, and all of a roundabout.
-    """
+def find_clusters(network: Network) -> Clusters:
+    """Nodes where roads meet, or roads and yards at a signal; those of one junction together."""
     clusters = Clusters()
     for row, ends in network.ends.items():
-        if _is_meeting(network, ends, node_tags.get(row, {})) and not is_fork(network, ends):
+        edges = [network.edges[index] for index, _ in ends]
+        n_full = sum(not edge.is_service for edge in edges)
+        is_signal = network.elements.node_tags.get(row, {}).get("highway") == "traffic_signals"
+        is_meeting = n_full >= 3 or (is_signal and n_full > 0 and len(edges) >= 3)
+        is_on_ground = any(edge.level == 0 for edge in edges)
+        if is_meeting and is_on_ground and not is_fork(network, ends):
             clusters.add(row)
     _join_roundabouts(network, clusters)
     _join_near(network, clusters)
     return clusters
-
-
-def _is_meeting(network: Network, ends: tuple[End, ...], tags: Tags) -> bool:
-    edges = [network.edges[index] for index, _ in ends]
-    n_full = sum(not edge.is_service for edge in edges)
-    has_signals = tags.get("highway") == "traffic_signals" and n_full > 0 and len(edges) >= 3
-    return any(edge.level == 0 for edge in edges) and (n_full >= 3 or has_signals)
 
 
 def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
@@ -179,14 +165,18 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
     ends = tuple(end for end in ends if not network.edges[end[0]].is_service)
     if len(ends) != 3 or any(network.edges[index].is_roundabout for index, _ in ends):
         return False
+    bearings = {end: network.bearing_deg(end) for end in ends}
+
+    def apart_deg(one: End, other: End) -> float:
+        return abs((bearings[one] - bearings[other] + 180.0) % 360.0 - 180.0)
+
     for stem in ends:
         one, other = (end for end in ends if end != stem)
         edges = [network.edges[end[0]] for end in (one, other, stem)]
         if not (edges[0].is_oneway and edges[1].is_oneway):
             continue
-        bearings = [network.bearing_deg(end) for end in (stem, one, other)]
-        off_stem_deg = min(_apart_deg(bearing, bearings[0]) for bearing in bearings[1:])
-        if _apart_deg(bearings[1], bearings[2]) > _FORK_DEG or off_stem_deg < 90.0:
+        off_stem_deg = min(apart_deg(one, stem), apart_deg(other, stem))
+        if apart_deg(one, other) > _FORK_DEG or off_stem_deg < 90.0:
             continue
         is_split = not edges[2].is_oneway and one[1] != other[1]
         is_ramp = one[1] == other[1] and any(
@@ -198,13 +188,8 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
     return False
 
 
-def _apart_deg(one_deg: float, other_deg: float) -> float:
-    return abs((one_deg - other_deg + 180.0) % 360.0 - 180.0)
-
-
 def _join_roundabouts(network: Network, clusters: Clusters) -> None:
     """Make one junction of the nodes of a ring and of what touches it."""
-    limit_m = DEFAULTS["junction"]["max_roundabout_m"]
     rings = Clusters()
     for edge in network.edges:
         if edge.is_roundabout and not edge.is_service:
@@ -213,51 +198,43 @@ def _join_roundabouts(network: Network, clusters: Clusters) -> None:
             rings.add(end)
             rings.join(rings.of_row[begin], rings.of_row[end])
     for rows in rings.members.values():
-        size_m = float(np.hypot(*np.ptp(network.positions_m[rows], axis=0)))
         numbers = sorted({clusters.of_row[row] for row in rows if row in clusters.of_row})
-        if numbers and size_m <= limit_m:
+        if numbers and _size_m(network, rows) <= DEFAULTS["junction"]["max_roundabout_m"]:
             for number in numbers[1:]:
                 clusters.join(numbers[0], number)
             for row in rows:
                 clusters.add(row, numbers[0])
 
 
+def _size_m(network: Network, rows: Sequence[int]) -> float:
+    """Diagonal of the box around some nodes, in metres."""
+    return float(np.hypot(*np.ptp(network.elements.positions_m[rows], axis=0)))
+
+
 def _join_near(network: Network, clusters: Clusters) -> None:
-    limits = DEFAULTS["junction"]
+    limits, of_row = DEFAULTS["junction"], clusters.of_row
     links = []
-    for street in trace_streets(network, clusters.of_row.__contains__):
+    for street in trace_streets(network, of_row.__contains__):
         begin, end = int(street.rows[0]), int(street.rows[-1])
-        if begin not in clusters.of_row or end not in clusters.of_row:
-            continue
-        is_wide = is_between_carriageways(network, street)
-        if street.length_m <= limits["join_carriageways_m" if is_wide else "join_m"]:
-            links.append((street.length_m, begin, end))
+        if begin in of_row and end in of_row:
+            # Whether it links the carriageways of another street, across its median.
+            edges = [[network.edges[index] for index, _ in network.ends[at]] for at in (begin, end)]
+            names = [{one.name for one in here if one.is_oneway and one.name} for here in edges]
+            is_wide = bool(names[0] & names[1] - {street.parts[0][0].name})
+            if street.length_m <= limits["join_carriageways_m" if is_wide else "join_m"]:
+                links.append((street.length_m, begin, end))
     for _, begin, end in sorted(links):
-        one, other = clusters.of_row[begin], clusters.of_row[end]
+        one, other = of_row[begin], of_row[end]
         if one == other:
             continue
         rows = clusters.members[one] + clusters.members[other]
-        if np.hypot(*np.ptp(network.positions_m[rows], axis=0)) <= limits["max_size_m"] or any(
+        if _size_m(network, rows) <= limits["max_size_m"] or any(
             network.edges[index].is_roundabout for row in rows for index, _ in network.ends[row]
         ):
             clusters.join(one, other)
 
 
-def is_between_carriageways(network: Network, street: Street) -> bool:
-    """It links the two one-way carriageways of another street, across its median."""
-    ends = (network.ends[int(row)] for row in street.rows[[0, -1]])
-    edges = [[network.edges[index] for index, _ in here] for here in ends]
-    names = [{edge.name for edge in here if edge.is_oneway and edge.name} for here in edges]
-    return bool(names[0] & names[1] - {street.parts[0][0].name})
-
-
 # ---------- junctions
-_STUB = "it ends nowhere, less than {:g} m beyond a junction: no arm".format(
-    DEFAULTS["cross_section"]["stub_m"]
-)
-_MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reach:
     """The part of a street that has lanes, and the junctions at its ends."""
@@ -269,14 +246,10 @@ class Reach:
     to_junction: str = ""
 
 
-def find_junctions(
-    network: Network, elements: Elements, omissions: Omissions
-) -> tuple[list[Reach], list[MapJunction]]:
-    """Streets outside junctions with the reach of their lanes, and junctions in the order of ids.
-
-    Meetings of roads with too few arms are noted.
-    """
-    clusters = find_clusters(network, elements.node_tags)
+def find_junctions(network: Network) -> tuple[list[Reach], list[MapJunction]]:
+    """Streets outside junctions with the reach of their lanes, and junctions by their ids."""
+    elements = network.elements
+    clusters = find_clusters(network)
     known: _Placed = {}
     for number_of_round in count():
         streets = trace_streets(network, clusters.of_row.__contains__)
@@ -284,10 +257,10 @@ def find_junctions(
         stubs = _take_stubs(network, arms, inside)
         if number_of_round < _MAX_ROUNDS and _take_in_forks(network, clusters, arms):
             continue
-        if not _drop_small(clusters, arms, elements, omissions):
+        if not _drop_small(clusters, arms, elements):
             break
     for stub in stubs:
-        omissions.add("roads", f"way {stub.street.parts[0][0].way_id}", _STUB)
+        elements.omissions.add("roads", f"way {stub.street.parts[0][0].way_id}", _STUB)
     ids = {
         number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
         for number, rows in clusters.members.items()
@@ -302,7 +275,7 @@ def find_junctions(
     for number, here in arms.items():
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
         rows, streets_inside = clusters.members[number], inside.get(number, [])
-        outline = _outline(final, streets_inside, network.positions_m[rows])
+        outline = _outline(final, streets_inside, elements.positions_m[rows])
         junctions.append(
             MapJunction(
                 id=ids[number],
@@ -313,14 +286,6 @@ def find_junctions(
         )
     junctions.sort(key=lambda junction: int(junction.id[1:]))
     return list(reaches.values()), junctions
-
-
-_Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
-_Placed = dict[tuple[_Path, ...], list[float]]  # mouths of arms by the streets of a junction
-
-
-def _path(street: Street) -> _Path:
-    return tuple((edge.id, is_along) for edge, is_along in street.parts)
 
 
 def _arms_by_cluster(
@@ -341,7 +306,10 @@ def _arms_by_cluster(
             arms[end].append(Arm(street=street.reversed(), index=index, is_begin=False))
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
-        key = tuple(_path(street) for street in (*(arm.street for arm in here), *inside[number]))
+        key = tuple(
+            tuple((edge.id, is_along) for edge, is_along in street.parts)
+            for street in (*(arm.street for arm in here), *inside[number])
+        )
         if key not in known:
             known[key] = [arm.mouth_m for arm in place_mouths(here, inside[number])]
         arms[number] = [
@@ -355,8 +323,7 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
-        groups = group_arms(here)
-        group_of = {index: group for group in range(len(groups)) for index in groups[group]}
+        group_of = {index: at for at, group in enumerate(group_arms(here)) for index in group}
         # Streets that end at a fork, by its node.
         branches = {
             int(arm.street.rows[-1]): group_of[index]
@@ -364,13 +331,11 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
             if arm.street.length_m <= island_m
         }
         for index, arm in enumerate(here):
+            own = group_of[index]
             for row, station in zip(arm.street.rows.tolist(), arm.street.stations_m, strict=True):
-                ends = network.ends.get(row, ())
-                if row in clusters.of_row or len(ends) < 3 or not is_fork(network, ends):
-                    continue
-                own = group_of[index]
                 is_island = station <= island_m and branches.get(row, own) != own
-                if station <= arm.mouth_m + 1.0 or is_island:
+                is_near = row not in clusters.of_row and (station <= arm.mouth_m + 1.0 or is_island)
+                if is_near and is_fork(network, network.ends.get(row, ())):
                     taken.append((row, number))
     for row, number in taken:
         clusters.add(row, number)
@@ -384,20 +349,19 @@ def _take_stubs(
     least_m = DEFAULTS["cross_section"]["stub_m"]
     stubs = []
     for number, here in arms.items():
-        arms[number] = []
-        for arm in here:
-            is_dead_end = len(network.ends[int(arm.street.rows[-1])]) == 1
-            if is_dead_end and arm.street.length_m - arm.mouth_m < least_m:
-                stubs.append(arm)
-                inside[number].append(arm.street)
-            else:
-                arms[number].append(arm)
+        ending = [
+            arm
+            for arm in here
+            if len(network.ends[int(arm.street.rows[-1])]) == 1
+            and arm.street.length_m - arm.mouth_m < least_m
+        ]
+        inside[number] += [arm.street for arm in ending]
+        arms[number] = [arm for arm in here if arm not in ending]
+        stubs += ending
     return stubs
 
 
-def _drop_small(
-    clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements, omissions: Omissions
-) -> bool:
+def _drop_small(clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements) -> bool:
     """Drop meetings that nobody would call a junction, where roads merge or end."""
     min_arms, least_m = DEFAULTS["junction"]["min_arms"], DEFAULTS["cross_section"]["min_road_m"]
     small = {}
@@ -410,7 +374,7 @@ def _drop_small(
             small[number] = "motorways merge or part where nobody walks"
     for number, why in small.items():
         node = min(int(elements.node_ids[row]) for row in clusters.members[number])
-        omissions.add("meetings of roads", f"node {node}", why)
+        elements.omissions.add("meetings of roads", f"node {node}", why)
         for row in clusters.members.pop(number):
             del clusters.of_row[row]
     return bool(small)
@@ -428,32 +392,30 @@ def _reaches(
     mouths = {(arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here}
     reaches = {}
     for index, street in enumerate(streets):
-        names, cuts = [], []
-        for at, is_begin in ((0, True), (-1, False)):
-            number = clusters.of_row.get(int(street.rows[at]))
-            names.append("" if number is None else ids[number])
-            if number is None:
-                cuts.append(_road_beside_m(network, street, is_begin=is_begin))
-            elif (index, is_begin) in mouths:
-                cuts.append(mouths[index, is_begin])
-        if len(cuts) < 2:
+        numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
+        cuts = [
+            _road_beside_m(network, street, at) if number is None else mouths.get((index, at == 0))
+            for number, at in zip(numbers, (0, -1), strict=True)
+        ]
+        from_m, to_m = cuts
+        if from_m is None or to_m is None:
             continue  # inside a junction
         free_m = max(street.length_m - least_m, 0.0)
-        if sum(cuts) > free_m:  # two junctions so near that both get less
-            cuts = [cut * free_m / sum(cuts) for cut in cuts]
+        if (both_m := from_m + to_m) > free_m:  # two junctions so near that both get less
+            from_m, to_m = from_m * free_m / both_m, to_m * free_m / both_m
+        names = ["" if number is None else ids[number] for number in numbers]
         reaches[index] = Reach(
             street=street,
-            begin_m=cuts[0],
-            end_m=street.length_m - cuts[1],
+            begin_m=from_m,
+            end_m=street.length_m - to_m,
             from_junction=names[0],
             to_junction=names[1],
         )
     return reaches
 
 
-def _road_beside_m(network: Network, street: Street, *, is_begin: bool) -> float:
+def _road_beside_m(network: Network, street: Street, at: int) -> float:
     """Half the width of the road into which a yard leads without a junction, in metres."""
-    at = 0 if is_begin else -1
     if not street.parts[at][0].is_service:
         return 0.0
     others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
@@ -469,85 +431,53 @@ def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
     whole = shapely.union_all(surfaces)
     # Kerbs are rounded, narrow islands belong to the surface.
     rounded = whole.buffer(corner_m, quad_segs=8).buffer(-corner_m, quad_segs=8)
-    beyond = [
-        surface(arm.street, arm.mouth_m, min(arm.mouth_m + 10.0, arm.street.length_m))
-        for arm in arms
-    ]
+    ends_m = [min(arm.mouth_m + 10.0, arm.street.length_m) for arm in arms]
+    beyond = [surface(arm.street, arm.mouth_m, m) for arm, m in zip(arms, ends_m, strict=True)]
     rest = rounded.union(whole).difference(shapely.union_all(beyond))
     smallest = Point(0.0, 0.0).buffer(1.0)
     polygon = max(polygons_of(rest), key=lambda part: part.area, default=smallest)
-    ring = shapely.simplify(polygon.exterior, 0.02)
-    return np.asarray(ring.coords)[:-1]
+    return np.asarray(shapely.simplify(polygon.exterior, 0.02).coords)[:-1]
 
 
 def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
     ranks: dict[str, int] = {}
-    counts: Counter[str] = Counter()
     edges = [arm.street.parts[0][0] for arm in arms]
-    counts.update(edge.name for edge in edges)
+    counts = Counter(edge.name for edge in edges)
     edges += [edge for street in inside for edge, _ in street.parts]
-    for edge in edges:
-        if edge.name:
-            rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
-            ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
+    for edge in (edge for edge in edges if edge.name):
+        rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
+        ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
     return " / ".join(sorted(ranks, key=lambda name: (ranks[name], -counts[name], name)))
 
 
 # ---------- where motorways merge or part
-_MOTORWAYS = ("motorway", "motorway_link")
-_TRUNKS = ("trunk", "trunk_link")
-_FOR_PEOPLE = ("traffic_signals", "crossing")  # nodes
-_SIDEWALKS = ("both", "left", "right", "yes")
-
-
 def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
-    """True if only motorways and trunk roads meet, without people on foot and crossing ways.
-
-    `arms`: the part of each road next to the meeting, and whether it runs away from there. `nodes`:
-    of the nodes where they meet: signals and crossings are for people.
-    """
-    edges = [(edge, is_away) for edge, is_away in arms if not edge.is_service]
-    if (
-        not edges
-        or len(edges) < len(arms)
-        or any(
-            edge.tags.get("foot") in ("yes", "designated")
-            or edge.tags.get("sidewalk") in _SIDEWALKS
-            for edge, _ in edges
-        )
+    """True if motorways and trunk roads (and whether they lead away) meet, and nobody walks."""
+    edges = [(edge, edge.tags["highway"], is_away) for edge, is_away in arms]
+    if not edges or any(
+        edge.is_service
+        or edge.tags.get("foot") in ("yes", "designated")
+        or edge.tags.get("sidewalk") in ("both", "left", "right", "yes")
+        for edge, *_ in edges
     ):
         return False
-    if any(tags.get("highway") in _FOR_PEOPLE for tags in nodes):
+    if any(tags.get("highway") in ("traffic_signals", "crossing") for tags in nodes):
         return False
-    n_away = sum(is_away for _, is_away in edges)
-    is_motorway = [
-        edge.tags["highway"] in _MOTORWAYS or edge.tags.get("motorroad") == "yes"
-        for edge, _ in edges
+    n_away = sum(is_away for *_, is_away in edges)
+    is_fast = [
+        highway in ("motorway", "motorway_link") or edge.tags.get("motorroad") == "yes"
+        for edge, highway, _ in edges
     ]
-    return all(is_motorway) or (
-        all(edge.is_oneway for edge, _ in edges)
-        and all(
-            is_fast or edge.tags["highway"] in _TRUNKS
-            for is_fast, (edge, _) in zip(is_motorway, edges, strict=True)
-        )
-        and min(n_away, len(edges) - n_away) <= 1
-    )
+    is_parting = min(n_away, len(edges) - n_away) <= 1 and all(edge.is_oneway for edge, *_ in edges)
+    is_trunk = [highway in ("trunk", "trunk_link") for _, highway, _ in edges]
+    return all(is_fast) or (is_parting and bool(np.logical_or(is_fast, is_trunk).all()))
 
 
 # ---------- roads that lead to a junction
-_BEYOND_M = 1.0  # of the outline, which is rounded
-_AHEAD_M = 10.0  # over which a direction is taken
-
-
 def find_leading_roads(
     network: Network, rows: Iterable[int], outline_m: FloatArray
 ) -> tuple[LeadingRoad, ...]:
-    """Ways that leave a junction and go on.
-
-    The network is walked from the junction's nodes until its ways leave the outline. Those that end
-    nowhere less than a stub's length beyond it are no roads. Lanes are those of the tags at the
-    stub's length.
-    """
+    """Ways that leave a junction's outline and go on for a stub's length, with their lanes."""
     area = shapely.make_valid(shapely.Polygon(outline_m)).buffer(_BEYOND_M)
     shapely.prepare(area)
     waiting = deque(rows)
@@ -558,22 +488,18 @@ def find_leading_roads(
         for end in network.ends.get(waiting.popleft(), ()):
             if end[0] in done:
                 continue
-            left_at = _leaves_at(network, end, area)
-            if left_at is None:  # both its ends lie inside
+            line = shapely.LineString(network.points_from(end))
+            if shapely.intersects(area, shapely.Point(line.coords[-1])):  # both its ends lie inside
                 done.add(end[0])
                 far = int(network.edges[end[0]].rows[-1 if end[1] else 0])
                 if far not in seen:
                     seen.add(far)
                     waiting.append(far)
-            else:
-                found += _road(network, end, left_at)
+                continue
+            tips = shapely.get_coordinates(line.intersection(area))
+            located = shapely.line_locate_point(line, shapely.points(tips))
+            found += _road(network, end, line, float(located.max()) if len(tips) else 0.0)
     return tuple(found)
-
-
-def _points(network: Network, end: End) -> FloatArray:
-    """Nodes of an edge from one of its ends, (n, 2)."""
-    points = network.edges[end[0]].points_m
-    return points if end[1] else points[::-1]
 
 
 def _directions(network: Network, end: End) -> frozenset[bool]:
@@ -581,23 +507,11 @@ def _directions(network: Network, end: End) -> frozenset[bool]:
     return frozenset(one == end[1] for one in network.edges[end[0]].section.directions)
 
 
-def _leaves_at(network: Network, end: End, area: shapely.Geometry) -> float | None:
-    """Distance along an edge at which it leaves an area for good; None: it ends inside."""
-    line = shapely.LineString(_points(network, end))
-    if shapely.intersects(area, shapely.Point(line.coords[-1])):
-        return None
-    inside = line.intersection(area)
-    tips = shapely.get_coordinates(inside)
-    if not len(tips):
-        return 0.0
-    return float(shapely.line_locate_point(line, shapely.points(tips)).max())
-
-
-def _road(network: Network, end: End, left_at_m: float) -> Iterator[LeadingRoad]:
+def _road(network: Network, end: End, line: Any, left_at_m: float) -> Iterator[LeadingRoad]:
+    """The road on which an edge's line leaves a junction at a distance from one of its ends."""
     least_m = DEFAULTS["cross_section"]["stub_m"]
-    points = _points(network, end)
-    line = shapely.LineString(points)
-    begin, ahead = (
+    points = network.points_from(end)
+    point, ahead = (
         np.array(shapely.line_interpolate_point(line, left_at_m + on_m).coords[0])
         for on_m in (0.0, _AHEAD_M)
     )
@@ -613,17 +527,17 @@ def _road(network: Network, end: End, left_at_m: float) -> Iterator[LeadingRoad]
             break
         way = others[0]
         passed.add(way[0])
-        rest_m += shapely.LineString(_points(network, way)).length
-    edge = network.edges[way[0]]
+        rest_m += shapely.LineString(network.points_from(way)).length
+    edge, begin = network.edges[way[0]], point
     if (step := np.hypot(*(ahead - begin))) < 1e-6:
-        ahead, step = points[-1], np.hypot(*(points[-1] - points[-2]))
-        begin = points[-2]
-    counts = {out: len(edge.section.lanes(is_forward=out == way[1])) for out in (True, False)}
-    if any(counts.values()):
+        begin, ahead = points[-2], points[-1]
+        step = np.hypot(*(ahead - begin))
+    n_in, n_out = (len(edge.section.lanes(is_forward=out == way[1])) for out in (False, True))
+    if n_in or n_out:
         yield LeadingRoad(
             name=edge.name or f"way {edge.way_id}",
-            point_m=np.array(shapely.line_interpolate_point(line, left_at_m).coords[0]),
+            point_m=point,
             direction=(ahead - begin) / step,
-            lanes_in=counts[False],
-            lanes_out=counts[True],
+            lanes_in=n_in,
+            lanes_out=n_out,
         )

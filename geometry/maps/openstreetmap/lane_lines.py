@@ -2,52 +2,49 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
+from ...lines import along_m, unit
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
-from .lanes import Strip, speed_limit_kmh
-from .network import axis_points, has_no_knot, stations_between
+from .network import Strip, axis_points, has_no_knot, speed_limit_kmh, stations_between
 
 _BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
 _MIN_LENGTH_M = 0.5
 _SAME_POINT_M = 0.5  # pieces of a lane whose ends are as near as this are one after the other
 _SAME_WAY = 0.5  # cosine of the angle between them
 _BEND_M = 15.0
+_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their starts
 
 
-@dataclass(slots=True)
-class _Piece:
-    """A lane over some parts of a street."""
+class _Part(NamedTuple):
+    """A lane on one part of a street."""
 
-    id: str
-    strips: list[Strip] = field(default_factory=list)  # of each part
-    spans_m: list[tuple[float, float]] = field(default_factory=list)  # stations of each part
-    # its middle, left of the street, at both ends of each part
-    ends_left_m: list[tuple[float, float]] = field(default_factory=list)
-    levels: list[int] = field(default_factory=list)  # layer of each part
-    limits_kmh: list[float | None] = field(default_factory=list)  # of each part
-    is_two_way: bool = False
+    strip: Strip
+    span_m: tuple[float, float]  # its stations
+    ends_left_m: tuple[float, float]  # its middle, left of the street, at both ends
+    level: int
+    limit_kmh: float | None
+    is_two_way: bool
+
+
+_Piece = tuple[str, list[_Part]]  # id of a lane, and its parts one after the other
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
-    """One lane per strip of each street and stretch between junctions.
-
-    If the number of lanes of a direction changes, all of them end, and the following ones begin at
-    the same points.
-    """
+    """One lane per strip of each street and stretch between junctions with as many lanes."""
     found = [lane for reach in reaches for lane in _street_lanes(reach)]
     two_way = {lane.id for lane, is_two_way in found if is_two_way}
     return tuple(_lead_on([lane for lane, _ in found], two_way))
 
 
 def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
-    """Lanes of a street, and whether cars drive both ways next to them."""
     street = reach.street
     spans = [
         (max(low, reach.begin_m), min(high, reach.end_m))
@@ -58,43 +55,33 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
     open_pieces: dict[tuple[str, str, int], _Piece] = {}
     done: list[_Piece] = []
     for at, index in enumerate(parts):
-        edge, is_along = street.parts[index]
-        strips = street.sections[index].strips
+        (edge, is_along), section = street.parts[index], street.sections[index]
         before = street.sections[parts[at - 1]].strips if at else ()
         after = street.sections[parts[at + 1]].strips if at + 1 < len(parts) else ()
         following: dict[tuple[str, str, int], _Piece] = {}
-        for strip in strips:
-            begin_m, is_continued = _at_break(strip, strips, before)
-            end_m, _ = _at_break(strip, strips, after)
-            piece = open_pieces.pop(_key(strip), None) if is_continued else None
-            if piece is None:
-                name = f"{edge.id} {strip.kind} {strip.place} {strip.number}"
-                piece = _Piece(name)
-            piece.strips.append(strip)
-            piece.spans_m.append(spans[index])
-            piece.ends_left_m.append((begin_m, end_m))
-            piece.levels.append(edge.level)
-            is_forward = strip.is_forward == is_along
-            piece.limits_kmh.append(speed_limit_kmh(edge.tags, is_forward=is_forward))
-            piece.is_two_way = len(street.sections[index].directions) > 1
-            following[_key(strip)] = piece
+        for strip in section.strips:
+            begin_m, is_continued = _at_break(strip, section.strips, before)
+            end_m, _ = _at_break(strip, section.strips, after)
+            key = strip.kind, strip.place, strip.number
+            limit_kmh = speed_limit_kmh(edge.tags, is_forward=strip.is_forward == is_along)
+            is_two_way = len(section.directions) > 1
+            part = _Part(strip, spans[index], (begin_m, end_m), edge.level, limit_kmh, is_two_way)
+            piece = open_pieces.pop(key, None) if is_continued else None
+            following[key] = piece or (f"{edge.id} {strip.kind} {strip.place} {strip.number}", [])
+            following[key][1].append(part)
         done += open_pieces.values()
         open_pieces = following
     done += open_pieces.values()
-    for piece in done:
-        lane = _lane(piece, reach)
+    for name, found in done:
+        lane = _lane(name, found, reach)
         if lane is not None:
-            yield lane, piece.is_two_way
+            yield lane, found[-1].is_two_way
 
 
 def _without_stubs(
     parts: Sequence[int], spans: Sequence[tuple[float, float]], reach: Reach
 ) -> tuple[list[int], list[tuple[float, float]]]:
-    """Parts of a street that have lanes of their own, and their stations.
-
-    A way that is cut in two just outside a junction, as at a crosswalk, leaves a stub there: the
-    lanes of the part beyond it run on to the junction, unless that is driven in other directions.
-    """
+    """Parts of a street with lanes of their own, not cut off just outside a junction; stations."""
     least_m = DEFAULTS["cross_section"]["stub_m"]
     kept, whole = list(parts), list(spans)
     sections = reach.street.sections
@@ -108,10 +95,6 @@ def _without_stubs(
             pair = [whole[kept.pop(tip)], whole[kept[tip]]]
             whole[kept[tip]] = min(low for low, _ in pair), max(high for _, high in pair)
     return kept, whole
-
-
-def _key(strip: Strip) -> tuple[str, str, int]:
-    return strip.kind, strip.place, strip.number
 
 
 def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
@@ -130,30 +113,24 @@ def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tu
         same = match[0].left_m if match else strip.left_m
         return 0.5 * (strip.left_m + same), bool(match)
     number = min(strip.number, len(here) - 1, len(there) - 1)
-    left_m = 0.5 * (here[number].left_m + there[number].left_m)
-    return left_m, len(here) == len(there)
+    return 0.5 * (here[number].left_m + there[number].left_m), len(here) == len(there)
 
 
-def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
+def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     taper = DEFAULTS["cross_section"]["taper"]
     points_of_lefts: list[tuple[float, float]] = []  # stations, and how far left of the street
-    for strip, (low, high), (begin_left, end_left) in zip(
-        piece.strips, piece.spans_m, piece.ends_left_m, strict=True
-    ):
-        half = 0.5 * (high - low)
-        first, last = (
-            min(max(taper * abs(left - strip.left_m), 1.0), half) for left in (begin_left, end_left)
-        )
+    for strip, (low, high), ends_left, *_ in parts:
+        half, (begin_left, end_left) = 0.5 * (high - low), ends_left
+        first, last = (min(max(taper * abs(m - strip.left_m), 1.0), half) for m in ends_left)
         points_of_lefts += [(low, begin_left), (low + first, strip.left_m)]
         points_of_lefts += [(high - last, strip.left_m), (high, end_left)]
     stations, lefts = zip(*points_of_lefts, strict=True)
-    begin_m, end_m = piece.spans_m[0][0], piece.spans_m[-1][1]
+    begin_m, end_m = parts[0].span_m[0], parts[-1].span_m[1]
     if end_m - begin_m < _MIN_LENGTH_M:
         return None
-    is_level = np.ptp(lefts) < 1e-9
-    heights = _heights(piece)
-    extra = [] if is_level else list(stations)
-    extra += [station for station, _ in heights] if any(piece.levels) else []
+    heights = _heights(parts)
+    extra = [] if np.ptp(lefts) < 1e-9 else list(stations)
+    extra += [station for station, _ in heights] if any(part.level for part in parts) else []
     at = stations_between(reach.street, begin_m, end_m, extra)
     middle, across = axis_points(reach.street, at)
     line = middle + np.interp(at, stations, lefts)[:, None] * across
@@ -161,54 +138,42 @@ def _lane(piece: _Piece, reach: Reach) -> MapLane | None:
     at, line = at[is_kept], line[is_kept]
     if len(line) < 2 or np.hypot(*(line[-1] - line[0])) < 1e-3:
         return None
-    widths = [strip.width_m for strip in piece.strips]
-    lengths = [high - low for low, high in piece.spans_m]
-    is_forward = piece.strips[0].is_forward
+    lengths = [part.span_m[1] - part.span_m[0] for part in parts]
     points = np.column_stack([line, np.interp(at, *np.transpose(heights))])
     from_junction = reach.from_junction if begin_m <= reach.begin_m + 1e-6 else ""
     to_junction = reach.to_junction if end_m >= reach.end_m - 1e-6 else ""
+    is_forward = parts[0].strip.is_forward
     if not is_forward:
         points = points[::-1]
         from_junction, to_junction = to_junction, from_junction
     return MapLane(
-        id=piece.id,
-        kind=piece.strips[0].kind,
-        width_m=float(np.average(widths, weights=lengths)),
+        id=name,
+        kind=parts[0].strip.kind,
+        width_m=float(np.average([part.strip.width_m for part in parts], weights=lengths)),
         centreline_m=points,
         from_junction=from_junction,
         to_junction=to_junction,
-        speed_limit_kmh=piece.limits_kmh[-1 if is_forward == bool(to_junction) else 0],
-        turns=piece.strips[-1 if is_forward else 0].turns,
+        speed_limit_kmh=parts[-1 if is_forward == bool(to_junction) else 0].limit_kmh,
+        turns=parts[-1 if is_forward else 0].strip.turns,
     )
 
 
-def _heights(piece: _Piece) -> list[tuple[float, float]]:
+def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
     """Stations and heights: bridges and tunnels are as high as their layer, with short ramps."""
     heights: list[tuple[float, float]] = []
     step_m = DEFAULTS["cross_section"]["level_m"]
-    for index, ((low, high), level) in enumerate(zip(piece.spans_m, piece.levels, strict=True)):
-        before = piece.levels[max(index - 1, 0)]
-        after = piece.levels[min(index + 1, len(piece.levels) - 1)]
+    for before, part, after in zip(
+        [parts[0], *parts], parts, [*parts[1:], parts[-1]], strict=False
+    ):
+        (low, high), level = part.span_m, part.level
         run = min(10.0, 0.5 * (high - low))
-        heights += [
-            (low, 0.5 * step_m * (before + level)),
-            (low + run, step_m * level),
-            (high - run, step_m * level),
-            (high, 0.5 * step_m * (level + after)),
-        ]
+        heights += [(low, 0.5 * step_m * (before.level + level)), (low + run, step_m * level)]
+        heights += [(high - run, step_m * level), (high, 0.5 * step_m * (level + after.level))]
     return heights
 
 
-_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their starts
-
-
 def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
-    """Let lanes of carriageways that part or merge begin where the lanes before them end.
-
-    From the kerb each goes on into the one of its number; where there are more on one side, the
-    rest shares the last one's place. They meet on the lanes of a road with two directions, which
-    keep to their side, or else half-way. `two_way` are the ids of such lanes.
-    """
+    """Let lanes of carriageways that part or merge begin where those before them end."""
     led = list(lanes)
     groups: dict[_Group, list[int]] = defaultdict(list)
     for index, lane in enumerate(lanes):
@@ -246,10 +211,7 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
 def _meeting_groups(
     lanes: Sequence[MapLane], groups: Mapping[_Group, Sequence[int]]
 ) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
-    """Ends and begins of lanes side by side that go on into each other, the nearest first.
-
-    Of each group the nearest that lies ahead; lanes that meet already are left as they are.
-    """
+    """Ends and begins of lanes side by side that go on ahead into each other, nearest first."""
     keys = list(groups)
     tips = [
         np.array([_tip(lanes[index], is_begin=key[1]) for index in groups[key]]) for key in keys
@@ -288,21 +250,17 @@ def _meeting_groups(
 
 
 def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
-    tip: FloatArray = lane.centreline_m[0 if is_begin else -1]
-    return tip
+    return np.asarray(lane.centreline_m[0 if is_begin else -1])
 
 
 def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
-    """Unit vector in driving direction at an end of a lane, (2,)."""
     points = lane.centreline_m[:, :2]
-    step = points[1] - points[0] if is_begin else points[-1] - points[-2]
-    unit: FloatArray = step / max(float(np.hypot(*step)), 1e-9)
-    return unit
+    return unit(points[1] - points[0] if is_begin else points[-1] - points[-2])
 
 
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
     """A line that begins at another point and leads straight to itself, some metres on."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m[:, :2], axis=0).T)))
+    along = along_m(points_m)
     run = min(_BEND_M, float(along[-1]))
     joint = [np.interp(run, along, points_m[:, axis]) for axis in range(3)]
     return np.vstack([begin_m, joint, points_m[along > run + _SAME_POINT_M]])

@@ -1,79 +1,102 @@
-"""Walls, hedges, trees, poles and crosswalks."""
+"""Buildings, bridges over roads, walls, hedges, trees, poles and crosswalks."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
-from itertools import chain
 
 import numpy as np
 import shapely
-from shapely import LineString, Polygon
+from shapely import LineString, Polygon, STRtree, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
 from ...errors import InputError
+from ...lines import along_m, points_at, unit
+from ...scene import join
 from ..source_map import (
     Omissions,
     Pole,
     Thing,
+    extrude,
     extrude_polygon,
-    join,
     polygons_of,
     unit_ball,
     unit_cylinder,
 )
-from .elements import DEFAULTS, Elements, Relation, Tags, Way, parse_length_m
+from .elements import (
+    DEFAULTS,
+    Area,
+    Elements,
+    Relation,
+    Tags,
+    Way,
+    find_areas,
+    is_yes,
+    numbered,
+    parse_length_m,
+    parse_number,
+)
 from .junctions import Reach
-from .lanes import Note
-from .network import Edge, Network, axis_points, known_runs, level
+from .network import Edge, Network, Note, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
+_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
+_TRUNK_SIDES = 8
+_POLES = ("mast", "utility_pole", "pole")
+_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
+_NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
+_Place = tuple[Reach, float]  # a street and how far along it [m]
+_FOOTWAYS = ("footway", "path", "pedestrian")
+_PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
+_LEAST_M = 0.5  # of a footway on a carriageway
+_NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
+_COVERED = ("yes", "arcade", "colonnade")
+_LEAST_M2 = 1.0  # of what is left of a building
+_GATES = ("gate", "gatehouse", "city_gate")
+_Span = tuple[float, float, bool]  # bottom and top above the ground [m], whether they are assumed
 
 
-def find_barriers(
-    elements: Elements, positions_m: FloatArray, omissions: Omissions
-) -> Iterator[Thing]:
+def find_barriers(elements: Elements) -> Iterator[Thing]:
     """Walls, hedges and boarded fences; transparent fences and damaged outlines are noted."""
     for way in elements.ways:
         kind = way.tags.get("barrier", "")
         if kind not in _KINDS:
             continue
-        element = f"way {way.id}"
+        note = partial(elements.omissions.add, "barriers", f"way {way.id}")
         fence = way.tags.get("fence_type", way.tags.get("material", ""))
         if kind == "fence" and fence not in DEFAULTS["barrier"]["opaque_fences"]:
-            omissions.add("fences", element, "seen through: no fence_type that says otherwise")
+            why = "seen through: no fence_type that says otherwise"
+            elements.omissions.add("fences", f"way {way.id}", why)
             continue
-        height_m, is_assumed = _size_m(way.tags, kind, "height", omissions, element)
-        thickness_m, _ = _size_m(way.tags, kind, "thickness", omissions, element)
-        for number, footprint in enumerate(_footprints(way, positions_m, thickness_m)):
+        limits = DEFAULTS["barrier"]
+        tagged_m = _tagged_m(
+            way.tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note
+        )
+        thick_m = _tagged_m(
+            way.tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
+        )
+        top_m = float(limits[kind]["height_m"]) if tagged_m is None else tagged_m
+        thick_m = float(limits[kind]["thickness_m"]) if thick_m is None else thick_m
+        for number, footprint in enumerate(_footprints(way, elements, thick_m)):
             try:
-                mesh = extrude_polygon(footprint, bottom_m=0.0, top_m=height_m, where=element)
+                mesh = extrude_polygon(footprint, bottom_m=0.0, top_m=top_m, where=f"way {way.id}")
             except InputError as error:
-                omissions.add("barriers", element, f"its outline has {error.got}")
+                note(f"its outline has {error.got}")
                 continue
-            name = f"w{way.id} {kind}" + (f" {number}" if number else "")
+            name = numbered(f"w{way.id} {kind}", number, " ")
             class_name = "vegetation" if kind == "hedge" else "wall"
-            yield Thing.of(name, class_name, mesh, is_height_assumed=is_assumed)
+            yield Thing.of(name, class_name, mesh, is_height_assumed=tagged_m is None)
 
 
-def _footprints(way: Way, positions_m: FloatArray, thickness_m: float) -> Iterator[Polygon]:
+def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Polygon]:
     if way.tags.get("area") == "yes" and way.is_closed and (way.rows >= 0).all():
-        yield from polygons_of(Polygon(positions_m[way.rows]).buffer(0.0))
+        yield from polygons_of(Polygon(elements.positions_m[way.rows]).buffer(0.0))
         return
-    for rows in known_runs(way.rows, positions_m):
-        line = LineString(positions_m[rows])
-        yield from polygons_of(line.buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre"))
-
-
-def _size_m(
-    tags: Tags, kind: str, name: str, omissions: Omissions, element: str
-) -> tuple[float, bool]:
-    """Height or thickness in metres, and whether it is assumed."""
-    limits = DEFAULTS["barrier"]
-    keys = (name, "width") if name == "thickness" else (name, "est_height")
-    bounds_m = 0.01, limits[f"max_{name}_m"]
-    size_m = _tagged_m(tags, keys, bounds_m, partial(omissions.add, "barriers", element))
-    return (float(limits[kind][f"{name}_m"]), True) if size_m is None else (size_m, False)
+    for line_m in lines_of(way, elements):
+        strip = LineString(line_m).buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre")
+        yield from polygons_of(strip)
 
 
 def _tagged_m(
@@ -90,44 +113,34 @@ def _tagged_m(
 
 
 # ---------- trees
-_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
-_TRUNK_SIDES = 8
-
-
-def find_trees(
-    elements: Elements, positions_m: FloatArray, omissions: Omissions
-) -> Iterator[Thing]:
+def find_trees(elements: Elements) -> Iterator[Thing]:
     """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
+    add = elements.omissions.add
     for row, tags in elements.node_tags.items():
         if tags.get("natural") == "tree":
             node_id = int(elements.node_ids[row])
-            yield _tree(f"n{node_id}", positions_m[row], tags, f"node {node_id}", omissions)
+            note = partial(add, "trees", f"node {node_id}")
+            yield _tree(f"n{node_id}", elements.positions_m[row], tags, note)
     tagged: tuple[Way | Relation, ...] = (*elements.ways, *elements.relations)
     for one in tagged:
         element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
         if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
-            rows = known_runs(one.rows, positions_m)
-            feet = chain.from_iterable(_along(positions_m[part]) for part in rows)
+            usual, feet = DEFAULTS["tree"], list[FloatArray]()
+            for line_m in lines_of(one, elements):
+                long_m = float(along_m(line_m)[-1])
+                n_trees = min(round(long_m / usual["row_spacing_m"]) + 1, usual["max_in_row"])
+                feet += [*points_at(line_m, np.linspace(0.0, long_m, max(n_trees, 2)))]
             for number, foot in enumerate(feet):
-                yield _tree(f"w{one.id} tree {number}", foot, one.tags, element, omissions)
+                note = partial(add, "trees", element)
+                yield _tree(f"w{one.id} tree {number}", foot, one.tags, note)
         if any(one.tags.get(key) == value for key, value in _WOODS):
-            omissions.add("woods", element, "the positions of its trees and bushes are unknown")
+            add("woods", element, "the positions of its trees and bushes are unknown")
 
 
-def _along(line_m: FloatArray) -> FloatArray:
-    """Positions of the trees of a row, evenly from its start to its end, (n, 2)."""
-    usual = DEFAULTS["tree"]
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
-    n_trees = min(round(float(along[-1]) / usual["row_spacing_m"]) + 1, usual["max_in_row"])
-    stations = np.linspace(0.0, along[-1], max(n_trees, 2))
-    return np.column_stack([np.interp(stations, along, line_m[:, axis]) for axis in (0, 1)])
-
-
-def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Omissions) -> Thing:
+def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
     usual = DEFAULTS["tree"]
 
     def size_m(keys: Sequence[str], highest_m: float) -> float | None:
-        note = partial(omissions.add, "trees", element)
         return _tagged_m(tags, keys, (0.05, highest_m), note)
 
     tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
@@ -148,27 +161,17 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, element: str, omissions: Om
 
 
 # ---------- poles
-_POLES = ("mast", "utility_pole", "pole")
-_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
-_NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
-
-
-def find_poles(
-    network: Network,
-    reaches: Sequence[Reach],
-    elements: Elements,
-    *,
-    keeps_left: bool,
-    omissions: Omissions,
-) -> tuple[Pole, ...]:
+def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
     """Poles next to roads that could carry sensors; lamps without a pole are noted.
 
     Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
-    stop line, or where an arm begins if that is farther out; those mapped where roads meet stand at
-    every arm from which cars come.
+    stop line, or where an arm begins if that is farther out; those where roads meet at every arm.
     """
-    places = _places(network, reaches)
-    poles = []
+    places: dict[int, list[_Place]] = defaultdict(list)  # nodes of junctions lie on all arms
+    for reach in reaches:
+        for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
+            places[int(row)].append((reach, float(station_m)))
+    elements, poles = network.elements, []
     for row, tags in elements.node_tags.items():
         kind = _kind(tags)
         if not kind:
@@ -176,24 +179,24 @@ def find_poles(
         node_id = int(elements.node_ids[row])
         support = tags.get("support") or tags.get("lamp_mount") or tags.get("camera:mount", "")
         if support in _NO_POLE:
-            omissions.add(f"{kind}s", f"node {node_id}", "on a wall or a wire, without a pole")
+            why = "on a wall or a wire, without a pole"
+            elements.omissions.add(f"{kind}s", f"node {node_id}", why)
             continue
-        feet, assumed = [network.positions_m[row]], ""
+        feet, assumed = [elements.positions_m[row]], ""
         if kind in ("traffic light", "sign") and (row in network.ends or row in places):
-            feet = _at_kerbs(places.get(row, ()), tags, keeps_left=keeps_left)
+            feet = _at_kerbs(places.get(row, ()), tags, keeps_left=network.keeps_left)
             assumed = "mapped on the road: a pole at the kerb is assumed"
             if len(feet) > 1:
                 poles_there = f"{len(feet)} poles at the kerbs are assumed"
                 assumed = f"node {node_id} is mapped on the road: {poles_there}"
             if not feet:
                 why = "inside a junction, where nobody stops"
-                omissions.add(f"{kind}s", f"node {node_id}", why)
+                elements.omissions.add(f"{kind}s", f"node {node_id}", why)
         height_m = parse_length_m(tags.get("height", ""))
         if not height_m or height_m > DEFAULTS["pole"]["max_height_m"]:
             height_m = None
         for number, foot in enumerate(feet):
-            name = f"n{node_id}.{number}" if number else f"n{node_id}"
-            position = np.append(foot, 0.0)
+            name, position = numbered(f"n{node_id}", number), np.append(foot, 0.0)
             poles.append(
                 Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
             )
@@ -214,26 +217,13 @@ def _kind(tags: Tags) -> str:
     return ""
 
 
-_Place = tuple[Reach, float]  # a street and how far along it [m]
-
-
-def _places(network: Network, reaches: Sequence[Reach]) -> dict[int, list[_Place]]:
-    """Positions of nodes along streets; nodes of junctions lie on all arms."""
-    places: dict[int, list[_Place]] = {}
-    for reach in reaches:
-        for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
-            places.setdefault(int(row), []).append((reach, float(station_m)))
-    return places
-
-
 def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
-    """Feet of the poles of one mapped signal or sign."""
     feet: list[FloatArray] = []
     for reach, station_m in places:
         for is_forward in _directions(reach, station_m, tags):
             # Beside the stop line, or where the arm begins if the stop line lies inside.
             at_m = float(np.clip(station_m, min(reach.begin_m, reach.end_m), reach.end_m))
-            section = reach.street.sections[reach.street.part_at(at_m)]
+            section = reach.street.section_at(at_m)
             sign = 1.0 if is_forward == keeps_left else -1.0  # left of the street
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
             (middle,), (across,) = axis_points(reach.street, [at_m])
@@ -273,27 +263,21 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
 
 
 # ---------- crosswalks
-_FOOTWAYS = ("footway", "path", "pedestrian")
-_PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
-_LEAST_M = 0.5  # of a footway on a carriageway
+def find_crosswalks(network: Network) -> FloatArray:
+    """Lines (n, 2, 2) on which pedestrians cross carriageways, a little beyond the kerbs.
 
-
-def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) -> FloatArray:
-    """Lines (n, 2, 2) on which pedestrians cross the carriageways of roads.
-
-    Where a mapped footway leads over roads there is a straight line over each of them, along the
-    footway's direction on the carriageway; otherwise a line runs across the road at the mapped
-    point. All end a little beyond the kerbs. Crossings without a road are noted.
+    Where a mapped footway leads over roads it is a straight line along it over each of them;
+    otherwise it runs across the road at the mapped point. Crossings without a road are noted.
     """
-    limits = DEFAULTS["crosswalk"]
+    limits, elements = DEFAULTS["crosswalk"], network.elements
     lines: list[FloatArray] = []
     covered: set[int] = set()  # nodes that lie on a mapped footway over a road
     tree = shapely.STRtree([shapely.linestrings(edge.points_m) for edge in network.edges])
     for way in elements.ways:
         if way.tags.get("footway") != "crossing" or way.tags.get("highway") not in _FOOTWAYS:
             continue
-        for rows in known_runs(way.rows, network.positions_m):
-            walk = LineString(network.positions_m[rows])
+        for rows in known_runs(way, elements):
+            walk = LineString(elements.positions_m[rows])
             edges = [
                 network.edges[index]
                 for index in tree.query(walk, predicate="intersects").tolist()
@@ -305,11 +289,16 @@ def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) 
                 if 1.0 < np.hypot(*(line[1] - line[0])) <= limits["max_length_m"]
             ]
             if not found:
-                omissions.add("crossings", f"way {way.id}", "no road for cars below it")
+                why = "no road for cars below it"
+                elements.omissions.add("crossings", f"way {way.id}", why)
                 continue
             covered.update(rows.tolist())
             lines += found
-    at_row = _edges_at(network)
+    at_row: dict[int, tuple[int, int]] = {}  # an edge through each node, and the node's place in it
+    for index, edge in enumerate(network.edges):
+        for at, row in enumerate(edge.rows.tolist()):
+            if row not in at_row or network.edges[at_row[row][0]].is_service:
+                at_row[row] = (index, at)
     for row, tags in elements.node_tags.items():
         if tags.get("highway") != "crossing" or tags.get("crossing") == "no":
             continue
@@ -318,16 +307,18 @@ def find_crosswalks(network: Network, elements: Elements, omissions: Omissions) 
         lines.append(_across(network, row, at_row[row], limits["beyond_kerb_m"]))
     taken: list[FloatArray] = []
     for line in lines:
-        if not any(_is_same(line, other) for other in taken):
+        middle, along = line.mean(axis=0), unit(line[1] - line[0])
+        if not any(  # one crosswalk that is mapped in two ways
+            np.hypot(*(middle - other.mean(axis=0))) <= limits["same_m"]
+            and abs(along @ unit(other[1] - other[0])) > _PARALLEL
+            for other in taken
+        ):
             taken.append(line)
     return np.array(taken).reshape(-1, 2, 2)
 
 
 def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]:
-    """A line (2, 2) over each road that a footway crosses, from beyond one kerb to the other.
-
-    Carriageways that are crossed one after the other in one direction are one road's.
-    """
+    """A line (2, 2) over each road that a footway crosses, with all its carriageways."""
     limits = DEFAULTS["crosswalk"]
     joined: list[tuple[LineString, BaseGeometry]] = []  # parts of the footway, and carriageways
     crossed = [
@@ -364,15 +355,11 @@ def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iter
 
 def _direction(line: LineString) -> FloatArray:
     begin, end = np.asarray(line.coords)[[0, -1], :2]
-    unit: FloatArray = (end - begin) / max(float(np.hypot(*(end - begin))), 1e-9)
-    return unit
+    return unit(end - begin)
 
 
 def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: float) -> FloatArray:
-    """The straight line through a footway's ends on a carriageway, beyond the kerbs.
-
-    A footway that is mapped only as far as the middle of the road is led on to the other kerb.
-    """
+    """The straight line (2, 2) through a footway's ends on a carriageway, beyond both kerbs."""
     begin, along = np.asarray(part.coords)[0, :2], _direction(part)
     reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
     ray = LineString([begin - reach_m * along, begin + reach_m * along])
@@ -383,16 +370,6 @@ def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: fl
     own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
     low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
     return begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
-
-
-def _edges_at(network: Network) -> dict[int, tuple[int, int]]:
-    """An edge through each node of the roads, and which of its points lies there."""
-    found: dict[int, tuple[int, int]] = {}
-    for index, edge in enumerate(network.edges):
-        for at, row in enumerate(edge.rows.tolist()):
-            if row not in found or network.edges[found[row][0]].is_service:
-                found[row] = (index, at)
-    return found
 
 
 def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float) -> FloatArray:
@@ -416,15 +393,255 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
     along = steps[0] if np.hypot(*along) < 1e-6 else along / np.hypot(*along)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
-    line: FloatArray = points[at] + half_m * np.stack([-left, left])
-    return line
+    return np.asarray(points[at] + half_m * np.stack([-left, left]))
 
 
-def _is_same(one: FloatArray, other: FloatArray) -> bool:
-    """True if two lines are one crosswalk that is mapped in two ways."""
-    apart_m = np.hypot(*(one.mean(axis=0) - other.mean(axis=0)))
-    if apart_m > DEFAULTS["crosswalk"]["same_m"]:
+# ---------- buildings, from the ground or above those who pass below
+def find_buildings(network: Network) -> Iterator[Thing]:
+    """Buildings as prisms from the ground, or from their tagged bottom.
+
+    A building with parts is its parts, and the rest of it unless they cover it. Roofs on stilts
+    begin above those who pass below, buildings over ways that lead through them above the passage.
+    """
+    omissions = network.elements.omissions
+    every = find_areas(network.elements, ("building", "building:part"))
+    areas = [area for area in every if _stands(area, omissions)]
+    parts = [area for area in areas if is_yes(area.tags.get("building:part"))]
+    part_ids = {area.id for area in parts}
+    outlines = [area for area in areas if area.id not in part_ids]
+    passages = _Passages(network)
+    for area in parts:
+        yield from _solid(area, passages, omissions)
+    for area, rest in zip(outlines, _without_parts(outlines, parts), strict=True):
+        pieces = [area] if rest is None else _pieces(area, rest, f"{area.id} beside its parts")
+        for piece in pieces:
+            yield from _solid(piece, passages, omissions)
+
+
+def _element(area: Area) -> str:
+    kind = "relation" if area.id.startswith("r") else "way"
+    return f"{kind} {area.id[1:].partition('.')[0]}"
+
+
+def _stands(area: Area, omissions: Omissions) -> bool:
+    """It exists, above the ground, and can be seen."""
+    tags = area.tags
+    kinds = [tags[key] for key in ("building", "building:part") if key in tags]
+    if all(kind == "no" for kind in kinds):
         return False
-    step, other_step = one[1] - one[0], other[1] - other[0]
-    cosine = abs(step @ other_step) / (np.hypot(*step) * np.hypot(*other_step))
-    return bool(cosine > _PARALLEL)
+    if any(kind in _NOT_THERE for kind in kinds):
+        omissions.add("buildings", _element(area), "not built yet, or no longer there")
+        return False
+    if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
+        omissions.add("buildings", _element(area), "below the ground")
+        return False
+    return True
+
+
+def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list[Polygon] | None]:
+    """The rest of each outline that no part covers; None: it has no parts."""
+    rests: list[list[Polygon] | None] = [None] * len(outlines)
+    if not outlines or not parts:
+        return rests
+    shapes = [make_valid(area.polygon) for area in outlines]
+    part_shapes = [make_valid(area.polygon) for area in parts]
+    tree = STRtree(shapes)
+    inside = tree.query(
+        [shapely.point_on_surface(shape) for shape in part_shapes], predicate="within"
+    )
+    by_outline: dict[int, list[BaseGeometry]] = defaultdict(list)
+    for part, outline in inside.T.tolist():
+        by_outline[outline].append(part_shapes[part])
+    least = DEFAULTS["building"]["parts_cover"]
+    for outline, members in by_outline.items():
+        rest = shapes[outline].difference(shapely.union_all(members))
+        is_covered = rest.area <= (1.0 - least) * shapes[outline].area
+        rests[outline] = [] if is_covered else polygons_of(rest, above_m2=_LEAST_M2)
+    return rests
+
+
+def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
+    for number, shape in enumerate(shapes):
+        outer_m, *holes_m = (np.asarray(r.coords) for r in (shape.exterior, *shape.interiors))
+        piece_id = numbered(name, number, " ")
+        yield replace(area, id=piece_id, outer_m=outer_m, holes_m=tuple(holes_m))
+
+
+def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[Thing]:
+    span = _span(area, omissions)
+    if span is None:
+        return
+    ways, clear_m = passages.through(area)
+    bottom_m, top_m, _ = span
+    if ways is None or clear_m <= bottom_m:
+        yield from _prism(area, span, omissions)
+        return
+    whole = make_valid(area.polygon)
+    beside = polygons_of(whole.difference(ways), above_m2=_LEAST_M2)
+    over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2) if clear_m < top_m else []
+    for piece in _pieces(area, beside, area.id):
+        yield from _prism(piece, span, omissions)
+    for piece in _pieces(area, over, f"{area.id} over a passage"):
+        yield from _prism(piece, (clear_m, *span[1:]), omissions)
+
+
+def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
+    bottom_m, top_m, is_assumed = span
+    heights, where = {"bottom_m": bottom_m, "top_m": top_m}, _element(area)
+    try:
+        mesh = extrude(area.outer_m, **heights, holes_m=area.holes_m, where=where)
+    except InputError as error:
+        omissions.add("buildings", where, f"its outline has {error.got}")
+        return
+    yield Thing.of(area.id, "building", mesh, is_height_assumed=is_assumed)
+
+
+# ---------- heights
+def _span(area: Area, omissions: Omissions) -> _Span | None:
+    """Heights of a building; None: they make no sense, which is noted."""
+    usual, kind = DEFAULTS["building"], _building_kind(area.tags)
+    is_roof = kind in usual["clear_heights_m"]
+    least_m = usual["roof_thickness_m" if is_roof else "storey_height_m"]
+    top_m, bottom_m, clear_m = _top_m(area, omissions), _bottom_m(area.tags), 0.0
+    if bottom_m is None:
+        bottom_m = clear_m = _clear_height_m(kind, area.tags)
+        if clear_m > 0.0 and top_m is not None:
+            below_m = max(top_m - least_m, 0.0)
+            bottom_m = below_m if is_roof else min(clear_m, below_m)
+    is_assumed = top_m is None or clear_m > 0.0
+    if top_m is None:
+        default_m = usual["default_heights_m"].get(kind, usual["default_height_m"])
+        top_m = default_m if default_m > bottom_m and not is_roof else bottom_m + least_m
+    if bottom_m >= top_m:
+        omissions.add("buildings", _element(area), "its roof is not above its floor")
+        return None
+    return bottom_m, top_m, is_assumed
+
+
+def _building_kind(tags: Tags) -> str:
+    kind = tags.get("building:part", "yes")
+    return tags.get("building", "yes") if kind == "yes" else kind
+
+
+def _clear_height_m(kind: str, tags: Tags) -> float:
+    """How high what stands on stilts or above the ground begins; 0: it stands on the ground."""
+    usual = DEFAULTS["building"]
+    clear_m = float(usual["clear_heights_m"].get(kind, usual["clear_height_m"]))
+    return clear_m * max(level(tags), int(kind == "bridge" or kind in usual["clear_heights_m"]))
+
+
+def _top_m(area: Area, omissions: Omissions) -> float | None:
+    tags, usual = area.tags, DEFAULTS["building"]
+    for key in ("height", "building:height", "est_height"):
+        if key in tags:
+            height_m = parse_length_m(tags[key])
+            if height_m is not None and 0.0 < height_m <= usual["max_height_m"]:
+                return height_m
+            omissions.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
+    storey_m = usual["storey_height_m"]
+    levels = _levels(tags, "building:levels")
+    roof_m = parse_length_m(tags.get("roof:height", ""))
+    if roof_m is None or roof_m > usual["max_height_m"]:
+        roof_m = storey_m * (_levels(tags, "roof:levels") or 0.0)
+    if levels is not None and storey_m * levels + roof_m > 0.0:
+        return float(storey_m * levels + roof_m)
+    return None
+
+
+def _bottom_m(tags: Tags) -> float | None:
+    usual = DEFAULTS["building"]
+    for key in ("min_height", "building:min_height"):
+        height_m = parse_length_m(tags.get(key, ""))
+        if height_m is not None and height_m <= usual["max_height_m"]:
+            return height_m
+    storeys = [_levels(tags, key) for key in ("building:min_level", "min_level")]
+    known = [float(usual["storey_height_m"] * n) for n in storeys if n is not None]
+    return known[0] if known else None
+
+
+def _levels(tags: Tags, key: str) -> float | None:
+    return parse_number(tags.get(key, ""), highest=DEFAULTS["building"]["max_levels"])
+
+
+# ---------- passages
+class _Passages:
+    def __init__(self, network: Network) -> None:
+        usual = DEFAULTS["building"]
+        # Area of each way, its clear height, and whether it is marked; else only gates are open.
+        self._ways: list[tuple[BaseGeometry, float, bool]] = []
+        for edge in network.edges:
+            if edge.level == 0:
+                self._add(edge.points_m, edge.section.width_m, edge.tags, usual["clear_height_m"])
+        for way in network.elements.ways:
+            if way.tags.get("highway") in usual["foot_ways"] and _leads_through(way.tags):
+                for line_m in lines_of(way, network.elements):
+                    width_m = usual["foot_way_width_m"]
+                    self._add(line_m, width_m, way.tags, usual["foot_clear_height_m"])
+        self._tree = STRtree([strip for strip, *_ in self._ways])
+
+    def _add(self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float) -> None:
+        strip = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
+        tagged_m = parse_length_m(tags.get("maxheight", ""))
+        self._ways.append((strip, tagged_m or clear_m, _leads_through(tags)))
+
+    def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
+        """Area of the ways that lead through a building, and their clear height."""
+        is_gate = area.tags.get("historic") in _GATES or _building_kind(area.tags) in _GATES
+        whole = make_valid(area.polygon)
+        near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
+        found = [
+            (strip, clear_m)
+            for strip, clear_m, is_marked in near
+            if (is_gate or is_marked) and whole.intersection(strip).area > 1.0
+        ]
+        if not found:
+            return None, 0.0
+        ways = shapely.union_all([strip for strip, _ in found])
+        return ways, max(clear_m for _, clear_m in found)
+
+
+def _leads_through(tags: Tags) -> bool:
+    return tags.get("tunnel") == "building_passage" or tags.get("covered") in _COVERED
+
+
+# ---------- bridges over roads
+def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
+    """Decks over roads on the ground, unless they lead to a junction near on the bridge."""
+    usual, elements = DEFAULTS["bridge"], network.elements
+    below = STRtree([LineString(edge.points_m) for edge in network.edges if edge.level == 0])
+
+    def is_over_road(line_m: FloatArray, tags: Tags) -> bool:
+        is_bridge = level(tags) > 0 and is_yes(tags.get("bridge"))
+        return is_bridge and len(below.query(LineString(line_m), predicate="crosses")) > 0
+
+    for reach in reaches:
+        breaks_m = reach.street.breaks_m
+        for index, (edge, _) in enumerate(reach.street.parts):
+            if not is_over_road(edge.points_m, edge.tags):
+                continue
+            from_m, to_m = breaks_m[index] - reach.begin_m, reach.end_m - breaks_m[index + 1]
+            if (reach.from_junction and from_m < usual["junction_m"]) or (
+                reach.to_junction and to_m < usual["junction_m"]
+            ):
+                why = "a junction is near on it: its deck is left out"
+                elements.omissions.add("bridges", f"way {edge.way_id}", why)
+            else:
+                yield from _deck(edge.id, edge.points_m, edge.section.width_m, edge.level)
+    for way in elements.ways:
+        is_rail = way.tags.get("railway") in usual["railways"]
+        if is_rail or way.tags.get("highway") in DEFAULTS["building"]["foot_ways"]:
+            width_m = usual["track_width_m" if is_rail else "foot_width_m"]
+            for number, line_m in enumerate(lines_of(way, elements)):
+                if is_over_road(line_m, way.tags):
+                    name = numbered(f"w{way.id}", number)
+                    yield from _deck(name, line_m, width_m, level(way.tags))
+
+
+def _deck(name: str, line_m: FloatArray, width_m: float, layer: int) -> Iterator[Thing]:
+    bottom_m = DEFAULTS["building"]["clear_height_m"] * layer
+    area = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
+    top_m = bottom_m + DEFAULTS["bridge"]["thickness_m"]
+    for number, part in enumerate(polygons_of(area)):
+        mesh = extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=name)
+        deck_id = numbered(f"{name} bridge", number, " ")
+        yield Thing.of(deck_id, "building", mesh, is_height_assumed=True)

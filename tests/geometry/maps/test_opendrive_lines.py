@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from opendrive_text import cubic, geometry, lane, road, section
 from scipy.integrate import quad
 
-from geometry.maps.opendrive.attributes import Offset
 from geometry.maps.opendrive.lanes import sample_road
-from geometry.maps.opendrive.roads import Road, read_road
+from geometry.maps.opendrive.roads import Offset, Road, read_road
 
 _ONE_LANE = section(right=[lane(-1, width=3.0)])
 _CURVATURE = st.floats(-0.2, 0.2)
