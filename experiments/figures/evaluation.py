@@ -10,11 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from geometry.arrays import BoolArray
-from placement.evaluation import (
-    Evaluation,
-    Verdict,
-    run_outcome,
-)
+from placement.evaluation import Evaluation, Verdict, run_outcome
 
 from .axes import (
     BLUE,
@@ -81,11 +77,7 @@ def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Ax
         _draw_heatmap(axes, evaluation, rows, run_index)
     panels[-1].set_xlabel(_TIME_LABEL, fontsize=9)
     figure.legend(
-        handles=_heatmap_legend(),
-        loc="outside lower center",
-        ncols=4,
-        fontsize=8,
-        frameon=False,
+        handles=_heatmap_legend(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )
     return list(panels)
 

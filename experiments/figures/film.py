@@ -265,9 +265,7 @@ class _Stage:
         axes.add_patch(Polygon([eye, *edges], facecolor=SKY, alpha=0.18, zorder=2.4))
         is_free = bool(free.any())
         axes.plot(
-            *np.stack([eye, target]).T,
-            zorder=6.9,
-            **(_FREE_STYLE if is_free else _BLOCKED_STYLE),
+            *np.stack([eye, target]).T, zorder=6.9, **(_FREE_STYLE if is_free else _BLOCKED_STYLE)
         )
         return float(free.mean())
 

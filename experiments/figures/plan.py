@@ -405,11 +405,7 @@ def _camera_marker(unit: CandidatePose, rank: int = 0) -> Style:
     ahead = _DART + [1.0 + 2.0 * rank, 0.0]
     # matplotlib scales a marker by its largest coordinate.
     size = 2.0 * _DART_POINTS * float(np.abs(ahead @ turn).max())
-    return {
-        "marker": Path(ahead @ turn, closed=True),
-        "linestyle": "none",
-        "markersize": size,
-    }
+    return {"marker": Path(ahead @ turn, closed=True), "linestyle": "none", "markersize": size}
 
 
 def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
@@ -456,11 +452,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         for body, (label, style) in _PATH_STYLES.items()
         if body in bodies
     ]
-    camera: Style = {
-        "marker": Path(_DART, closed=True),
-        "linestyle": "none",
-        "markersize": 8.0,
-    }
+    camera: Style = {"marker": Path(_DART, closed=True), "linestyle": "none", "markersize": 8.0}
     what = (
         "camera, and the ground it looks at"
         if len(layout.units) <= MAX_LABELLED_UNITS

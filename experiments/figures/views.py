@@ -124,8 +124,7 @@ class GroundViews:
         )
         bearings = np.radians(np.arange(_N_BEARINGS) * (360.0 / _N_BEARINGS))
         middles = _polar(
-            0.5 * (edges_m[1:] + edges_m[:-1])[None, :],
-            (bearings + 0.5 * bearings[1])[:, None],
+            0.5 * (edges_m[1:] + edges_m[:-1])[None, :], (bearings + 0.5 * bearings[1])[:, None]
         )
         places_m = on_ground(
             eye_m[:2] + middles.reshape(-1, 2), terrain_of(self._setting.scene)

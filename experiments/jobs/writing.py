@@ -90,15 +90,7 @@ def write_results(
         write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         write_atomically(new / APR_FILE, csv_text(apr_table(evaluations)))
         write_atomically(new / RUNS_FILE, runs_table(evaluations).to_parquet())
-        write_report(
-            new,
-            result,
-            setting,
-            evaluations,
-            command=command,
-            bill=bill,
-            side=side,
-        )
+        write_report(new, result, setting, evaluations, command=command, bill=bill, side=side)
         result = msgspec.structs.replace(result, seconds=progress.finish())
         write_atomically(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"

@@ -92,10 +92,7 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
             caption=f"Accident prevention ratio by {words}",
             columns=[head, *(name for name, _, _ in verdicts)],
             rows=[
-                [
-                    group,
-                    *(percent(apr(verdict, item.axis, mask)) for _, item, verdict in verdicts),
-                ]
+                [group, *(percent(apr(verdict, item.axis, mask)) for _, item, verdict in verdicts)]
                 for group, mask in groups
             ],
             numeric=range(1, 1 + len(verdicts)),

@@ -119,12 +119,7 @@ def begin_standing(
     if len(layout.units) > MAX_UNITS:
         return None
     return side.begin(
-        TOLERANCES,
-        find_standing,
-        setting,
-        layout.units,
-        fusion=question.fusion,
-        compute=compute,
+        TOLERANCES, find_standing, setting, layout.units, fusion=question.fusion, compute=compute
     )
 
 

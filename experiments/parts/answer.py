@@ -88,12 +88,7 @@ def doubts(result: Result) -> list[str]:
     """Sentences about what would change the answer."""
     if not isinstance(result, PlacementResult):
         return doubt_sentences(result.heavy_runs, n_runs=result.runs)
-    return doubt_sentences(
-        result.heavy_runs,
-        result.by_runs,
-        result.mounting,
-        n_runs=result.runs,
-    )
+    return doubt_sentences(result.heavy_runs, result.by_runs, result.mounting, n_runs=result.runs)
 
 
 def private_ground(result: Result) -> list[str]:

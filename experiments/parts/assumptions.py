@@ -97,10 +97,7 @@ def assumptions(
             f"{setting.detector.description}{_figures(setting)} The car itself looks with: "
             f"{' and '.join(setting.vut_sensors)}.{_cars(setting)}",
         ),
-        (
-            "Confirmation",
-            f"{rule.n_confirmations} detected frames in a row, {frame_s:g} s apart.",
-        ),
+        ("Confirmation", f"{rule.n_confirmations} detected frames in a row, {frame_s:g} s apart."),
         ("Tracks", _tracks(rule)),
         ("Latency", _latency(rule, layouts)),
         (

@@ -101,10 +101,7 @@ def build_bill(
 
 
 def _site_items(
-    layout: Layout,
-    scene: Scene,
-    site_cost_eur: float | None,
-    kept_ids: Collection[str],
+    layout: Layout, scene: Scene, site_cost_eur: float | None, kept_ids: Collection[str]
 ) -> tuple[Item, ...]:
     doubts = assumed_sites(scene.notes)
     sites = {site.id: site for site in scene.sites}

@@ -341,10 +341,7 @@ def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
 
 def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
     table = significance_table(sampled)
-    blocks: list[Block] = [
-        Subheading("Is the difference sure?"),
-        _PAIRED,
-    ]
+    blocks: list[Block] = [Subheading("Is the difference sure?"), _PAIRED]
     if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
         blocks.append(
             build_picture(

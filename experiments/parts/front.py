@@ -354,11 +354,7 @@ def _find_front(
 
 
 def describe_front(
-    front: Front,
-    problem: PlacementProblem,
-    candidates: Sequence[CandidatePose],
-    *,
-    n_kept: int = 0,
+    front: Front, problem: PlacementProblem, candidates: Sequence[CandidatePose], *, n_kept: int = 0
 ) -> FrontRecord:
     """A front with the units of every point; `n_kept` of them are mounted already.
 
@@ -417,12 +413,7 @@ _CURVES: dict[str, Style] = {
 }
 _TIMES: dict[str, Style] = {
     "smallest_margin_s": {"label": "smallest", "color": BLUE, "marker": "o", "linestyle": "-"},
-    "mean_margin_s": {
-        "label": "mean",
-        "color": VERMILION,
-        "marker": "s",
-        "linestyle": (0, (4, 2)),
-    },
+    "mean_margin_s": {"label": "mean", "color": VERMILION, "marker": "s", "linestyle": (0, (4, 2))},
 }
 
 

@@ -5,10 +5,7 @@ from typing import Annotated
 
 from geometry.scene import Scene
 from placement.candidates import CandidatePose
-from placement.ground import (
-    PrivateGround,
-    private_shares,
-)
+from placement.ground import PrivateGround, private_shares
 
 from ..results.numbers import percent
 from ..results.record import Record, Share, says

@@ -298,10 +298,7 @@ def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[RunGroup]]]:
 def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]:
     """Every layout, then the car alone; a layout may be called as that is."""
     subject = next(iter(evaluations.values()))
-    return [
-        *((name, item.headline) for name, item in evaluations.items()),
-        (VUT_NAME, subject.vut),
-    ]
+    return [*((name, item.headline) for name, item in evaluations.items()), (VUT_NAME, subject.vut)]
 
 
 def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:

@@ -9,12 +9,7 @@ from placement.optimiser.problem import Objective
 from placement.refinement import Move, Refinement
 
 from ..results.numbers import joined, number, percent
-from ..results.record import (
-    Record,
-    StageName,
-    StageValues,
-    says,
-)
+from ..results.record import Record, StageName, StageValues, says
 
 
 class MoveRecord(Record, frozen=True, kw_only=True):

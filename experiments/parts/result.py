@@ -103,8 +103,7 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     ] = ()
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
     dangers: Annotated[
-        Dangers,
-        says("Runs that the layout does not avoid, by the evaluator, and where they are."),
+        Dangers, says("Runs that the layout does not avoid, by the evaluator, and where they are.")
     ]
     added: Annotated[
         Added | None,
@@ -126,8 +125,7 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         ),
     ] = None
     private_ground: Annotated[
-        PrivateGroundRecord | None,
-        says("What cameras see of private ground; only with --no-look."),
+        PrivateGroundRecord | None, says("What cameras see of private ground; only with --no-look.")
     ] = None
     seconds: Annotated[
         dict[str, Annotated[float, Meta(ge=0)]],

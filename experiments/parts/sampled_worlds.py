@@ -12,23 +12,9 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
-from placement.sampling.uncertainty import (
-    Blinding,
-    MountingErrors,
-    Outages,
-    RoadUsers,
-    Uncertainty,
-)
+from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
-from ..figures.axes import (
-    BLUE,
-    WIDTH_IN,
-    Style,
-    finish_axes,
-    literal,
-    new_axes,
-    write_beside,
-)
+from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate

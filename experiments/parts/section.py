@@ -134,12 +134,7 @@ _LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: n
 
 
 def build_picture(
-    drawn: Figure | Axes,
-    *,
-    title: str,
-    caption: str,
-    alt: str,
-    narrow: Figure | Axes | None = None,
+    drawn: Figure | Axes, *, title: str, caption: str, alt: str, narrow: Figure | Axes | None = None
 ) -> Picture:
     """A figure, or all of the one that some axes are in, with its words.
 

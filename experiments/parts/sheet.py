@@ -322,12 +322,7 @@ class SheetResult(Record, frozen=True, kw_only=True):
 
 
 def run_sheet(
-    question: Question,
-    *,
-    layout: Layout,
-    out: Path,
-    compute: Compute,
-    progress: StageProgress,
+    question: Question, *, layout: Layout, out: Path, compute: Compute, progress: StageProgress
 ) -> SheetResult:
     """Write the mounting sheet; InputError if a unit is inside something, or `out` not writable."""
     if out.is_dir():
@@ -351,8 +346,5 @@ def run_sheet(
         ) from None
     progress.kept = f"the sheet is in {out}"
     return SheetResult(
-        layout=layout.name,
-        written=str(out),
-        units=tuple(tolerances),
-        seconds=progress.finish(),
+        layout=layout.name, written=str(out), units=tuple(tolerances), seconds=progress.finish()
     )

@@ -106,12 +106,7 @@ def build_report(
     page = page_template().render(
         title=answer.title(result, setting, shown),
         first=build_first_screen(
-            result,
-            setting,
-            subject,
-            bill=bill,
-            plan=plans[0],
-            warnings=answer.warnings(result),
+            result, setting, subject, bill=bill, plan=plans[0], warnings=answer.warnings(result)
         ),
         answer=answer.words(result, shown),
         assumed=assumption_sentences(result),
@@ -153,10 +148,7 @@ def _sections(
         if result.sampled and sampled:
             in_worlds = sampled_section(result.sampled, sampled)
         side_by_side = comparison.section(
-            evaluations,
-            setting.rule,
-            result.baselines,
-            result.sampled,
+            evaluations, setting.rule, result.baselines, result.sampled
         )
     return [
         units_section(layouts, tasks.plans.result()[1:], setting.scene),
@@ -212,10 +204,7 @@ class Tasks:
 
 
 def begin_tasks(
-    side: SideProcess,
-    result: Result,
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
+    side: SideProcess, result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> Tasks:
     """Begin what takes long to draw; once begun, the report that is written takes it from there.
 

@@ -138,12 +138,7 @@ def build_unit_records(layout: Layout, scene: Scene | None = None) -> tuple[Unit
     assumed = assumed_sites(scene.notes)
     places = whereabouts(scene, [unit.pose.position_m[:2] for unit in layout.units])
     return tuple(
-        replace(
-            record,
-            kind=kinds.get(record.site),
-            place=place,
-            assumed=assumed.get(record.site),
-        )
+        replace(record, kind=kinds.get(record.site), place=place, assumed=assumed.get(record.site))
         for record, place in zip(records, places, strict=True)
     )
 
