@@ -39,9 +39,7 @@ class AddedGroup:
 
     kind: Annotated[str, says('"all", "case", "position" or "road user".')]
     name: Annotated[str, says("Of the group.")]
-    vut: Annotated[
-        float | None, says("APR of the VUT by itself. None: no run of the group has weight. 0..1.")
-    ]
+    vut: Annotated[float | None, says("APR of the VUT alone, 0..1; null: no run has weight.")]
     with_units: Annotated[float | None, says("APR of the VUT with all units.")]
     gain: Annotated[float | None, says("What the units add: the difference.")]
 
@@ -52,17 +50,13 @@ class Added:
 
     groups: Annotated[
         tuple[AddedGroup, ...],
-        says(
-            "All runs first, then each case, position along the arms and road user, where "
-            "there are several."
-        ),
+        says("All runs first, then each case, position and road user, where there are several."),
     ]
     units: Annotated[
         tuple[AddedUnit, ...],
         says(
-            "In the order of greedy choice: the one first that adds most. A run counts here "
-            "as avoided where braking sets in before its last moment. Empty where there are "
-            "too many."
+            "The one first that adds most; empty where there are too many. A run counts here as "
+            "avoided where braking sets in before its last moment."
         ),
     ]
 

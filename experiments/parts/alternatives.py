@@ -54,11 +54,9 @@ class LeadingLayout:
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
-    apr: Annotated[
-        float, says("APR, and that when the unit that is needed most fails; 0 for a single unit.")
-    ]
+    apr: Annotated[float, says("By the evaluator.")]
     apr_one_failed: Annotated[
-        float, says("APR, and that when the unit that is needed most fails; 0 for a single unit.")
+        float, says("APR when the most needed unit fails; 0 for a single unit.")
     ]
     mounting: Annotated[
         Standing | None, says("What errors of mounting cost; null: not asked for.")
@@ -75,9 +73,7 @@ class FrontRunners:
     decided_by: Annotated[
         Deciding, says("Why the layout found was passed over; order: it is the one recommended.")
     ]
-    equal_within: Annotated[float, says("Shares that differ by no more count as equal.")] = (
-        EQUAL_APR
-    )
+    equal_within: Annotated[float, says("Shares that differ by no more are equal.")] = EQUAL_APR
     layouts: Annotated[tuple[LeadingLayout, ...], says("The layout found comes first.")]
 
 

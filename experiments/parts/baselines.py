@@ -43,12 +43,10 @@ class Score:
     runs_avoided: Annotated[int, says("How many.")]
     all: Annotated[float | None, says("APR over all runs, by weight.")]
     by_case: Annotated[
-        dict[str, float | None],
-        says("APR of each case, by its name; null where no run of it has weight."),
+        dict[str, float | None], says("APR of each case; null where no run of it has weight.")
     ]
     by_position: Annotated[
-        dict[str, float | None],
-        says("APR of each position along the arms; null where no run there has weight."),
+        dict[str, float | None], says("The same of each position along the arms.")
     ]
 
 
@@ -64,12 +62,9 @@ def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -
     )
 
 
-_OverWorlds = Annotated[
-    float, says("Mean APR of all random layouts over these worlds, and ends of its 95 % interval.")
-]
+_OverWorlds = Annotated[float, says("Mean APR over these worlds, and ends of its 95 % interval.")]
 _OverLayouts = Annotated[
-    float,
-    says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower one than `high`."),
+    float, says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower than `high`.")
 ]
 
 
@@ -87,14 +82,12 @@ class RandomInWorlds:
 class RandomBaseline:
     """Layouts of candidate poses drawn at random within the limits, on the detection table."""
 
-    layouts: Annotated[int, says("How many were drawn, and units of each.")]
-    units: Annotated[int, says("How many were drawn, and units of each.")]
+    layouts: Annotated[int, says("How many were drawn.")]
+    units: Annotated[int, says("Of each.")]
     mean: _OverLayouts
     low: _OverLayouts
     high: _OverLayouts
-    in_worlds: Annotated[
-        RandomInWorlds | None, says("The mean over worlds; only with --samples.")
-    ] = None
+    in_worlds: Annotated[RandomInWorlds | None, says("Over worlds; only with --samples.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,17 +96,12 @@ class ExpertBaseline:
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("The units.")]
-    corners: Annotated[
-        tuple[str, ...],
-        says("Corners that have a camera, by the arms next to them, in the order of choice."),
-    ]
-    cost_eur: Annotated[
-        float, says("Price of the units by the catalogue, without poles or mounting, in EUR.")
-    ]
+    corners: Annotated[tuple[str, ...], says("Those with a camera, by arms, in order of choice.")]
+    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.")]
     on_table: Annotated[float, says("APR on the detection table.")]
     score: Annotated[Score, says("By the evaluator.")]
     apr_without_worst_unit: Annotated[
-        float | None, says("APR by the evaluator if the unit that is needed most fails.")
+        float | None, says("APR by the evaluator if the most needed unit fails.")
     ]
 
 
@@ -121,12 +109,9 @@ class ExpertBaseline:
 class Baselines:
     """Layouts that need no optimiser, within the same limits."""
 
-    random: Annotated[
-        RandomBaseline | None, says("Drawn at random; null: none is within the limits.")
-    ]
+    random: Annotated[RandomBaseline | None, says("Drawn; null: none is within the limits.")]
     expert: Annotated[
-        ExpertBaseline | None,
-        says("By rule of thumb; null: that is not within the limits, or there are no corners."),
+        ExpertBaseline | None, says("By rule of thumb; null: not within the limits, or no corners.")
     ]
 
 

@@ -48,21 +48,12 @@ class Compared:
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
-    cost_eur: Annotated[
-        float, says("Price of its units by the catalogue, without poles or mounting, in EUR.")
-    ]
+    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.")]
     evaluation: Annotated[EvaluationRecord, says("By the evaluator.")]
-    runs_gained: Annotated[
-        tuple[str, ...],
-        says("Runs that the first layout avoids and this one does not, and the other way round."),
-    ]
-    runs_lost: Annotated[
-        tuple[str, ...],
-        says("Runs that the first layout avoids and this one does not, and the other way round."),
-    ]
+    runs_gained: Annotated[tuple[str, ...], says("Runs that only the first layout avoids.")]
+    runs_lost: Annotated[tuple[str, ...], says("Runs that only this one avoids.")]
     private_ground: Annotated[
-        PrivateGroundRecord | None,
-        says("What its cameras see of private ground; only with --no-look."),
+        PrivateGroundRecord | None, says("What its cameras see of it; only with --no-look.")
     ] = None
 
 
@@ -88,14 +79,10 @@ def build_compared(
 class Difference:
     """Runs that only one of two layouts avoids, all units of each together."""
 
-    first: Annotated[str, says("Names of the two layouts.")]
-    second: Annotated[str, says("Names of the two layouts.")]
-    only_first: Annotated[
-        tuple[str, ...], says("Runs that the first one alone avoids, and those of the second.")
-    ]
-    only_second: Annotated[
-        tuple[str, ...], says("Runs that the first one alone avoids, and those of the second.")
-    ]
+    first: Annotated[str, says("Name of the one layout.")]
+    second: Annotated[str, says("Name of the other one.")]
+    only_first: Annotated[tuple[str, ...], says("Runs that the first one alone avoids.")]
+    only_second: Annotated[tuple[str, ...], says("Runs that the second one alone avoids.")]
 
 
 def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference, ...]:

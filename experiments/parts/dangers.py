@@ -33,8 +33,8 @@ class DangerGroup:
     """Some runs that are alike, and how many of them are not avoided."""
 
     name: Annotated[str, says("Of the case, or of the position along the arms.")]
-    runs: Annotated[int, says("How many runs, and how many of them are not avoided.")]
-    not_avoided: Annotated[int, says("How many runs, and how many of them are not avoided.")]
+    runs: Annotated[int, says("How many.")]
+    not_avoided: Annotated[int, says("How many of them are not avoided.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,13 +42,10 @@ class Dangers:
     """Runs that the units of the layout do not avoid, by the evaluator."""
 
     not_avoided: Annotated[int, says("How many of all runs.")]
-    by_case: Annotated[
-        tuple[DangerGroup, ...],
-        says("By case, the largest share of runs that are not avoided first."),
-    ]
+    by_case: Annotated[tuple[DangerGroup, ...], says("Largest share of runs left first.")]
     by_position: Annotated[
         tuple[DangerGroup, ...],
-        says("By position along the arms, in the same order; empty where there is but one."),
+        says("Along the arms, ordered alike; empty where there is but one."),
     ]
 
 

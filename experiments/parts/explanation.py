@@ -25,18 +25,11 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
     unit: Annotated[str, says("Id in the layout.")]
     only_runs: Annotated[
         tuple[RunId, ...],
-        says(
-            "Runs with weight that are avoided with it and not without it; where worlds are "
-            "sampled with # and the number of the world behind the name."
-        ),
+        says("Runs with weight avoided only with it; # and the number of a sampled world behind."),
     ]
     marginal_apr: Annotated[Share, says("APR of all less that of the others.")]
     mean_delay_s: Annotated[
-        float,
-        says(
-            "By how much later what the others avoid, too, is confirmed without it: mean by "
-            "weight, in seconds."
-        ),
+        float, says("Later confirmation without it, where the others avoid, too, in seconds.")
     ]
     max_delay_s: Annotated[float, says("The most of it in any run, in seconds.")]
     without: Annotated[LayoutValueRecord, says("What the others are worth.")]
@@ -52,9 +45,7 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
     not_avoided: Annotated[
         tuple[Unavoided, ...], says("Runs that are not avoided, in the order of the runs.")
     ]
-    runs_without_weight: Annotated[
-        int, says("How many runs have weight 0, and are left out.", ge=0)
-    ]
+    runs_without_weight: Annotated[int, says("How many are left out with weight 0.", ge=0)]
 
 
 # ---------- explanations

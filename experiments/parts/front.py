@@ -71,19 +71,15 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     by: Annotated[Literal["units", "cost"], says("What there is more and more of.")]
     optimised: Annotated[
         Literal["first", "all"],
-        says("first: APR, and APR if a unit fails; all: margins and cost, too."),
+        says("first: APR, and APR if a unit fails; all: also margins, cost."),
     ]
     candidates: Annotated[int, says("Candidate poses.", ge=0)]
     runs: Annotated[int, says("Runs on the detection table, in all sampled worlds together.", ge=0)]
     fusion: Annotated[Literal["any", "single"], says("As at the top.")]
     kept: Annotated[int, says("Units that are mounted already.", ge=0)]
-    settled: Annotated[
-        float | None, says("Units, or EUR, from which on nothing grows; null: unknown.")
-    ]
+    settled: Annotated[float | None, says("Units or EUR beyond which nothing grows; or null.")]
     is_proven: Annotated[bool, says("Whether every point is.")]
-    presolve: Annotated[
-        PresolveStatistics | None, says("Once for all points; null: each was solved by itself.")
-    ]
+    presolve: Annotated[PresolveStatistics | None, says("For all points; null: each by itself.")]
     refused: Annotated[tuple[RefusedSizeRecord, ...], says("Sizes that cannot be.")]
     points: Annotated[tuple[FrontPointRecord, ...], says("In ascending order.")]
     sentences: Annotated[tuple[str, ...], says("What is proven, and where nothing grows.")]

@@ -17,9 +17,7 @@ class MoveRecord(Record, frozen=True, kw_only=True):
 
     was: Annotated[str | None, says("Id before; null: it is new.")]
     is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(name="is")
-    is_same_place: Annotated[
-        bool, says("Whether the same sensor is at the same place, maybe higher or lower.")
-    ]
+    is_same_place: Annotated[bool, says("The same sensor, at most higher or lower.")]
     turn_deg: Annotated[float | None, says("Change of the yaw, in degrees, counter-clockwise.")]
     tilt_deg: Annotated[float | None, says("Change of the pitch, in degrees, up.")]
     lift_m: Annotated[float | None, says("Change of the height, in metres, up.")]

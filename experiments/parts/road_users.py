@@ -24,11 +24,7 @@ class RoadUserScore:
     runs_avoided: Annotated[int, says("How many runs.")]
     apr: Annotated[float | None, says("By weight; None where none of these runs counts.")]
     mean_impact_speed_kmh: Annotated[
-        float | None,
-        says(
-            "Of the VUT at contact, by weight, avoided runs as 0; None where it is not "
-            "known, in km/h."
-        ),
+        float | None, says("At contact, by weight, avoided runs as 0, in km/h; null: unknown.")
     ]
 
 
@@ -39,10 +35,7 @@ class RoadUserGroup:
     road_user: Annotated[str, says('"on foot", "bicycle", "motorcycle" or "car".')]
     runs: Annotated[int, says("How many.")]
     weight: Annotated[float, says("Their share of the weight of all runs.")]
-    parties: Annotated[
-        tuple[RoadUserScore, ...],
-        says("The layouts, the subject first, and the vehicle by itself."),
-    ]
+    parties: Annotated[tuple[RoadUserScore, ...], says("The layouts, then the vehicle alone.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,10 +44,7 @@ class RoadUserGroups:
 
     groups: Annotated[tuple[RoadUserGroup, ...], says("At least one, those on foot first.")]
     unprotected: Annotated[
-        tuple[str, ...],
-        says(
-            "Names of cases that are left out since they meet a car; none with ``--protect all``."
-        ),
+        tuple[str, ...], says("Cases left out since they meet a car; none with --protect all.")
     ] = ()
 
 

@@ -1,6 +1,6 @@
 """APR of layouts in sampled worlds: in sentences, as a table, drawn."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
 from typing import Annotated
@@ -25,35 +25,26 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
 
     name: Annotated[str, says("Of the uncertainty.")]
     mounting: Annotated[MountingErrors, says("Errors of mounting.")]
-    latency: Annotated[
-        dict[str, str | float],
-        says("Delay of messages, by the names of the file: a budget, or a distribution."),
-    ]
+    latency: Annotated[dict[str, str | float], says("Delay of messages: budget or distribution.")]
     packet_loss: Annotated[Share, says("Share of the messages that get lost.")]
     draws_detections: Annotated[bool, says("Whether detections are drawn by their probability.")]
     traffic: Annotated[dict[str, float], says("Standing vehicles, by the names of the file.")]
     vehicles: Annotated[
         dict[str, dict[str, float]], says("Kinds of vehicles with their shares of those parked.")
     ]
-    road_users: Annotated[
-        RoadUsers, says("How road users move otherwise than their cases say.")
-    ] = RoadUsers()
+    road_users: Annotated[RoadUsers, says("How they move otherwise than in cases.")] = RoadUsers()
     person_share: Annotated[
         Share, says("Of the noise of detections, what a person has in all frames for all units.")
     ] = 0.0
     unit_person_share: Annotated[
         Share, says("Of the same, what a person has in all frames for one unit.")
     ] = 0.0
-    burst_frames: Annotated[
-        float, says("Frames after which it is drawn anew whether messages get lost.")
-    ] = 1.0
+    burst_frames: Annotated[float, says("Frames between draws of which messages get lost.")] = 1.0
     loss_shared_by: Annotated[str, says("Who loses the same messages: unit or pole.")] = "unit"
     outages: Annotated[Outages, says("Units out of order.")] = Outages()
     blinding: Annotated[Blinding, says("Cameras that see nothing.")] = Blinding()
     v2x_share: Annotated[Share, says("Of all cars, those that hear the units.")] = 1.0
-    most_draws: Annotated[
-        int, says("How often a run of great weight is drawn in a world to choose in, at most.")
-    ] = 1
+    most_draws: Annotated[int, says("Draws of a run of great weight in a world, at most.")] = 1
 
 
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):
@@ -80,18 +71,16 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
     units: Annotated[int, says("Number of its units.", ge=0)]
     planned: Annotated[Share | None, says("APR with nothing uncertain.")]
     in_sample: Annotated[
-        float | None,
-        says("Mean APR in the worlds that it was chosen in; null: not chosen in worlds."),
+        float | None, says("Mean APR in the worlds that it was chosen in; null: chosen in none.")
     ]
     cvar: Annotated[float | None, says("Mean APR of the worst worlds.")]
     cvar_error: Annotated[
-        float | None, says("Its standard error, by worlds drawn with repetition; null: all count.")
+        float | None, says("Its standard error, by resampled worlds; null: all count.")
     ] = None
     worst: Annotated[float | None, says("APR in the very worst one.")]
     of_all: Annotated[
-        Share | None,
-        says("Mean APR over all cars, those without V2X too; null: every car hears the units."),
-    ] = None
+        Share | None, says("Mean APR over cars with and without V2X; null: all hear.")
+    ]
     apr_by_sample: Annotated[tuple[float | None, ...], says("APR in each world.")]
     least_sure_runs: Annotated[tuple[LeastSureRunRecord, ...], says("The least sure first.")]
 
@@ -105,8 +94,7 @@ class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
     equal_share: Annotated[Share, says("Worlds in which they avoid as much.")]
     less_share: Annotated[Share, says("Worlds in which the first one avoids less.")]
     cvar_low: Annotated[
-        float | None,
-        says("Lower end of the 95 % interval of the difference of cvar; null: all worlds count."),
+        float | None, says("Lower end of the 95 % interval of the difference of cvar, or null.")
     ] = None
     cvar_high: Annotated[float | None, says("Upper end of it.")] = None
 
@@ -116,21 +104,13 @@ class SampledRecord(Record, frozen=True, kw_only=True):
 
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
-    chosen_in: Annotated[
-        int | None,
-        says("Number of other worlds that the first layout was chosen in; null: chosen without."),
-    ] = None
+    chosen_in: Annotated[int | None, says("Other worlds, to choose the first layout in.")] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
-    traffic_source: Annotated[
-        str, says("Vehicles that drive by: SUMO with its demand; or empty.")
-    ] = ""
+    traffic_source: Annotated[str, says("Who drives by: SUMO with its demand; or empty.")] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
     tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
     layouts: Annotated[tuple[SampledLayoutRecord, ...], says("The first one is the subject.")]
-    pairs: Annotated[
-        tuple[SampledPairRecord, ...],
-        says("One for any two layouts, those of the first layout before the others."),
-    ]
+    pairs: Annotated[tuple[SampledPairRecord, ...], says("Any two, the first layout's first.")]
 
     @property
     def gains(self) -> tuple[SampledPairRecord, ...]:
@@ -168,7 +148,7 @@ def build_sampled_record(
     tails = None
     if tail < 1.0:
         tails = resampled_cvar([item.apr_by_sample for item in judged], tail, seed=seed)
-    planned, chosen = planned_apr or {}, chosen_apr or {}
+    planned, chosen, heard = planned_apr or {}, chosen_apr or {}, uncertainty.v2x_share
     return SampledRecord(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=n_samples.pop(),
@@ -187,7 +167,10 @@ def build_sampled_record(
                 cvar=cvar(item.apr_by_sample, tail),
                 cvar_error=None if tails is None else float(tails[row].std(ddof=1)),
                 worst=item.worst,
-                of_all=_of_all(item, uncertainty.v2x_share),
+                # Cars that hear nothing have what the VUT does alone.
+                of_all=None
+                if heard == 1.0
+                else heard * item.estimate.mean + (1.0 - heard) * item.alone,
                 apr_by_sample=tuple(item.apr_by_sample.tolist()),
                 least_sure_runs=_least_sure(item),
             )
@@ -202,16 +185,8 @@ def build_sampled_record(
 
 _AS_THEY_ARE = (
     *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
-    "most_draws",
-    *("draws_detections", "person_share", "unit_person_share", "road_users"),
+    *("most_draws", "draws_detections", "person_share", "unit_person_share", "road_users"),
 )
-
-
-def _of_all(item: SampledApr, v2x_share: float) -> float | None:
-    """Mean APR over all cars: those that hear nothing have what the VUT does alone."""
-    if v2x_share == 1.0:
-        return None
-    return v2x_share * item.estimate.mean + (1.0 - v2x_share) * item.alone
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -229,16 +204,13 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
         latency=drawn,
         **{name: getattr(uncertainty, name) for name in _AS_THEY_ARE},
         traffic={
-            field.name: getattr(traffic, field.name)
-            for field in fields(traffic)
-            if field.name != "vehicles"
+            one.name: getattr(traffic, one.name)
+            for one in fields(traffic)
+            if one.name != "vehicles"
         },
         vehicles={
-            kind.actor.name: {
-                "parked_share": kind.parked_share,
-                "waiting_share": kind.waiting_share,
-            }
-            for kind in traffic.vehicles
+            one.actor.name: {name: getattr(one, name) for name in ("parked_share", "waiting_share")}
+            for one in traffic.vehicles
         },
     )
 
@@ -278,13 +250,12 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """Sentences on layouts in sampled worlds; the first layout is the subject."""
-    subject = found.layouts[0]
-    n_samples = found.samples
-    planned = subject.planned
+    subject, planned = found.layouts[0], found.layouts[0].planned
     sentences = [
-        f"In {n_samples} fresh sampled {_worlds(n_samples)} ({what_is_uncertain(found)}), "
+        f"In {found.samples} fresh sampled {_worlds(found.samples)} ({what_is_uncertain(found)}), "
         f"{subject.name} avoids {percent(subject.mean)} of the accidents on average "
-        f"({_interval(subject)})" + ("" if planned is None else f"; as planned {percent(planned)}")
+        f"({subject.method}: {percent(subject.low)} to {percent(subject.high)})"
+        + ("" if planned is None else f"; as planned {percent(planned)}")
     ]
     if subject.of_all is not None:
         sentences.append(
@@ -293,11 +264,10 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         )
     chosen = subject.in_sample
     if chosen is not None:
+        better = ": a choice looks better where it was made"
         sentences.append(
-            f"In the worlds that it was chosen in, it avoids {percent(chosen)}: "
-            "a choice looks better where it was made"
-            if chosen > or_nan(subject.mean)
-            else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
+            f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
+            f"{better if chosen > or_nan(subject.mean) else ''}"
         )
     n_worst = found.tail * (found.chosen_in or 0)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
@@ -317,27 +287,22 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
     """Sentence on a layout with no more units that fresh worlds surely prefer, if there is one."""
-    subject = found.layouts[0]
-    units = {layout.name: layout.units for layout in found.layouts}
-    most = units[subject.name]
+    subject, *others = found.layouts
     of_tail = found.tail < 1.0  # what was asked for
     ahead = [
-        gain
-        for gain in found.gains
+        (or_nan(gain.mean), gain, other)
+        for gain, other in zip(found.gains, others, strict=True)
         if or_nan(gain.cvar_high if of_tail else gain.high) < -_SAME_APR
-        and units[gain.second] <= most
+        and other.units <= subject.units
     ]
     if not ahead or found.chosen_in is None:
         return []
-    gain = min(ahead, key=lambda gain: or_nan(gain.mean))
+    _, gain, other = min(ahead, key=lambda entry: entry[0])
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
-    other = next(layout for layout in found.layouts if layout.name == gain.second)
     worst = (
         f"; in the worst {percent(found.tail)} of them {percent(other.cvar)}, not "
         f"{percent(subject.cvar)}"
-        if found.tail < 1.0
-        else ""
-    )
+    ) * of_tail
     few = f"the {found.chosen_in} {_worlds(found.chosen_in)} that {subject.name} was chosen in"
     are = "is" if found.chosen_in == 1 else "are"
     return [
@@ -419,10 +384,6 @@ def is_open(difference: SampledPairRecord) -> bool:
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
 
 
-def _interval(layout: SampledLayoutRecord) -> str:
-    return f"{layout.method}: {percent(layout.low)} to {percent(layout.high)}"
-
-
 def _worlds(count: int) -> str:
     return "world" if count == 1 else "worlds"
 
@@ -432,24 +393,22 @@ def _worlds(count: int) -> str:
 
 def table(found: SampledRecord) -> Table:
     """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
-    return tabulate(
-        "APR in sampled worlds",
-        found.layouts,
-        {
-            "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
-            "planned": lambda one: percent(one.planned),
-            "mean": lambda one: percent(one.mean),
-            "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
-            # the mean of all is there already
-            **({f"worst {100.0 * found.tail:g} %": _of_tail} if found.tail < 1.0 else {}),
-            "worst": lambda one: percent(one.worst),
-        },
-        numeric=range(1, 6),
-    )
+    tail = f"worst {100.0 * found.tail:g} %"
+    columns: dict[str, Callable[[SampledLayoutRecord], str]] = {
+        "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
+        "planned": lambda one: percent(one.planned),
+        "mean": lambda one: percent(one.mean),
+        "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
+        tail: lambda one: f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})",
+        "worst": lambda one: percent(one.worst),
+    }
+    if found.tail == 1.0:  # the mean of all is there already
+        del columns[tail]
+    return tabulate("APR in sampled worlds", found.layouts, columns, numeric=range(1, 6))
 
 
-def _of_tail(one: SampledLayoutRecord) -> str:
-    return f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{100.0 * or_nan(one.cvar_error):.1f})"
+def _points(share: float | None) -> float:
+    return 100.0 * or_nan(share)
 
 
 def sampled_picture(found: SampledRecord) -> Picture:
@@ -485,11 +444,9 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
     layouts = found.layouts
     axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
     for row, layout in enumerate(layouts):
-        worlds = np.array([or_nan(share) for share in layout.apr_by_sample])
-        axes.hlines(
-            row, 100.0 * worlds.min(), 100.0 * worlds.max(), color="#999999", linewidth=1.0,
-            linestyle=(0, (1.0, 1.5)), zorder=2,
-        )  # fmt: skip
+        worlds = [_points(share) for share in layout.apr_by_sample]
+        dotted: Style = {"color": "#999999", "linewidth": 1.0, "linestyle": (0, (1.0, 1.5))}
+        axes.hlines(row, min(worlds), max(worlds), zorder=2, **dotted)
         _whisker(axes, row, layout)
         to_the_right: Style = {"away_pt": (4.0, 0.0), "xycoords": ("axes fraction", "data")}
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
@@ -519,28 +476,24 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
     axes.set_xlim(middle - half, middle + half)
     words = (
-        "difference of the APR in the same worlds (points)\n"
-        "with its 95 % interval; open: may be zero"
+        "difference of the APR in the same worlds (points)\nwith its 95 % interval; open: may be "
     )
-    finish_axes(axes, x=words, grid="x")
+    finish_axes(axes, x=f"{words}zero", grid="x")
     return axes
 
 
 def _whisker(axes: Axes, row: int, estimate: EstimateRecord, *, is_hollow: bool = False) -> None:
-    mean, low, high = (or_nan(share) for share in (estimate.mean, estimate.low, estimate.high))
+    mean, low, high = (_points(share) for share in (estimate.mean, estimate.low, estimate.high))
+    dot: Style = {"markerfacecolor": "white" if is_hollow else BLUE, "markeredgecolor": BLUE}
+    dot |= {"marker": "o", "markersize": 6.0, "linestyle": "none", "color": BLUE}
     axes.errorbar(
-        [100.0 * mean],
+        [mean],
         [row],
-        xerr=[[100.0 * (mean - low)], [100.0 * (high - mean)]],
-        color=BLUE,
-        marker="o",
-        markersize=6.0,
-        markerfacecolor="white" if is_hollow else BLUE,
-        markeredgecolor=BLUE,
-        linestyle="none",
+        xerr=[[mean - low], [high - mean]],
         elinewidth=1.6,
         capsize=4.0,
         zorder=3,
+        **dot,
     )
 
 

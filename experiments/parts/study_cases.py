@@ -35,9 +35,7 @@ class StudyCases:
     """Layouts on the study's cases, as the study drives and reads them."""
 
     runs: Annotated[int, says("Runs of these cases.")]
-    parties: Annotated[
-        tuple[Score, ...], says("The layouts, the first one first, and the vehicle by itself.")
-    ]
+    parties: Annotated[tuple[Score, ...], says("The layouts, then the vehicle alone.")]
 
 
 def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:

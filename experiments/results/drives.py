@@ -28,11 +28,7 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
     speeds_kmh: Annotated[tuple[float, ...], says("Speeds of the vehicle, in km/h.")]
     reason: Annotated[str, says("Why, in words.")]
     is_possible: Annotated[
-        bool,
-        says(
-            "The junction has the roads, and the case the speeds: what is missing is room. Only "
-            "such runs count as possible."
-        ),
+        bool, says("Roads and speeds are there, only room is missing: such runs count as possible.")
     ] = True
 
 
@@ -44,11 +40,7 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     detector: Annotated[str, says("What detects: name.")]
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
     cars: Annotated[
-        Share,
-        says(
-            "Share of the vehicles under test that see, whose own sensors are one more unit in "
-            "every run (--cars); 0: they act on what units tell them, and on nothing else."
-        ),
+        Share, says("Share of the vehicles whose own sensors are one more unit (--cars); 0: none.")
     ] = 0.0
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
     vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
@@ -60,15 +52,10 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
         tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
     ]
     possible_runs: Annotated[
-        int,
-        says("These, and the runs that the junction has the roads for, but not the room.", ge=1),
+        int, says("Runs driven, and those with the roads for them, but not the room.", ge=1)
     ]
     driven: Annotated[
-        tuple[str, ...],
-        says(
-            "How many of the possible runs are driven, what is missing, and why, in sentences; "
-            "empty where nothing is."
-        ),
+        tuple[str, ...], says("What is missing of the possible runs, and why; empty: nothing.")
     ]
     without_effect: Annotated[
         tuple[str, ...], says("What was asked for and changes nothing, in sentences.")
