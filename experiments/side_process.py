@@ -20,6 +20,7 @@ from .progress import follow_parent
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 _NO_WARNING = "ignore:resource_tracker:UserWarning"
+_received: dict[int, object] = {}  # in the second process
 
 
 class Task(Generic[_T]):
@@ -93,9 +94,6 @@ class _Shared:
     """Stands for a value that the second process has."""
 
     key: int
-
-
-_received: dict[int, object] = {}  # in the second process
 
 
 def _receive(key: int, value: object) -> None:

@@ -25,6 +25,17 @@ from .axes import (
 
 MAX_HEATMAP_UNITS = 24
 """Rows of a heatmap that units have: of more, those that confirm first."""
+_TIME_LABEL = "time before the impact without braking (s)"
+_RED = "#CC0000"
+_DASHES = (0, (3.0, 1.5))
+_CONFIRMATION_STYLE: Style = {
+    "marker": "D",
+    "markersize": 5.0,
+    "markerfacecolor": "white",
+    "markeredgecolor": "black",
+    "linestyle": "none",
+}
+_DETECTED, _MISSED = BLUE, "#e6e6e6"
 
 
 def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list[str]:
@@ -46,12 +57,6 @@ def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list
         )
 
     return sorted(units, key=rank)[:MAX_HEATMAP_UNITS]
-
-
-_TIME_LABEL = "time before the impact without braking (s)"
-_RED = "#CC0000"
-_DETECTED, _MISSED = BLUE, "#e6e6e6"
-_DASHES = (0, (3.0, 1.5))
 
 
 def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = None) -> Axes:
@@ -154,15 +159,6 @@ def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
     away, ha = (-4.0, "right") if is_right else (4.0, "left")
     style = {"away_pt": (away, 3.0), "ha": ha, "va": "bottom", "color": _RED}
     write_beside(axes, words, (last_brake_s, -0.5), **style)
-
-
-_CONFIRMATION_STYLE: Style = {
-    "marker": "D",
-    "markersize": 5.0,
-    "markerfacecolor": "white",
-    "markeredgecolor": "black",
-    "linestyle": "none",
-}
 
 
 def _heatmap_legend() -> list[Any]:

@@ -53,6 +53,15 @@ _LOOKS_UP = np.linspace(0.08, 0.97, 10)  # parts of the VRU that are looked for,
 _LOOKS_ASIDE = (-0.35, 0.0, 0.35)  # of its width and length
 _END_M = 0.02
 _FAR_M = 500.0
+_BRAKE_STYLE: Style = {
+    "marker": "|",
+    "markersize": 11.0,
+    "markeredgewidth": 2.4,
+    "color": "#CC0000",
+    "linestyle": "none",
+}
+_FREE_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": "-"}
+_BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1, 2))}
 
 
 def plot_film(scene: Scene, run: Run) -> list[Axes]:
@@ -324,17 +333,6 @@ def _window(run: Run, frames: list[int]) -> _Window:
     points = np.concatenate(shown)
     low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
     return _Window(0.5 * (low + high), max(0.5 * float((high - low).max()), 0.5 * _LEAST_SIZE_M))
-
-
-_BRAKE_STYLE: Style = {
-    "marker": "|",
-    "markersize": 11.0,
-    "markeredgewidth": 2.4,
-    "color": "#CC0000",
-    "linestyle": "none",
-}
-_FREE_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": "-"}
-_BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1, 2))}
 
 
 def _legend(run: Run) -> list[Any]:

@@ -29,6 +29,13 @@ _LETTER, _LINE = 0.64, 1.3  # width and height of a letter, in font sizes
 _APART = 1.5  # points around a label
 _TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 _MORE_POINTS = (0.0, 7.0, 15.0, 26.0)
+MAX_LABELLED_UNITS = 40
+"""Of more units, the plan tells how many there are at each place."""
+_NAMES_AT = 0.8  # of the way to the frame
+_NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
+ARROW_POINTS = 13.0
+"""From a pole to the tip of its unit's arrow."""
+_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,15 +115,6 @@ def _overlap(one: FloatArray, other: FloatArray) -> float:
     return float(np.prod(np.clip(sides, 0.0, None)))
 
 
-# ---------- names on a plan
-
-
-MAX_LABELLED_UNITS = 40
-"""Of more units, the plan tells how many there are at each place."""
-
-_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
-
-
 def unit_names(layout: Layout, scene: Scene) -> list[Label]:
     """Short names of units, beyond the tips of their arrows; of many, how many are at a place.
 
@@ -189,12 +187,6 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
             )
         )
     return labels
-
-
-_NAMES_AT = 0.8  # of the way to the frame
-_NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
-ARROW_POINTS = 13.0
-"""From a pole to the tip of its unit's arrow."""
 
 
 def position_names(runs: Sequence[Run]) -> list[Label]:

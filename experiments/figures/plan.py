@@ -52,9 +52,6 @@ from .labels import (
     unit_names,
 )
 
-# ---------- what lies on the ground and stands there, from above: shared by plan and film
-
-
 CLASS_STYLES: dict[str, Style] = {
     "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
     "wall": {"facecolor": "#5b5b5b", "edgecolor": "#5b5b5b", "linewidth": 1.2},
@@ -77,6 +74,44 @@ SITE_STYLE: Style = {
 }
 ASSUMED_STYLE: Style = SITE_STYLE | {"marker": "D", "markeredgecolor": VERMILION}
 """Of sites that the map does not have, or not there."""
+UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
+_LINE_STYLES = ("-", "--", "-.", ":")
+_LEGEND_ROW_IN = 0.17
+_MAX_NAME = 18  # letters that the legend has room for
+_PATH_STYLES: dict[str, tuple[str, Style]] = {
+    "vut": ("car under test (VUT)", {"color": "black", "linestyle": "-", "linewidth": 1.3}),
+    "pedestrian": (
+        "pedestrian, to the collision point",
+        {"color": "black", "linestyle": (0, (1.2, 1.2)), "linewidth": 1.8},
+    ),
+    "cyclist": (
+        "cyclist, to the collision point",
+        {"color": "black", "linestyle": (0, (5.0, 2.0)), "linewidth": 1.2},
+    ),
+    "motorcyclist": (
+        "motorcyclist, to the collision point",
+        {"color": "black", "linestyle": (0, (5.0, 2.0, 1.2, 2.0)), "linewidth": 1.2},
+    ),
+    "car": (
+        "other car, to the collision point",
+        {"color": "black", "linestyle": (0, (9.0, 3.0)), "linewidth": 1.2},
+    ),
+}
+_IMPACT_STYLE: Style = {
+    "marker": "X",
+    "markersize": 4.5,
+    "markerfacecolor": "black",
+    "markeredgecolor": "white",
+    "linestyle": "none",
+}
+_ROUND_MARKER: Style = {"marker": "o", "linestyle": "none"}
+# Looking east; the last point closes the outline.
+_DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
+_DART_POINTS = 5.5  # half its length
+_N_BEARINGS = 180
+_STEP_M = 0.1
+ALL_ROUND = "all round"
+_HALF_SIZE_M, _MARGIN_M = 45.0, 5.0
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
@@ -155,15 +190,6 @@ def _lane_polygon(lane: Lane) -> FloatArray:
     return polygon
 
 
-# ---------- plan of the junction: where the units are, and what ground they look at
-
-
-UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
-_LINE_STYLES = ("-", "--", "-.", ":")
-_LEGEND_ROW_IN = 0.17
-_MAX_NAME = 18  # letters that the legend has room for
-
-
 def ground_footprint(
     unit: CandidatePose, *, max_range_m: float, max_depth_m: float = math.inf
 ) -> FloatArray:
@@ -199,9 +225,6 @@ def ground_footprint(
         inside = (corners - position[:2]) @ normal[:2] - position[2] * normal[2]
         corners = _clip(corners, inside)
     return corners
-
-
-_HALF_SIZE_M, _MARGIN_M = 45.0, 5.0
 
 
 def plot_plan(
@@ -278,27 +301,6 @@ def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
     return np.array(kept).reshape(-1, 2)
 
 
-_PATH_STYLES: dict[str, tuple[str, Style]] = {
-    "vut": ("car under test (VUT)", {"color": "black", "linestyle": "-", "linewidth": 1.3}),
-    "pedestrian": (
-        "pedestrian, to the collision point",
-        {"color": "black", "linestyle": (0, (1.2, 1.2)), "linewidth": 1.8},
-    ),
-    "cyclist": (
-        "cyclist, to the collision point",
-        {"color": "black", "linestyle": (0, (5.0, 2.0)), "linewidth": 1.2},
-    ),
-    "motorcyclist": (
-        "motorcyclist, to the collision point",
-        {"color": "black", "linestyle": (0, (5.0, 2.0, 1.2, 2.0)), "linewidth": 1.2},
-    ),
-    "car": (
-        "other car, to the collision point",
-        {"color": "black", "linestyle": (0, (9.0, 3.0)), "linewidth": 1.2},
-    ),
-}
-
-
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     firsts = {(run.case.name, run.approach, run.position): run for run in reversed(runs)}
     ways: dict[str, list[FloatArray]] = {name: [] for name in _PATH_STYLES}
@@ -316,15 +318,6 @@ def _end_to_end(ways: Sequence[FloatArray]) -> FloatArray:
     """Points of several lines as those of one with gaps, which is drawn in one go."""
     gap = np.full((1, 2), np.nan)
     return np.concatenate([gap, *(part for way in ways for part in (way, gap))])
-
-
-_IMPACT_STYLE: Style = {
-    "marker": "X",
-    "markersize": 4.5,
-    "markerfacecolor": "black",
-    "markeredgecolor": "white",
-    "linestyle": "none",
-}
 
 
 def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) -> None:
@@ -384,13 +377,6 @@ def _draw_other(axes: Axes, layout: Layout) -> None:
             markeredgecolor="#555555",
             zorder=7,
         )
-
-
-_ROUND_MARKER: Style = {"marker": "o", "linestyle": "none"}
-
-# Looking east; the last point closes the outline.
-_DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0]])
-_DART_POINTS = 5.5  # half its length
 
 
 def _camera_marker(unit: CandidatePose, rank: int = 0) -> Style:
@@ -506,15 +492,6 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         label += "; metres before (\N{MINUS SIGN}), behind (+)"
     impact = Line2D([], [], label=label, **_IMPACT_STYLE)
     return [*units, *paths, impact, *sites, *things]
-
-
-# ---------- sensors that look to no particular side: LiDARs that scan all round
-
-
-_N_BEARINGS = 180
-_STEP_M = 0.1
-
-ALL_ROUND = "all round"
 
 
 def compass_word(unit: CandidatePose) -> str:

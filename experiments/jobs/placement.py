@@ -77,6 +77,7 @@ MIN_FRESH_WORLDS = 60
 _LARGE_RUNS = 100
 """With fewer, it takes longer to start a second process than to answer and draw."""
 _WORLDS_TOGETHER = 10
+_R = TypeVar("_R", EvaluationResult, ComparisonResult)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -521,9 +522,6 @@ def run_comparison(
             sampled=sampled,
         )
         return _finish(job, result, evaluations, bill, out=out, command=command)
-
-
-_R = TypeVar("_R", EvaluationResult, ComparisonResult)
 
 
 def _check_out(out: Path | None, progress: StageProgress) -> None:

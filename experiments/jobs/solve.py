@@ -18,6 +18,7 @@ from ..progress import WRITING, StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
 HIGHS = "HIGHS"
+_SEARCHES = ("auto", "exact", "relax", "greedy")
 
 
 class CoveringResult(Record, frozen=True, kw_only=True):
@@ -132,9 +133,6 @@ def run_solve(
         columns=instance.n_columns,
         rows=instance.n_rows,
     )
-
-
-_SEARCHES = ("auto", "exact", "relax", "greedy")
 
 
 def run_solve_windows(

@@ -63,6 +63,10 @@ _TOLERANCE = 1.0e-9
 _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
+_GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
+_HEADLINE = "headline"
+_MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
+"""Parties whose ratios are those of two others by the share of cars that see."""
 
 
 class CheckRecord(Record, frozen=True, kw_only=True):
@@ -487,12 +491,6 @@ def _wrong_ratios(
                 expected = mix(expected, seeing[0], cars)
             if not _agree(ratio, expected):
                 yield f"{name}, {party}, {word}: {ratio}, not {expected}"
-
-
-_GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
-_HEADLINE = "headline"
-_MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
-"""Parties whose ratios are those of two others by the share of cars that see."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,10 @@ from ..results.numbers import percent, several
 from ..results.tables import groups_by_direction, groups_by_position, groups_by_speed
 from .section import Block, Section, Table
 
+MAX_UNIT_COLUMNS = 24
+"""Of more units, each is a row of the table of units by themselves."""
+_MAX_FLAT_ROWS = 40  # a longer table is to unfold
+
 
 def is_weighted(axis: FrameAxis) -> bool:
     """Some runs count more than others."""
@@ -28,9 +32,6 @@ def count_sensors(layout: Layout) -> str:
         for kind, one, many in (("camera", "camera", "cameras"), ("lidar", "LiDAR", "LiDARs"))
         if kind in kinds
     )
-
-
-# ---------- sections of the report
 
 
 def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
@@ -52,9 +53,6 @@ def alone_section(detailed: Mapping[str, Evaluation]) -> Section:
     """APR of each unit of some layouts by itself."""
     tables = [unit_apr_table(name, item) for name, item in detailed.items()]
     return Section("alone", "What each unit achieves alone", tables)
-
-
-# ---------- tables
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
@@ -154,11 +152,6 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
         numeric=range(1, len(columns)),
         summary=caption if len(rows) > _MAX_FLAT_ROWS else "",
     )
-
-
-MAX_UNIT_COLUMNS = 24
-"""Of more units, each is a row of the table of units by themselves."""
-_MAX_FLAT_ROWS = 40  # a longer table is to unfold
 
 
 def _rank(verdict: Verdict, axis: FrameAxis) -> tuple[float, float]:

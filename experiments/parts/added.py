@@ -120,9 +120,6 @@ def _one_by_one(setting: Setting, evaluation: Evaluation, fusion: str) -> tuple[
     return tuple(found)
 
 
-# ---------- words, tables, section
-
-
 def words(record: Added | None) -> list[str]:
     """The VUT alone, with the units, and what they add, in one sentence; an answer begins so."""
     if record is None or record.groups[0].gain is None:

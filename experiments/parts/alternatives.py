@@ -37,8 +37,6 @@ HEAVY_SHARE = 0.02
 """A run that counts more is named."""
 _MAX_HEAVY = 8
 
-# ---------- values
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeavyRun:
@@ -181,9 +179,6 @@ def find_front_runners(
         ),
     )
     return found, first, runners[number].layout if number else None
-
-
-# ---------- words
 
 
 def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> list[str]:

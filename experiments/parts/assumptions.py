@@ -16,6 +16,19 @@ from .result import EvaluationResult, PlacementResult, Result
 from .sampled_worlds import moving_sentence
 from .section import Block, Box, Code, Section, Table, Terms
 
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_MAX_NAMES = 3
+_MOVING = (
+    "In each sampled world, runs of one case, approach and position see the same traffic, with the "
+    "impact at the same moment. Vehicles more than 100 m from the middle of the junction are cut. "
+    "Who would touch what is parked, or come nearer to car or road user than the clearance, is "
+    "left out of that run. Where SUMO drives, its vehicles react to the car, which minds no lights."
+)
+_FUSIONS = {
+    "any": "A frame counts if any unit detects the road user in it.",
+    "single": "One unit must confirm the road user by itself.",
+}
+
 
 def assumption_sentences(result: Result) -> list[str]:
     """Assumptions where the map of the junction is silent, the most important first.
@@ -27,10 +40,6 @@ def assumption_sentences(result: Result) -> list[str]:
         key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)
         groups.setdefault(key, []).append(one)
     return [_together(group) for group in groups.values()]
-
-
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
-_MAX_NAMES = 3
 
 
 def _together(group: Sequence[Note]) -> str:
@@ -197,16 +206,3 @@ def _radio(links: Radio) -> str:
         f"{lost} {percent(links.vam_rate)} of the road users announce themselves (VRU awareness "
         "messages), and the car trusts the position that they send."
     )
-
-
-_MOVING = (
-    "In each sampled world, runs of one case, approach and position see the same traffic, with the "
-    "impact at the same moment. Vehicles more than 100 m from the middle of the junction are cut. "
-    "Who would touch what is parked, or come nearer to car or road user than the clearance, is "
-    "left out of that run. Where SUMO drives, its vehicles react to the car, which minds no lights."
-)
-
-_FUSIONS = {
-    "any": "A frame counts if any unit detects the road user in it.",
-    "single": "One unit must confirm the road user by itself.",
-}

@@ -30,8 +30,10 @@ from ..results.numbers import percent
 from ..results.record import UnitRecord, build_unit_records, mixed, says
 
 STAGE = "baselines"
-
-# ---------- values
+_OverWorlds = Annotated[float, says("Mean APR over these worlds, and ends of its 95 % interval.")]
+_OverLayouts = Annotated[
+    float, says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower than `high`.")
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,12 +62,6 @@ def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -
         by_case={**apr_by_case(verdict, axis)},
         by_position={**apr_by_position(verdict, axis)},
     )
-
-
-_OverWorlds = Annotated[float, says("Mean APR over these worlds, and ends of its 95 % interval.")]
-_OverLayouts = Annotated[
-    float, says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower than `high`.")
-]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,9 +230,6 @@ def _proposed(
         corners=found.corners,
         expert_on_table=on_table,
     )
-
-
-# ---------- words
 
 
 def words(found: Baselines | None, *, n_units: int) -> list[str]:

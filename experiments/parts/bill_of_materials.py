@@ -147,9 +147,6 @@ def _told(price_eur: float) -> float | None:
     return price_eur if price_eur > 0.0 else None
 
 
-# ---------- as a file
-
-
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
     import pandas as pd
@@ -169,9 +166,6 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
         for item in (*bill.sensors, *bill.sites)
     ]
     return csv_text(pd.DataFrame(rows))
-
-
-# ---------- in the report
 
 
 def bill_sentences(bill: BillOfMaterials) -> list[str]:

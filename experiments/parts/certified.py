@@ -157,9 +157,6 @@ def recompute(stored: CertifiedResult) -> list[str]:
     return wrong
 
 
-# ---------- words, table
-
-
 def words(result: CertifiedResult) -> list[str]:
     """What the layout prevents, and what it may lack, the most important first."""
     n_judged, n_blocks = len(result.apr_by_world), len(result.blocks)

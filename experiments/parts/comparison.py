@@ -40,6 +40,11 @@ GREEDY, EXPERT, HIGHEST = "greedy", "expert rule", "highest APR"
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
+_PAIRED = (
+    "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference in "
+    "each world counts, not the spread between worlds. Each interval holds by itself: of twenty "
+    "such, one may miss the true difference."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,9 +107,6 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
     """Runs that the first of two layouts avoids and the second one does not."""
     runs = np.array(one.axis.run_ids)
     return tuple(runs[one.headline.is_avoided & ~other.headline.is_avoided].tolist())
-
-
-# ---------- tables and words
 
 
 def words(name: str, compared: Sequence[Compared]) -> list[str]:
@@ -223,9 +225,6 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
     ]
 
 
-# ---------- in sampled worlds
-
-
 def significance_table(sampled: SampledRecord) -> Table:
     """Every pair of layouts in the same sampled worlds: the one that avoids more comes first."""
     return tabulate(
@@ -243,13 +242,6 @@ def significance_table(sampled: SampledRecord) -> Table:
         },
         numeric=range(2, 7),
     )
-
-
-_PAIRED = (
-    "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference in "
-    "each world counts, not the spread between worlds. Each interval holds by itself: of twenty "
-    "such, one may miss the true difference."
-)
 
 
 def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
@@ -270,9 +262,6 @@ def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
 
 def _points(share: float | None) -> str:
     return number(100.0 * or_nan(share), 1)
-
-
-# ---------- the section of the report
 
 
 def section(

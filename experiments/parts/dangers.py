@@ -26,6 +26,13 @@ from .accidents import is_weighted
 from .section import Block, Box, Picture, Section, Table, build_picture
 
 _MAX_GROUPS = 3
+SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
+"""Of shares that are avoided: the more accidents are left, the darker."""
+_DARK_BELOW = 0.34  # from there white and black letters stand out alike
+_SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
+_BORDER_M = 8.0
+_MIN_HALF_SIZE_M = 30.0
+_UNIT_COLOUR = "#CC0000"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,9 +88,6 @@ def _groups(groups: Sequence[RunGroup], is_avoided: BoolArray) -> tuple[DangerGr
     return tuple(sorted(records, key=lambda group: -group.not_avoided / group.runs))
 
 
-# ---------- words
-
-
 def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
     """How many runs are not avoided, and which: an answer begins with it.
 
@@ -126,9 +130,6 @@ def _most_left(groups: Sequence[DangerGroup], words_of: Callable[[str], str], ot
     ]
     n_others = sum(group.not_avoided for group in left[_MAX_GROUPS:])
     return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
-
-
-# ---------- the section of the report
 
 
 def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -> Section:
@@ -209,18 +210,6 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
 def _share(is_avoided: BoolArray, axis: FrameAxis, mask: BoolArray) -> str:
     """Share of some runs, by weight; a dash where there are none."""
     return percent(weight_share(is_avoided, axis.weight * mask))
-
-
-# ---------- the map of dangerous places
-
-
-SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
-"""Of shares that are avoided: the more accidents are left, the darker."""
-_DARK_BELOW = 0.34  # from there white and black letters stand out alike
-_SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
-_BORDER_M = 8.0
-_MIN_HALF_SIZE_M = 30.0
-_UNIT_COLOUR = "#CC0000"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -18,6 +18,24 @@ from ..results.numbers import NOTHING, count_runs, number, percent
 from ..results.record import LayoutValueRecord, Record, RunId, Share, says
 from .section import Block, Section, Table, tabulate
 
+OUTCOMES = {
+    "hopeless": "too short for any unit",
+    "never seen": "never seen",
+    "never confirmed": "seen, but never long enough",
+    "lost again": "confirmed, but lost again before the last moment",
+    "too late": "confirmed too late",
+}
+"""Words for the outcome of a run that is not avoided."""
+_CAUSES = {
+    "out of view": "out of view",
+    "cut off": "cut off by the edge of the view",
+    "too dark": "too little contrast in light and weather",
+    "too far": "too small or too thin at that distance",
+    "otherwise": "not detected on the table",
+}
+_MAX_REASONS = 2
+_MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
+
 
 class ContributionRecord(Record, frozen=True, kw_only=True):
     """Contribution of a unit to the others, on the detection table."""
@@ -46,9 +64,6 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
         tuple[Unavoided, ...], says("Runs that are not avoided, in the order of the runs.")
     ]
     runs_without_weight: Annotated[int, says("How many are left out with weight 0.", ge=0)]
-
-
-# ---------- explanations
 
 
 def build_explained_record(
@@ -103,27 +118,6 @@ def _contribution(
         max_delay_s=part.max_delay_s,
         without=LayoutValueRecord(**part.without._asdict()),
     )
-
-
-# ---------- in sentences
-
-
-OUTCOMES = {
-    "hopeless": "too short for any unit",
-    "never seen": "never seen",
-    "never confirmed": "seen, but never long enough",
-    "lost again": "confirmed, but lost again before the last moment",
-    "too late": "confirmed too late",
-}
-"""Words for the outcome of a run that is not avoided."""
-
-_CAUSES = {
-    "out of view": "out of view",
-    "cut off": "cut off by the edge of the view",
-    "too dark": "too little contrast in light and weather",
-    "too far": "too small or too thin at that distance",
-    "otherwise": "not detected on the table",
-}
 
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
@@ -204,13 +198,6 @@ def cause(reason: Reason) -> str:
     return _CAUSES[reason.cause]
 
 
-# ---------- in tables
-
-
-_MAX_REASONS = 2
-_MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
-
-
 def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
@@ -283,9 +270,6 @@ def _rescue(entry: Unavoided) -> str:
     away = rescue.distance_m
     where = "at the same mount" if away == 0.0 else f"{number(away, 1)} m away"
     return f"{rescue.unit}, {where}, {number(rescue.margin_s)} s to spare"
-
-
-# ---------- sections of the report
 
 
 def explanation_sections(

@@ -46,6 +46,33 @@ from ..results.record import (
 from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table, build_picture
 
+_VALUES = PlacementValue._fields
+_HEADS = {
+    "apr": "APR",
+    "apr_one_failed": "one fails",
+    "smallest_margin_s": "least",
+    "mean_margin_s": "mean",
+    "cost_eur": "EUR",
+}
+_ALLOWED = {"units": "number of units", "cost": "sum of money"}
+_SETTLED = "#ececec"
+_X_LABELS = {"units": "units", "cost": "cost (EUR)"}
+# Told apart by marker and dashes as well as by colour.
+_CURVES: dict[str, Style] = {
+    "apr": {"label": "APR", "color": BLUE, "marker": "o", "linestyle": "-"},
+    "apr_one_failed": {
+        "label": "APR when the most needed unit fails",
+        "color": VERMILION,
+        "marker": "s",
+        "linestyle": (0, (4, 2)),
+    },
+}
+_TIMES: dict[str, Style] = {
+    "smallest_margin_s": {"label": "smallest", "color": BLUE, "marker": "o", "linestyle": "-"},
+    "mean_margin_s": {"label": "mean", "color": VERMILION, "marker": "s", "linestyle": (0, (4, 2))},
+}
+CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
+
 
 class RefusedSizeRecord(Record, frozen=True, kw_only=True):
     """A size with which the wishes cannot be met."""
@@ -101,22 +128,10 @@ def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPoint
 if TYPE_CHECKING:
     import pandas as pd
 
-_VALUES = PlacementValue._fields
-_HEADS = {
-    "apr": "APR",
-    "apr_one_failed": "one fails",
-    "smallest_margin_s": "least",
-    "mean_margin_s": "mean",
-    "cost_eur": "EUR",
-}
-
 
 def _stage(point: FrontPointRecord, name: str) -> StageRecord | None:
     """The stage of a name; None if it was not optimised."""
     return next((stage for stage in point.stages if stage.name == name), None)
-
-
-# ---------- words, table, and the section of the report
 
 
 def table(front: FrontRecord) -> Table:
@@ -159,9 +174,6 @@ def notes(front: FrontRecord) -> list[str]:
     ]
     star = "* of this layout; not optimised: --all-stages does. "
     return [f"{'' if front.optimised == 'all' else star}{'; '.join(texts)}."]
-
-
-_ALLOWED = {"units": "number of units", "cost": "sum of money"}
 
 
 def _proof(point: FrontPointRecord) -> str:
@@ -240,12 +252,6 @@ def front_section(front: FrontRecord | UnsetType | None) -> Section | None:
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) or NOTHING
-
-
-# ---------- the job, and the table
-
-
-CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
 
 
 class FrontResult(FrontRecord, frozen=True, kw_only=True):
@@ -390,27 +396,6 @@ def front_table(front: FrontRecord) -> "pd.DataFrame":
     import pandas as pd
 
     return pd.DataFrame(rows)
-
-
-# ---------- the figure
-
-
-_SETTLED = "#ececec"
-_X_LABELS = {"units": "units", "cost": "cost (EUR)"}
-# Told apart by marker and dashes as well as by colour.
-_CURVES: dict[str, Style] = {
-    "apr": {"label": "APR", "color": BLUE, "marker": "o", "linestyle": "-"},
-    "apr_one_failed": {
-        "label": "APR when the most needed unit fails",
-        "color": VERMILION,
-        "marker": "s",
-        "linestyle": (0, (4, 2)),
-    },
-}
-_TIMES: dict[str, Style] = {
-    "smallest_margin_s": {"label": "smallest", "color": BLUE, "marker": "o", "linestyle": "-"},
-    "mean_margin_s": {"label": "mean", "color": VERMILION, "marker": "s", "linestyle": (0, (4, 2))},
-}
 
 
 def plot_front(front: FrontRecord) -> Axes:

@@ -11,6 +11,10 @@ from ..results.numbers import percent
 from ..results.record import Record, Share, says
 from .section import Block, Section, Table
 
+_MAX_NAMED = 6  # pairs of unit and area in a sentence
+MAX_UNITS, MAX_AREAS = 12, 60
+"""Columns and rows of the table: beyond, only what is seen the most."""
+
 
 class PrivateAreaRecord(Record, frozen=True, kw_only=True):
     """An area."""
@@ -68,14 +72,6 @@ def private_ground_sentences(
         private_ground_sentence(found),
         *(f"{name}: {private_ground_sentence(other)}" for name, other in others.items() if other),
     ]
-
-
-# ---------- the section of the report
-
-
-MAX_UNITS, MAX_AREAS = 12, 60
-"""Columns and rows of the table: beyond, only what is seen the most."""
-_MAX_NAMED = 6  # pairs of unit and area in a sentence
 
 
 def private_ground_section(

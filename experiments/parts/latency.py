@@ -46,6 +46,12 @@ APR_LEVELS = (1.0, 0.95, 0.9)
 STEP_S = 0.005
 _LEAST_SHOWN_S = 0.5
 _SAME_SHARE = 1.0e-12  # ratios of rounded sums
+# Told apart by dashes and width as well as by colour.
+_STYLES: Mapping[str, Style] = {
+    "rsu_all": {"label": "all RSUs", "color": BLUE, "linestyle": "-", "lw": 3.0},
+    "vut_and_rsus": {"label": "VUT and RSUs", "color": "black", "linestyle": "--", "lw": 1.4},
+    "vut": {"label": "VUT alone", "color": VERMILION, "linestyle": ":", "lw": 1.8},
+}
 
 
 class PartyLatency(Record, frozen=True, kw_only=True):
@@ -151,14 +157,6 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
     if question.latency_s > MAX_LATENCY_S:
         raise InputError("--latency", question.latency_s, f"at most {MAX_LATENCY_S:g} seconds")
     return fixed_latency(question.latency_s)
-
-
-# Told apart by dashes and width as well as by colour.
-_STYLES: Mapping[str, Style] = {
-    "rsu_all": {"label": "all RSUs", "color": BLUE, "linestyle": "-", "lw": 3.0},
-    "vut_and_rsus": {"label": "VUT and RSUs", "color": "black", "linestyle": "--", "lw": 1.4},
-    "vut": {"label": "VUT alone", "color": VERMILION, "linestyle": ":", "lw": 1.8},
-}
 
 
 def plot_latency(

@@ -37,9 +37,6 @@ from ..results.tables import (
 )
 from .section import Section, Table, build_picture
 
-# ---------- the figure: a mark for each run, in a row for each case
-
-
 MAX_COLUMNS = 4
 """Panels that fit side by side."""
 
@@ -59,6 +56,21 @@ _STYLES = (
     ("D", PINK),
     ("v", SKY),
     ("P", "#000000"),
+)
+VUT_NAME = "VUT alone"
+_MPS_PER_KMH = 1.0 / 3.6
+_MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
+_COLUMNS = (
+    "who",
+    "runs",
+    "smallest (ms)",
+    "smallest (m)",
+    "median (ms)",
+    "median (m)",
+    "not avoided",
+    "of these never confirmed, or lost again",
+    "worst too late by (ms)",
+    "worst too late by (m)",
 )
 
 
@@ -187,26 +199,6 @@ def _thousands(value: float) -> str:
     return f"{value:.0f}".replace("-", "\N{MINUS SIGN}")
 
 
-# ---------- in milliseconds and in metres
-
-
-VUT_NAME = "VUT alone"
-_MPS_PER_KMH = 1.0 / 3.6
-_MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
-_COLUMNS = (
-    "who",
-    "runs",
-    "smallest (ms)",
-    "smallest (m)",
-    "median (ms)",
-    "median (m)",
-    "not avoided",
-    "of these never confirmed, or lost again",
-    "worst too late by (ms)",
-    "worst too late by (m)",
-)
-
-
 def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
     """Distance to spare of the VUT when it begins to brake.
 
@@ -283,9 +275,6 @@ def _of(measure: Callable[[FloatArray], Any], values: FloatArray) -> float:
     return float(measure(values)) if len(values) else math.nan
 
 
-# ---------- groups
-
-
 def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[RunGroup]]]:
     """Groupings of runs: words for the caption, the column's head, groups."""
     return [
@@ -343,9 +332,6 @@ def _cells(summary: MarginSummary) -> list[str]:
         number(summary.worst_late_s * _MS, 0),
         number(summary.worst_late_m, 1),
     ]
-
-
-# ---------- the section of the report
 
 
 def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:

@@ -27,11 +27,20 @@ from ..results.tables import margin_s, parties
 DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 
 
-# ---------- what the template needs
-
-
 SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = "shown above", "not avoided", "avoided"
 _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
+_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
+_PARTY_NAMES = {
+    "vut": "VUT",
+    "rsu_all": "all RSUs",
+    "vut_and_rsus": "VUT and RSUs",
+    "vam": "VAM",
+    "all_sources": "all sources",
+}
+_MAX_HALF_M = 120.0  # farther things are never in the player's window
+_LEAST_HALF_M = 30.0
+_TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out
+_LABEL_SHARE = 0.86
 
 
 def interactive_part(
@@ -74,9 +83,6 @@ def interactive_part(
     return {"n_runs": len(records), "n_all": axis.n_runs, "player_json": to_script_json(player)}
 
 
-_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
-
-
 def to_script_json(value: Any) -> str:
     r"""A value as JSON that no name in it can break out of.
 
@@ -109,18 +115,6 @@ def pack_bits(bits: ArrayLike) -> str:
     `bits` is (n_rows, n); the player's script gives it back.
     """
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
-
-
-# ---------- runs
-
-
-_PARTY_NAMES = {
-    "vut": "VUT",
-    "rsu_all": "all RSUs",
-    "vut_and_rsus": "VUT and RSUs",
-    "vam": "VAM",
-    "all_sources": "all sources",
-}
 
 
 def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]:
@@ -214,9 +208,6 @@ def _milliseconds(values_s: ArrayLike) -> Any:
     return np.rint(1000.0 * values).astype(int).tolist()
 
 
-# ---------- units
-
-
 def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     """Units of a layout for the player: centimetres, tenths of a degree."""
     labels = unit_labels(layout)
@@ -240,15 +231,6 @@ def _describe_unit(label: str, unit: CandidatePose) -> str:
         f"{name}: {sensor_kind(unit.sensor)} {unit.sensor.name}, "
         f"{unit.pose.position_m[2]:.1f} m high" + (", scans all round" * is_ring(unit.sensor))
     )
-
-
-# ---------- the ground and what stands on it, as SVG paths
-
-
-_MAX_HALF_M = 120.0  # farther things are never in the player's window
-_LEAST_HALF_M = 30.0
-_TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out
-_LABEL_SHARE = 0.86
 
 
 def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:

@@ -133,9 +133,6 @@ def _stage_row(stage: StageRecord) -> list[str]:
     ]
 
 
-# ---------- detection table and evaluator
-
-
 def agreement_section(result: PlacementResult) -> Section:
     """How far detection table and evaluator differ."""
     share = result.surrogate_disagreement

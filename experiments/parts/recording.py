@@ -45,8 +45,8 @@ from ..results.numbers import finite_or_none
 from ..results.record import PartyAprRecord, Record, StageRecord, build_stage_records, to_plain
 
 _T = TypeVar("_T")
-
-# ---------- the value
+ALL_UNITS = "RSU_all"
+"""All units of a recording together, in the study's words."""
 
 
 class RecordedUnitRecord(Record, frozen=True, kw_only=True):
@@ -261,13 +261,6 @@ def _drives(
         )
         for index, drive in enumerate(recording.drives)
     )
-
-
-# ---------- the job
-
-
-ALL_UNITS = "RSU_all"
-"""All units of a recording together, in the study's words."""
 
 
 def run_recording(

@@ -11,6 +11,8 @@ from placement.refinement import Move, Refinement
 from ..results.numbers import joined, number, percent
 from ..results.record import Record, StageName, StageValues, says
 
+_MAX_DIGITS = 6
+
 
 class MoveRecord(Record, frozen=True, kw_only=True):
     """Change of a unit by refinement; null where it is not at the same place."""
@@ -66,9 +68,6 @@ def _move(move: Move) -> MoveRecord:
         lift_m=move.lift_m if is_same else None,
         zoom_deg=move.zoom_deg if is_same else None,
     )
-
-
-_MAX_DIGITS = 6
 
 
 def refinement_sentences(found: RefinementRecord) -> list[str]:

@@ -45,8 +45,8 @@ from .section import Table
 
 if TYPE_CHECKING:
     import pandas as pd
-
-# ---------- the value
+_WORDS_WIDTH = 32
+CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
 
 
 class ActionRecord(Record, frozen=True, kw_only=True):
@@ -91,9 +91,6 @@ class RetrofitResult(DrivesRecord, frozen=True, kw_only=True):
     sentences: tuple[str, ...]
     seconds: dict[str, float]
     versions: dict[str, str]
-
-
-# ---------- words, and the table
 
 
 def words(result: RetrofitResult) -> list[str]:
@@ -141,9 +138,6 @@ def table(result: RetrofitResult) -> Table:
     )
 
 
-_WORDS_WIDTH = 32
-
-
 def _row(
     text: str,
     price_eur: float,
@@ -154,12 +148,6 @@ def _row(
 ) -> list[str]:
     shares = (percent(value.apr), percent(value.apr_one_failed))
     return [text, f"{price_eur:,.0f}", *shares, gained, lost, proof]
-
-
-# ---------- the job, and its file
-
-
-CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
 
 
 def run_retrofit(

@@ -83,9 +83,6 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
     )
 
 
-# ---------- words, table, section
-
-
 def words(record: RoadUserGroups) -> list[str]:
     """Whose runs count and how many are prevented, and who is left out, in one sentence.
 

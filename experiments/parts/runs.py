@@ -15,8 +15,6 @@ from ..results.tables import margin_s
 from .accidents import is_weighted, several_weathers
 from .section import Block, Box, Bullets, Section, Subheading, Table
 
-# ---------- what is driven
-
 
 def cases_section(setting: Setting) -> Section:
     """Cases that are driven, and those that cannot be."""

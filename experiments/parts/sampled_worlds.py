@@ -19,6 +19,17 @@ from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
 
+_MAX_LEAST_SURE_RUNS = 5
+_LEAST_WORST = 8  # worlds that a tail must have: with fewer, choosing for the mean has better tails
+_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
+_AS_THEY_ARE = (
+    *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
+    *("most_draws", "draws_detections", "person_share", "unit_person_share", "road_users"),
+)
+_MAX_NAME_LENGTH = 32
+_LEAST_SPAN_POINTS = 1.0
+_ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
+
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
     """Uncertainty as in the file of --uncertainty."""
@@ -118,11 +129,6 @@ class SampledRecord(Record, frozen=True, kw_only=True):
         return self.pairs[: len(self.layouts) - 1]
 
 
-_MAX_LEAST_SURE_RUNS = 5
-_LEAST_WORST = 8  # worlds that a tail must have: with fewer, choosing for the mean has better tails
-_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
-
-
 def build_sampled_record(
     judged: Sequence[SampledApr],
     uncertainty: Uncertainty,
@@ -183,12 +189,6 @@ def build_sampled_record(
     )
 
 
-_AS_THEY_ARE = (
-    *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
-    *("most_draws", "draws_detections", "person_share", "unit_person_share", "road_users"),
-)
-
-
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     """An uncertainty with the names of its TOML file."""
     latency, traffic = uncertainty.latency, uncertainty.traffic
@@ -243,9 +243,6 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
         LeastSureRunRecord(run=item.axis.run_ids[index], avoided_share=float(share[index]))
         for index in order[:_MAX_LEAST_SURE_RUNS].tolist()
     )
-
-
-# ---------- what layouts are worth in sampled worlds
 
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
@@ -388,9 +385,6 @@ def _worlds(count: int) -> str:
     return "world" if count == 1 else "worlds"
 
 
-# ---------- table, and the section of the report
-
-
 def table(found: SampledRecord) -> Table:
     """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
     tail = f"worst {100.0 * found.tail:g} %"
@@ -425,14 +419,6 @@ def sampled_picture(found: SampledRecord) -> Picture:
 def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     """The layouts in sampled worlds."""
     return Section("sampled", "If the world is not as planned", [picture, table(found)])
-
-
-# ---------- figures of layouts in sampled worlds: intervals of means and of differences
-
-
-_ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
-_MAX_NAME_LENGTH = 32
-_LEAST_SPAN_POINTS = 1.0
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:

@@ -16,8 +16,10 @@ from geometry.arrays import FloatArray
 from ..figures.axes import root_figure, to_png
 
 _T = TypeVar("_T")
-
-# ---------- what a section holds; text is a paragraph, and markup in it is shown as it is
+MAX_TRUE_COLOUR_BYTES = 300_000
+"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
+_N_COLOURS = 256
+_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,16 +123,6 @@ class Section:
     title: str
     blocks: Sequence[Block]
     is_folded: bool = False  # its title alone is in sight
-
-
-# ---------- figures as pictures
-
-
-MAX_TRUE_COLOUR_BYTES = 300_000
-"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
-
-_N_COLOURS = 256
-_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
 
 
 def build_picture(

@@ -37,9 +37,6 @@ from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record
 
-# ---------- the mounting sheet: a PDF with one A4 page for each unit, for whoever puts it up
-
-
 _A4_IN = (8.27, 11.69)
 _PLAN_HALF_M = 30.0
 _VIEW_RANGE_M = 35.0
@@ -307,9 +304,6 @@ def _shown_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
         if distance[frame] < best[0]:
             best = (float(distance[frame]), run, frame)
     return best[1], best[2]
-
-
-# ---------- what ``place-rsus sheet`` does: tolerances, then a page for each unit
 
 
 class SheetResult(Record, frozen=True, kw_only=True):

@@ -28,6 +28,11 @@ from .baselines import Score, build_score
 from .section import Section, Table
 
 STAGE = "study's cases"
+NOTE = (
+    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
+    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
+    "question above. By the evaluator; layouts were not chosen for these runs."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,21 +220,11 @@ def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) 
     )
 
 
-# ---------- the section of the report
-
-
 def section(record: StudyCases | None) -> Section | None:
     """The layouts on the study's cases; None where these are what was asked about."""
     if record is None:
         return None
     return Section("study-cases", "On the study's cases", [NOTE, table(record)])
-
-
-NOTE = (
-    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
-    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
-    "question above. By the evaluator; layouts were not chosen for these runs."
-)
 
 
 def table(record: StudyCases) -> Table:

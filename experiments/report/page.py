@@ -35,6 +35,16 @@ from ..parts.units import build_plans, units_section
 from ..side_process import SideProcess, Task
 
 FILE_NAME = "report.html"
+# In the order of questions: what to mount, how sure that is, who remains at risk, what if, what it
+# costs, how it was made.
+_IN_SIGHT = (
+    *("units", "front", "proof", "comparison", "sampled"),
+    *("accidents", "dangers", "failures", "private-ground", "bill"),
+)
+_FOLDED = (
+    *("why", "next-unit", "models", "study-cases", "missed", "added"),
+    *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
+)
 
 
 @cache
@@ -232,18 +242,6 @@ def _shown(
     shown = {name: item for name, item in evaluations.items() if name not in rows_alone}
     is_comparison = not isinstance(result, PlacementResult) and len(evaluations) > 1
     return shown, shown if is_comparison else dict([next(iter(evaluations.items()))])
-
-
-# In the order of questions: what to mount, how sure that is, who remains at risk, what if, what it
-# costs, how it was made.
-_IN_SIGHT = (
-    *("units", "front", "proof", "comparison", "sampled"),
-    *("accidents", "dangers", "failures", "private-ground", "bill"),
-)
-_FOLDED = (
-    *("why", "next-unit", "models", "study-cases", "missed", "added"),
-    *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
-)
 
 
 def _in_order(sections: Sequence[Section | None]) -> list[Section]:

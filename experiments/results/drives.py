@@ -17,6 +17,8 @@ from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
 _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
+_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
+_MOST_GAPS = 6  # that the first sentence names
 
 
 class RefusalRecord(Record, frozen=True, kw_only=True):
@@ -90,9 +92,6 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
     )
 
 
-_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
-
-
 def _without_effect(setting: Setting) -> Iterator[str]:
     """Wishes that change nothing: light, for a detector that knows none."""
     detector = setting.detector
@@ -110,12 +109,6 @@ def _without_effect(setting: Setting) -> Iterator[str]:
             f"{joined(alike).capitalize()} {changes} nothing for cameras here: the "
             f"{detector.name} detector knows no light. --detector response does."
         )
-
-
-# ---------- how much of what is possible was driven, in words
-
-
-_MOST_GAPS = 6  # that the first sentence names
 
 
 def describe_driven(setting: Setting) -> list[str]:

@@ -34,9 +34,6 @@ _OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # they come by th
 _CHUNK_BYTES = 1 << 20
 
 
-# ---------- the files that belong to a result
-
-
 def write_manifest(folder: Path) -> None:
     """List all files of a folder with their hashes in its ``SHA256SUMS``."""
     lines = [f"{sha256(path)}  {name}\n" for name, path in _files(folder).items()]
@@ -93,9 +90,6 @@ def _files(folder: Path) -> dict[str, Path]:
 
 def _is_filled_folder(path: Path) -> bool:
     return path.is_dir() and not path.is_symlink() and any(path.iterdir())
-
-
-# ---------- replaced as a whole, or left as it was
 
 
 def check_result_folder(folder: Path) -> None:
@@ -278,9 +272,6 @@ def _reason(error: Exception) -> str:
         return "a circle of links"
     reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
     return " ".join(str(reason).split())
-
-
-# ---------- files that a command adds to a folder; what else the folder holds stays
 
 
 def check_folder(folder: Path) -> None:

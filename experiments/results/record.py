@@ -29,13 +29,6 @@ from placement.evaluation import (
 from placement.layout import Certificate, Layout, layout_records
 from scenarios.aeb import AebRule
 
-
-class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of a result. Each field says what it is; UNSET ones are not written."""
-
-    schema_rules: ClassVar[dict[str, object]] = {}  # of the JSON schema, about several keys
-
-
 Share = Annotated[
     float,
     Meta(ge=-1e-9, le=1.000000001, extra_json_schema={"title": "From 0 to 1, but for rounding."}),
@@ -57,6 +50,12 @@ StageValues = Annotated[
     Meta(extra_json_schema={"propertyNames": {"enum": list(get_args(StageName))}}),
 ]
 """Value of each stage, in the unit that its name ends in."""
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A part of a result. Each field says what it is; UNSET ones are not written."""
+
+    schema_rules: ClassVar[dict[str, object]] = {}  # of the JSON schema, about several keys
 
 
 def to_plain(value: object) -> Any:

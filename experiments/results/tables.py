@@ -14,10 +14,10 @@ from scenarios.runs import FrameAxis
 if TYPE_CHECKING:
     import pandas as pd
 
-# ---------- tables of verdicts, for other programs: ratios by group, and every run's outcome
-
-
 ALL = "all"
+RunGroup = tuple[str, BoolArray]
+"""Its name, and which runs are in it: (n_runs,) bool."""
+_BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
 
 
 def parties(evaluation: Evaluation) -> dict[str, Verdict]:
@@ -153,13 +153,6 @@ def _missing(times_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(times_s), times_s, np.nan)
 
 
-# ---------- groups of runs that tables have rows for: by case, by speed of the car, by direction
-
-
-RunGroup = tuple[str, BoolArray]
-"""Its name, and which runs are in it: (n_runs,) bool."""
-
-
 def groups_by_case(axis: FrameAxis) -> list[RunGroup]:
     """A group per case, in the order in which the cases first appear."""
     return _equal(axis.cases)
@@ -190,12 +183,6 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list
     """Lines of a table in Markdown."""
     lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
     return [*lines, *("| " + " | ".join(row) + " |" for row in rows)]
-
-
-# ---------- cells of CSV: a text that looks like a formula must not run as one
-
-
-_BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
 
 
 def csv_text(table: "pd.DataFrame") -> str:
