@@ -19,6 +19,8 @@ from scenarios.runs import FrameAxis
 BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
 ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 
+PALETTE = (BLUE, VERMILION, GREEN, ORANGE, PINK, SKY)
+
 WIDTH_IN = 6.8
 NARROW_IN = 4.0
 """Width of figures whose letters can be read on a phone without moving the figure."""

@@ -5,18 +5,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec.structs import asdict as fields_of
-from msgspec.structs import replace as replace_fields
 
-from placement.certify import Certified, certify, estimate_gap
+from placement.certify import GapEstimate, certify, estimate_gap
 from placement.compute import Compute
-from placement.layout import Layout
 from placement.pipeline import assemble
 from placement.question import Question
 
 from ..export.json import to_json, to_json_text
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record
-from ..results.folders import LAYOUT_FILE, check_folder, write_files
+from ..results.folders import LAYOUT_FILE, expect_files, save_files
 from ..results.numbers import percent, several
 from ..results.record import Record, says
 from .sampled_worlds import EstimateRecord
@@ -77,9 +75,7 @@ def run_certify(
 
     Raises InputError as :func:`placement.certify.certify`, or if `out` cannot be written.
     """
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    expect_files(out, progress)
     plan = assemble(question, compute=compute)
     found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)
     assert plan.uncertainty is not None
@@ -90,57 +86,42 @@ def run_certify(
         worlds_of_block=plan.n_samples,
         uncertainty=plan.uncertainty.name,
         seed=compute.seed,
-        **_numbers(found),
-        units=_sites(layout),
+        blocks=tuple(
+            BlockRecord(first=one.first, bound=one.bound, apr=one.apr) for one in found.blocks
+        ),
+        pool=tuple(PoolRecord(name=one.layout.name, **asdict(one.estimate)) for one in found.pool),
+        units=tuple(unit.site_id for unit in layout.units),
+        apr_by_world=tuple(found.judged.apr_by_sample.tolist()),
+        **_numbers(found.gap),
         **fields_of(build_drives_record(plan.setting)),
         seconds={},
     )
-    if out is None:
-        return replace_fields(result, seconds=progress.finish())
-    progress(WRITING, 0, 0)
-    result = replace_fields(result, seconds=progress.finish())
-    files = {LAYOUT_FILE: to_json(layout, plan.scene), JSON_NAME: to_json_text(result)}
-    write_files(out, {name: text.encode() for name, text in files.items()})
-    progress.kept = f"the results are in {out}"
-    return result
+    return save_files(
+        result,
+        out,
+        progress,
+        lambda done: {LAYOUT_FILE: to_json(layout, plan.scene), JSON_NAME: to_json_text(done)},
+    )
 
 
-def _numbers(found: Certified) -> dict[str, Any]:
+def _numbers(gap: GapEstimate) -> dict[str, Any]:
+    """What follows from the bounds of the blocks and the APR in each world."""
     return {
-        "blocks": tuple(
-            BlockRecord(first=one.first, bound=one.bound, apr=one.apr) for one in found.blocks
-        ),
-        "pool": tuple(
-            PoolRecord(name=one.layout.name, **asdict(one.estimate)) for one in found.pool
-        ),
-        "apr_by_world": tuple(found.judged.apr_by_sample.tolist()),
-        "apr": found.gap.least.mean,
-        "least": found.gap.least.low,
-        "most": found.gap.most.high,
-        "gap": found.gap.gap,
-        "bias": found.gap.bias,
-        "chance": found.gap.chance,
+        "apr": gap.least.mean,
+        "least": gap.least.low,
+        "most": gap.most.high,
+        "gap": gap.gap,
+        "bias": gap.bias,
+        "chance": gap.chance,
     }
-
-
-def _sites(layout: Layout) -> tuple[str, ...]:
-    return tuple(unit.site_id for unit in layout.units)
 
 
 def recompute(stored: CertifiedResult) -> list[str]:
     """What is wrong with the numbers, each computed anew from bounds and APRs by world."""
     again = estimate_gap([block.bound for block in stored.blocks], stored.apr_by_world)
-    expected = {
-        "apr": again.least.mean,
-        "least": again.least.low,
-        "most": again.most.high,
-        "gap": again.gap,
-        "bias": again.bias,
-        "chance": again.chance,
-    }
     wrong = [
         f"{name}: {getattr(stored, name):.6g}, recomputed {value:.6g}"
-        for name, value in expected.items()
+        for name, value in _numbers(again).items()
         if not abs(getattr(stored, name) - value) <= _SMALL
     ]
     first = [block.first for block in stored.blocks]

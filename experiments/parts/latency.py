@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from msgspec.structs import asdict as fields_of
-from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError, Unquoted
 from geometry.scene_files import load_scene
@@ -35,9 +34,9 @@ from ..figures.axes import (
     new_axes,
     to_png,
 )
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
-from ..results.folders import check_folder, write_files
+from ..results.folders import expect_files, save_files
 from ..results.record import Record, UnitRecord, build_unit_records
 from ..results.tables import csv_text
 
@@ -68,10 +67,7 @@ class PartyLatency(Record, frozen=True, kw_only=True):
         Infinite if it is at every latency shown.
         """
         holds = np.array(self.apr) >= level - _SAME_SHARE
-        n_held = int(np.argmin(np.append(holds, False)))
-        if n_held == len(holds):
-            return math.inf
-        return latencies_s[n_held - 1] if n_held else -math.inf
+        return (-math.inf, *latencies_s[:-1], math.inf)[int(np.argmin(np.append(holds, False)))]
 
 
 class LatencyResult(DrivesRecord, frozen=True, kw_only=True):
@@ -107,9 +103,7 @@ def run_latency(
     the budget is unknown or given twice, a unit is inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    expect_files(out, progress)
     progress("setting", 0, 0)
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
@@ -136,16 +130,18 @@ def run_latency(
         seconds={},
         versions=versions(),
     )
-    if out is not None:
+
+    def files(done: LatencyResult) -> dict[str, str | bytes]:
         import pandas as pd
 
-        progress(WRITING, 0, 0)
-        by_party = {name: party.apr for name, party in parties.items()}
+        by_party = {name: party.apr for name, party in done.parties.items()}
         table = pd.DataFrame({"latency_s": latencies_s, **by_party})
-        png = to_png(plot_latency(latencies_s, parties, chosen))
-        write_files(out, {CSV_NAME: csv_text(table).encode(), PNG_NAME: png})
-        progress.kept = f"the results are in {out}"
-    return replace_fields(result, seconds=progress.finish())
+        return {
+            CSV_NAME: csv_text(table),
+            PNG_NAME: to_png(plot_latency(latencies_s, done.parties, chosen)),
+        }
+
+    return save_files(result, out, progress, files)
 
 
 def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
@@ -173,11 +169,6 @@ def plot_latency(
     axes.axvspan(1000.0 * budget.best_s, 1000.0 * budget.worst_s, color="#e4e4e4", zorder=0)
     axes.set_ylim(-3.0, 103.0)
     axes.legend(fontsize=8, frameon=False)
-    finish_axes(
-        axes,
-        x="latency from the frame to the onset of braking (ms)",
-        y="accidents prevented (APR, %)",
-        size=9,
-        grid="y",
-    )
+    x, y = "latency from the frame to the onset of braking (ms)", "accidents prevented (APR, %)"
+    finish_axes(axes, x=x, y=y, size=9, grid="y")
     return axes

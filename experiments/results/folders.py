@@ -12,15 +12,20 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 from uuid import uuid4
+
+import msgspec
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import is_abandoned, lock_while_alive, open_file, read_text, write_atomically
 
-from ..progress import signals_held
+from ..progress import WRITING, StageProgress, signals_held
+
+_R = TypeVar("_R", bound=msgspec.Struct)
 
 MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
@@ -287,7 +292,7 @@ def check_folder(folder: Path) -> None:
         raise unwritable(folder, error) from None
 
 
-def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
+def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
     """Write files by name, each whole or not at all; InputError if the folder is not writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -295,3 +300,26 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
             write_atomically(folder / name, content)
     except OSError as error:
         raise unwritable(folder, error) from None
+
+
+def expect_files(out: Path | None, progress: StageProgress) -> None:
+    """Check a folder before a job whose result :func:`save_files` puts there, if asked to."""
+    if out is not None:
+        check_folder(out)
+        progress.kept = f"nothing was written to {out}"
+
+
+def save_files(
+    result: _R,
+    out: Path | None,
+    progress: StageProgress,
+    files: Callable[[_R], Mapping[str, str | bytes]],
+) -> _R:
+    """The result with its "seconds"; `files` of it are added to `out`, if asked to."""
+    if out is not None:
+        progress(WRITING, 0, 0)
+    result = msgspec.structs.replace(result, seconds=progress.finish())
+    if out is not None:
+        write_files(out, files(result))
+        progress.kept = f"the results are in {out}"
+    return result
