@@ -18,7 +18,6 @@ from placement.evaluation import (
     score,
 )
 from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis
 
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from ..results.record import (
@@ -94,12 +93,12 @@ def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference,
     """Which runs only one of two layouts avoids, for any two; evaluations by display name."""
     return tuple(
         Difference(
-            first=name,
-            second=other_name,
+            first=first,
+            second=second,
             only_first=_only_first(one, other),
             only_second=_only_first(other, one),
         )
-        for (name, one), (other_name, other) in combinations(evaluations.items(), 2)
+        for (first, one), (second, other) in combinations(evaluations.items(), 2)
     )
 
 
@@ -127,35 +126,35 @@ def side_by_side_table(
     """
     subject = next(iter(evaluations.values()))
     axis, levels = subject.axis, subject.levels
-    verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
-    own = [
-        [
-            name,
-            str(len(item.layout.units)),
-            f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}",
-            percent(headline_apr(item)),
-            f"{int(item.headline.is_avoided.sum())} of {axis.n_runs}",
-            percent(apr_one_failed(item, rule)),
-            number(_smallest_margin_s(item.headline, axis)),
+
+    def of_verdict(verdict: Verdict, share: float) -> tuple[list[str], list[str]]:
+        """Cells before and behind that of a failure."""
+        avoided = f"{int(verdict.is_avoided.sum())} of {axis.n_runs}"
+        spare_s = margin_s(verdict, axis)[verdict.is_avoided & (axis.weight > 0.0)]
+        behind = [
+            number(float(spare_s.min()) if len(spare_s) else None),
+            number(mean_impact_speed_kmh(verdict, axis), 1),
         ]
-        for name, item in evaluations.items()
-    ]
-    vut = subject.vut
-    own.append(
-        [
-            "VUT alone",
-            NOTHING,
-            NOTHING,
-            percent(apr(vut, axis)),
-            f"{int(vut.is_avoided.sum())} of {axis.n_runs}",
-            NOTHING,
-            number(_smallest_margin_s(vut, axis)),
-        ]
-    )
-    for row, verdict in zip(own, verdicts, strict=True):
-        row.append(number(mean_impact_speed_kmh(verdict, axis), 1))
         if levels is not None:
-            row.append(percent(score(verdict, axis, levels)))
+            behind.append(percent(score(verdict, axis, levels)))
+        return [percent(share), avoided], behind
+
+    rows = []
+    for name, item in evaluations.items():
+        first, last = of_verdict(item.headline, headline_apr(item))
+        money = f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}"
+        failed = percent(apr_one_failed(item, rule))
+        rows.append([name, str(len(item.layout.units)), money, *first, failed, *last])
+    first, last = of_verdict(subject.vut, apr(subject.vut, axis))
+    rows.append(["VUT alone", NOTHING, NOTHING, *first, NOTHING, *last])
+    random = None if baselines is None else baselines.random
+    if random is not None:  # what is known is the APR on the table alone, or the score
+        mean, head = (
+            percent(random.mean),
+            f"random: mean of {random.layouts}, on the detection table",
+        )
+        shares = [mean, *[NOTHING] * 4] if levels is None else [*[NOTHING] * 5, mean]
+        rows.append([head, str(random.units), NOTHING, *shares])
     columns = [
         "layout",
         "units",
@@ -170,37 +169,15 @@ def side_by_side_table(
     return Table(
         caption="The layouts side by side, all units of each together, by the evaluator",
         columns=columns,
-        rows=own + _random_rows(baselines, is_scored=levels is not None),
+        rows=rows,
         numeric=range(1, len(columns)),
     )
 
 
-def _random_rows(baselines: Baselines | None, *, is_scored: bool) -> list[list[str]]:
-    """The row of random layouts, whose APR is known on the detection table alone; or none.
-
-    With a score it is the score that is known.
-    """
-    random = None if baselines is None else baselines.random
-    if random is None:
-        return []
-    name = f"random: mean of {random.layouts}, on the detection table"
-    mean = percent(random.mean)
-    row = [name, str(random.units), NOTHING, NOTHING if is_scored else mean, *[NOTHING] * 4]
-    return [[*row, mean] if is_scored else row]
-
-
-def _smallest_margin_s(verdict: Verdict, axis: FrameAxis) -> float | None:
-    """Least time to spare in the runs that are avoided and count; None if there is none."""
-    margin = margin_s(verdict, axis)[verdict.is_avoided & (axis.weight > 0.0)]
-    return float(margin.min()) if len(margin) else None
-
-
 def difference_matrix(names: Sequence[str], differences: Sequence[Difference]) -> Table:
     """How many runs the layout of a row avoids and that of a column does not."""
-    only: dict[tuple[str, str], int] = {}
-    for pair in differences:
-        only[pair.first, pair.second] = len(pair.only_first)
-        only[pair.second, pair.first] = len(pair.only_second)
+    only = {(pair.first, pair.second): len(pair.only_first) for pair in differences}
+    only |= {(pair.second, pair.first): len(pair.only_second) for pair in differences}
     return Table(
         caption="Runs that the layout of the row avoids, and that of the column does not",
         columns=["avoided by", *(f"not by {name}" for name in names)],
@@ -283,20 +260,16 @@ def section(
         *([Bullets(sentences)] if sentences else []),
         Subheading("Which runs differ"),
         difference_matrix(list(evaluations), differences),
-    ]
-    if rows:
-        blocks.append(
-            Table(
-                caption="Runs that only one of two layouts avoids",
-                columns=["avoided by", "not by", "how many", "which"],
-                rows=rows,
-                summary="The runs themselves",
-            )
+        Table(
+            caption="Runs that only one of two layouts avoids",
+            columns=["avoided by", "not by", "how many", "which"],
+            rows=rows,
+            summary="The runs themselves",
         )
-    else:
-        blocks.append("All layouts avoid the same runs.")
-    if sampled is not None and sampled.pairs:
-        blocks += _sampled_blocks(sampled)
+        if rows
+        else "All layouts avoid the same runs.",
+        *(_sampled_blocks(sampled) if sampled is not None and sampled.pairs else []),
+    ]
     return Section("comparison", "Side by side", blocks)
 
 
@@ -319,17 +292,13 @@ def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
     table = significance_table(sampled)
     blocks: list[Block] = [Subheading("Is the difference sure?"), _PAIRED]
     if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
-        blocks.append(
-            build_picture(
-                plot_differences([_better_first(pair) for pair in sampled.pairs]),
-                title="Differences in sampled worlds",
-                caption="Right of zero: the first one of the pair avoids more. An open dot: the "
-                "interval holds zero.",
-                alt="Dots with whiskers. "
-                + "; ".join(
-                    f"{row[0]} minus {row[1]}: {row[5]}, {row[6]} points" for row in table.rows
-                )
-                + ".",
-            )
+        rows = [f"{row[0]} minus {row[1]}: {row[5]}, {row[6]} points" for row in table.rows]
+        picture = build_picture(
+            plot_differences([_better_first(pair) for pair in sampled.pairs]),
+            title="Differences in sampled worlds",
+            caption="Right of zero: the first one of the pair avoids more. An open dot: the "
+            "interval holds zero.",
+            alt=f"Dots with whiskers. {'; '.join(rows)}.",
         )
+        blocks.append(picture)
     return [*blocks, table]

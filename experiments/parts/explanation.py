@@ -8,9 +8,8 @@ from typing import Annotated
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detection_table import run_of_level
-from placement.explain.contributions import Contribution, find_contributions
+from placement.explain.contributions import find_contributions
 from placement.explain.unavoided import Reason, Unavoided, find_unavoided
-from placement.optimiser import PlacementProblem
 from placement.pipeline import Placement
 from placement.setting import Setting
 
@@ -79,58 +78,51 @@ def build_explained_record(
     looks for what would save them.
     """
     problem, chosen = placement.problem, placement.pose_index
+    nominal, table = placement.nominal, problem.table
     names = {
-        problem.table.pose_ids[pose]: unit.id
+        table.pose_ids[pose]: unit.id
         for pose, unit in zip(chosen, placement.layout.units, strict=True)
     }
-    nominal = placement.nominal
+    is_all = nominal.table.n_poses == table.n_poses
     missed = find_unavoided(
         setting,
         nominal,
-        candidates
-        if nominal.table.n_poses == problem.table.n_poses
-        else [candidates[pose] for pose in chosen],
+        candidates if is_all else [candidates[pose] for pose in chosen],
         placement.nominal_index,
         compute=compute,
     )
     return ExplainedRecord(
         contributions=tuple(
-            _contribution(problem, part, names) for part in find_contributions(problem, chosen)
+            ContributionRecord(
+                unit=names[table.pose_ids[part.pose_index]],
+                only_runs=tuple(
+                    dict.fromkeys(run_of_level(table.axis.run_ids[run]) for run in part.only_runs)
+                ),
+                marginal_apr=part.marginal_apr,
+                mean_delay_s=part.mean_delay_s,
+                max_delay_s=part.max_delay_s,
+                without=LayoutValueRecord(**part.without._asdict()),
+            )
+            for part in find_contributions(problem, chosen)
         ),
         not_avoided=tuple(
             replace(entry, unit=names.get(entry.unit, entry.unit)) for entry in missed
         ),
-        runs_without_weight=int((placement.nominal.table.axis.weight == 0.0).sum()),
-    )
-
-
-def _contribution(
-    problem: PlacementProblem, part: Contribution, names: Mapping[str, str]
-) -> ContributionRecord:
-    table = problem.table
-    return ContributionRecord(
-        unit=names[table.pose_ids[part.pose_index]],
-        only_runs=tuple(
-            dict.fromkeys(run_of_level(table.axis.run_ids[run]) for run in part.only_runs.tolist())
-        ),
-        marginal_apr=part.marginal_apr,
-        mean_delay_s=part.mean_delay_s,
-        max_delay_s=part.max_delay_s,
-        without=LayoutValueRecord(**part.without._asdict()),
+        runs_without_weight=int((nominal.table.axis.weight == 0.0).sum()),
     )
 
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the units that something depends on."""
     parts = explained.contributions
-    if is_nothing_avoided(parts):
+    needed = [part for part in parts if part.only_runs]
+    if all(part.without.apr + part.marginal_apr <= 0.0 for part in parts):
         return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
     if len(parts) == 1 and parts[0].without.apr == 0.0:
         return ["Everything that is avoided depends on this one unit."]
     if len(parts) == 1:
         saved = count_runs(len(parts[0].only_runs))
         return [f"This one unit saves {saved} that the car does not save by itself."]
-    needed = [part for part in parts if part.only_runs]
     if not needed:
         others = "the other avoids" if len(parts) == 2 else "the others avoid"
         return [
@@ -143,31 +135,21 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     return [f"Of {len(parts)} units, {len(needed)} {verb} runs that no other one saves."]
 
 
-def is_nothing_avoided(parts: Sequence[ContributionRecord]) -> bool:
-    """True if units avoid nothing together."""
-    return all(part.without.apr + part.marginal_apr <= 0.0 for part in parts)
-
-
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the runs that are not avoided, and what is most often in the way."""
     missed, n_without = explained.not_avoided, explained.runs_without_weight
+    counts = Counter(entry.outcome for entry in missed)
+    outcomes = ", ".join(f"{count} {OUTCOMES[name]}" for name, count in counts.most_common())
+    if len(counts) == 1:
+        outcomes = f"{'all ' if len(missed) > 1 else ''}{OUTCOMES[missed[0].outcome]}"
     which = "every run that counts" if n_without else "every run"
     sentences = [f"On the detection table, {which} is avoided."]
     if missed:
-        verb = "is" if len(missed) == 1 else "are"
-        runs, outcomes = count_runs(len(missed)), _outcomes(missed)
+        runs, verb = count_runs(len(missed)), "is" if len(missed) == 1 else "are"
         sentences = [f"On the detection table, {runs} {verb} not avoided: {outcomes}."]
     if n_without:
         sentences.append(f"Left out: {count_runs(n_without)} of weight 0.")
     return [*sentences, *causes_and_remedies(missed)]
-
-
-def _outcomes(missed: Sequence[Unavoided]) -> str:
-    counts = Counter(entry.outcome for entry in missed)
-    if len(counts) == 1:
-        words = OUTCOMES[missed[0].outcome]
-        return words if len(missed) == 1 else f"all {words}"
-    return ", ".join(f"{count} {OUTCOMES[outcome]}" for outcome, count in counts.most_common())
 
 
 def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
@@ -181,21 +163,15 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
         elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
             sentences.append(f"The most frequent cause: {words}, in {count_runs(n_runs)}.")
     n_saved = sum(entry.rescue is not None for entry in missed)
-    if n_saved:
-        which = f"{count_runs(n_saved)} could{' each' if n_saved > 1 else ''}"
-        if len(missed) == 1:
-            which = "It could"
-        elif n_saved == len(missed):
-            which = "Each of them could"
-        sentences.append(f"{which} be saved by a further unit.")
-    return sentences
+    which = f"{count_runs(n_saved)} could{' each' if n_saved > 1 else ''}"
+    if n_saved == len(missed):
+        which = "It could" if n_saved == 1 else "Each of them could"
+    return [*sentences, *([f"{which} be saved by a further unit."] if n_saved else [])]
 
 
 def cause(reason: Reason) -> str:
     """Why a unit does not detect the road user, in words."""
-    if reason.cause == "hidden":
-        return f"hidden by {reason.thing}"
-    return _CAUSES[reason.cause]
+    return f"hidden by {reason.thing}" if reason.cause == "hidden" else _CAUSES[reason.cause]
 
 
 def contribution_table(
@@ -203,6 +179,10 @@ def contribution_table(
 ) -> Table:
     """Contributions, a row for each unit; `labels` are short names of the units, by id."""
     names = labels or {}
+
+    def time(value_s: float, part: ContributionRecord) -> str:
+        return number(value_s) if part.without.apr > 0.0 else NOTHING  # others avoid nothing
+
     return tabulate(
         "What each unit is there for, on the detection table",
         explained.contributions,
@@ -211,22 +191,17 @@ def contribution_table(
             "runs that only it saves": lambda part: str(len(part.only_runs)),
             "APR it adds": lambda part: percent(part.marginal_apr),
             "APR without it": lambda part: percent(part.without.apr),
-            "smallest time to spare without it (s)": lambda part: _of_others(
-                part, part.without.smallest_margin_s
+            "smallest time to spare without it (s)": lambda part: time(
+                part.without.smallest_margin_s, part
             ),
-            "mean time to spare without it (s)": lambda part: _of_others(
-                part, part.without.mean_margin_s
+            "mean time to spare without it (s)": lambda part: time(
+                part.without.mean_margin_s, part
             ),
-            "later without it, mean (s)": lambda part: _of_others(part, part.mean_delay_s),
-            "later, at most (s)": lambda part: _of_others(part, part.max_delay_s),
+            "later without it, mean (s)": lambda part: time(part.mean_delay_s, part),
+            "later, at most (s)": lambda part: time(part.max_delay_s, part),
         },
         numeric=range(1, 8),
     )
-
-
-def _of_others(part: ContributionRecord, value_s: float) -> str:
-    """A time of what the others avoid; there is none where they avoid nothing."""
-    return number(value_s) if part.without.apr > 0.0 else NOTHING
 
 
 def missed_table(explained: ExplainedRecord) -> Table:
@@ -247,10 +222,8 @@ def missed_table(explained: ExplainedRecord) -> Table:
 
 
 def _outcome(entry: Unavoided) -> str:
-    words: str = OUTCOMES[entry.outcome]
-    if entry.outcome != "too late":
-        return words
-    return f"{words}, by {number(entry.late_s)} s"
+    late = f", by {number(entry.late_s)} s" if entry.outcome == "too late" else ""
+    return f"{OUTCOMES[entry.outcome]}{late}"
 
 
 def _why(entry: Unavoided) -> str:
@@ -281,17 +254,9 @@ def explanation_sections(
     """
     if not explained:
         return []
-    reasons = ["Each unit is taken away in turn, on the detection table."]
-    sections = [
-        Section(
-            "why",
-            "Why these poses",
-            [
-                " ".join([*reasons, *contribution_sentences(explained)]),
-                contribution_table(explained, labels),
-            ],
-        )
-    ]
+    why = ["Each unit is taken away in turn, on the detection table."]
+    why += contribution_sentences(explained)
+    table = contribution_table(explained, labels)
     missed: list[Block] = [" ".join(missed_sentences(explained))]
     if explained.not_avoided:
         missed += [
@@ -301,5 +266,7 @@ def explanation_sections(
             "first; without it the road user would be detected. A further unit is one of the "
             "candidate poses, mounted next to these; its price is not asked for.",
         ]
-    sections.append(Section("missed", "Runs that are not avoided", missed))
-    return sections
+    return [
+        Section("why", "Why these poses", [" ".join(why), table]),
+        Section("missed", "Runs that are not avoided", missed),
+    ]

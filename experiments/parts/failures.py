@@ -27,63 +27,57 @@ def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str
         ]
     return [
         f"All {n_units} units together prevent {percent(whole.apr)}.",
-        *_one_sentences(failures, labels),
-        *_two_sentences(failures, labels),
-        *_site_sentences(failures, labels),
+        _if_one_fails(failures, labels),
+        _if_two_fail(failures, labels),
+        *([_if_a_pole_fails(failures, labels)] if failures.site_failed else []),
     ]
 
 
-def _site_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    """APR that remains if any one pole fails."""
-    if not failures.site_failed:
-        return []
-    shared = [item for item in failures.site_failed if len(item.unit_ids) > 1]
-    if not shared:
-        return ["No two units share a pole: a pole that fails takes one unit with it."]
-    worst = failures.site_failed[0]
-    text = "A pole fails with all its units (power, a crash). "
-    if not worst.lost_run_ids:
-        return [f"{text}Whichever one does, no run is lost."]
-    n_lost = len(worst.lost_run_ids)
-    return [
-        f"{text}If that of {_names(worst, labels)} does, {percent(worst.apr)} are left and "
-        f"{count_runs(n_lost)} {_verb(n_lost)} lost; no other pole leaves less."
-    ]
-
-
-def _one_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
+def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
     worst, n_units = failures.one_failed[0], len(failures.one_failed)
     n_harmless = sum(not item.lost_run_ids for item in failures.one_failed)
     if n_harmless == n_units:
         text = "Whichever one fails, the others avoid every run that all avoid together"
         least_s = min(item.smallest_margin_s for item in failures.one_failed)
         if math.isnan(least_s):  # there is no such run
-            return [f"{text}."]
-        return [f"{text}; the least time to spare is then {milliseconds(least_s)}."]
+            return f"{text}."
+        return f"{text}; the least time to spare is then {milliseconds(least_s)}."
     text = (
         f"If {_names(worst, labels)} fails, the others still prevent {percent(worst.apr)}; "
-        f"{count_runs(len(worst.lost_run_ids))} {_verb(len(worst.lost_run_ids))} lost. "
-        "No single failure leaves less."
+        f"{_runs_are(worst)} lost. No single failure leaves less."
     )
     if n_harmless:
         text += f" {n_harmless} of the {n_units} units can fail by themselves and no run is lost."
-    return [text]
+    return text
 
 
-def _two_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
-    n_units = len(failures.one_failed)
-    if not failures.two_failed:
-        return [f"Pairs are looked at for up to {MAX_PAIR_UNITS} units; there are {n_units}."]
+def _if_two_fail(failures: Failures, labels: Mapping[str, str]) -> str:
+    n_units, pairs = len(failures.one_failed), failures.two_failed
+    n_harmless = sum(not item.lost_run_ids for item in pairs)
+    if not pairs:
+        return f"Pairs are looked at for up to {MAX_PAIR_UNITS} units; there are {n_units}."
     if n_units == 2:
-        return ["If both fail, only the car itself is left."]
-    worst, n_pairs = failures.two_failed[0], len(failures.two_failed)
-    n_harmless = sum(not item.lost_run_ids for item in failures.two_failed)
-    if n_harmless == n_pairs:
-        return ["Any two may fail at once, and no run is lost."]
-    return [
-        f"Of two that fail at once, {_names(worst, labels)} matter most: {percent(worst.apr)} are "
-        f"left. {n_harmless} of the {n_pairs} pairs can fail and no run is lost."
-    ]
+        return "If both fail, only the car itself is left."
+    if n_harmless == len(pairs):
+        return "Any two may fail at once, and no run is lost."
+    return (
+        f"Of two that fail at once, {_names(pairs[0], labels)} matter most: "
+        f"{percent(pairs[0].apr)} are left. {n_harmless} of the {len(pairs)} pairs can fail and no "
+        "run is lost."
+    )
+
+
+def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
+    worst = failures.site_failed[0]
+    if all(len(item.unit_ids) == 1 for item in failures.site_failed):
+        return "No two units share a pole: a pole that fails takes one unit with it."
+    text = "A pole fails with all its units (power, a crash). "
+    if not worst.lost_run_ids:
+        return f"{text}Whichever one does, no run is lost."
+    return (
+        f"{text}If that of {_names(worst, labels)} does, {percent(worst.apr)} are left and "
+        f"{_runs_are(worst)} lost; no other pole leaves less."
+    )
 
 
 def failure_table(
@@ -143,5 +137,6 @@ def _names(failure: Failure, labels: Mapping[str, str]) -> str:
     return " and ".join(labels.get(unit_id, unit_id) for unit_id in failure.unit_ids)
 
 
-def _verb(count: int) -> str:
-    return "is" if count == 1 else "are"
+def _runs_are(failure: Failure) -> str:
+    n_lost = len(failure.lost_run_ids)
+    return f"{count_runs(n_lost)} {'is' if n_lost == 1 else 'are'}"
