@@ -98,12 +98,11 @@ def find_other_weights(
 
     Weights that the user gave are meant: runs that count the same are not compared with them.
     """
-    problem, chosen = placement.problem, placement.pose_index
     progress(STAGE, 0, 0)
-    effort, cache = plan.effort, compute.cache_folder
     if question.weights not in ("", "case") or question.score != AVOIDED:
         return None
-    return find_by_runs(problem, chosen, effort=effort, cache_folder=cache)
+    chosen, cache = placement.pose_index, compute.cache_folder
+    return find_by_runs(placement.problem, chosen, effort=plan.effort, cache_folder=cache)
 
 
 def begin_standing(
@@ -149,17 +148,16 @@ def find_front_runners(
     """
     runners = [build_front_runner(one, setting.rule, fusion=question.fusion) for one in evaluations]
     first = None if standing is None else standing.result(partial(progress, TOLERANCES, 0, 0))
-    known: list[Standing | None] = [first, *[None] * (len(runners) - 1)]
+    known: dict[int, Standing] = {} if first is None else {0: first}
 
     def mounted_wrongly(number: int) -> float:
         if first is None:
             return 0.0
-        found = known[number]
-        if found is None:
+        if number not in known:
             units = runners[number].layout.units
             found = find_standing(setting, units, fusion=question.fusion, compute=compute)
             known[number] = found
-        return found.worst.apr
+        return known[number].worst.apr
 
     number, decided_by = recommend(runners, mounted_wrongly)
     if len(runners) == 1:
@@ -173,9 +171,9 @@ def find_front_runners(
                 layout=build_unit_records(one.layout),
                 apr=one.apr,
                 apr_one_failed=one.apr_one_failed,
-                mounting=mounting,
+                mounting=known.get(order),
             )
-            for one, mounting in zip(runners, known, strict=True)
+            for order, one in enumerate(runners)
         ),
     )
     return found, first, runners[number].layout if number else None
@@ -217,70 +215,59 @@ def doubt_sentences(
 ) -> list[str]:
     """Sentences about what would change the answer; nothing where nobody looked."""
     return [
-        *_heavy(heavy_runs),
+        *([_heavy(heavy_runs)] if heavy_runs else []),
         *([_by_runs(by_runs, n_runs)] if by_runs else []),
         *([_mounting(mounting)] if mounting else []),
     ]
 
 
-def _heavy(runs: Sequence[HeavyRun]) -> list[str]:
-    if not runs:
-        return []
+def _heavy(runs: Sequence[HeavyRun]) -> str:
     low, high = percent(runs[-1].share), percent(runs[0].share)
     shares = high if low == high else f"{low} to {high}"
     names = first_of([one.run for one in runs], _MAX_HEAVY)
     if len(runs) == 1:
-        return [f"One run alone counts {shares} of the APR: {names}."]
-    return [f"{len(runs)} runs count {shares} of the APR each: {names}."]
+        return f"One run alone counts {shares} of the APR: {names}."
+    return f"{len(runs)} runs count {shares} of the APR each: {names}."
 
 
 def _by_runs(found: ByRuns, n_runs: int) -> str:
-    if found.runs_avoided == found.runs_avoided_here:
-        if found.is_proven:
-            return "If every run counted the same, no layout would be better than this one."
+    if found.runs_avoided > found.runs_avoided_here:
+        best = "best" if found.is_proven else "better"
         return (
-            "If every run counted the same, no better layout was found in the time for it; that "
-            "there is none is not proven."
+            f"If every run counted the same (--weights run), another layout would be {best}: it "
+            f"avoids {found.runs_avoided} of {count_runs(n_runs)}, this one "
+            f"{found.runs_avoided_here} (on the detection table)."
         )
-    best = "best" if found.is_proven else "better"
+    if found.is_proven:
+        return "If every run counted the same, no layout would be better than this one."
     return (
-        f"If every run counted the same (--weights run), another layout would be {best}: it avoids "
-        f"{found.runs_avoided} of {count_runs(n_runs)}, this one {found.runs_avoided_here} (on the "
-        "detection table)."
+        "If every run counted the same, no better layout was found in the time for it; that "
+        "there is none is not proven."
     )
 
 
 def _mounting(found: Standing) -> str:
     aim = f"{found.aim_deg:g} {'degree' if found.aim_deg == 1.0 else 'degrees'}"
-    if found.aim_deg and found.height_m:
-        text = f"A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost."
-    elif found.aim_deg:
-        text = (
-            f"A unit may be {aim} off its aim and no run is lost; 5 cm too high or low already "
-            "loses one."
-        )
-    elif found.height_m:
-        text = (
-            "Mount exactly: half a degree off the aim of a unit already loses a run; 5 cm too high "
-            "or low loses none."
-        )
-    else:
-        text = (
-            "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or low, already "
-            "loses a run."
-        )
+    exactly = "Mount exactly: half a degree off the aim of a unit"
+    text = {
+        (
+            True,
+            True,
+        ): f"A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost.",
+        (True, False): f"A unit may be {aim} off its aim and no run is lost; 5 cm too high or low "
+        "already loses one.",
+        (False, True): f"{exactly} already loses a run; 5 cm too high or low loses none.",
+        (False, False): f"{exactly}, or 5 cm too high or low, already loses a run.",
+    }[bool(found.aim_deg), bool(found.height_m)]
     worst = found.worst
     if not worst.lost_run_ids:
         return text
-    size = f"{abs(worst.step):g} degree"
+    size, is_more = f"{abs(worst.step):g} degree", worst.step > 0.0
     off = {
-        ("yaw", True): f"turned {size} to the left",
-        ("yaw", False): f"turned {size} to the right",
-        ("pitch", True): f"tilted {size} up",
-        ("pitch", False): f"tilted {size} down",
-        ("height", True): "5 cm too high",
-        ("height", False): "5 cm too low",
-    }[worst.kind, worst.step > 0.0]
+        "yaw": f"turned {size} to the {'left' if is_more else 'right'}",
+        "pitch": f"tilted {size} {'up' if is_more else 'down'}",
+        "height": f"5 cm too {'high' if is_more else 'low'}",
+    }[worst.kind]
     return (
         f"{text} At worst, 1 degree or 5 cm cost {count_runs(len(worst.lost_run_ids))}: with "
         f"{worst.unit_id} {off} the APR is {percent(worst.apr)}."

@@ -1,10 +1,10 @@
 """Recordings in place of simulated runs: judge their units, or choose the best of them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace as replace_field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from msgspec.structs import asdict as fields_of
@@ -149,10 +149,14 @@ def _build_result(
     """The units of a recording, or some of them; "seconds" is empty."""
     axis = evaluation.axis
     evaluated = _build_apr(evaluation, rule)
+
+    def share(verdict: Verdict) -> float:
+        return detected_share(verdict, axis)
+
     return RecordedResult(
         name=recording.folder.name,
         recording=str(recording.folder),
-        layout=_units(list(evaluation.units)),
+        layout=_units(evaluation.units),
         budget=None,
         fusion="any",
         runs=axis.n_runs,
@@ -164,8 +168,23 @@ def _build_result(
         gap=None,
         apr_without_worst_unit=evaluated.apr_without_worst_unit,
         evaluation=evaluated,
-        detected_share=_detected_share(evaluation),
-        drives=_drives(recording, evaluation),
+        detected_share=DetectedShareRecord(**_of_parties(share, evaluation)),
+        drives=tuple(
+            RecordedDriveRecord(
+                run=axis.run_ids[index],
+                case=axis.cases[index],
+                first_frame=drive.first_number,
+                frames=drive.n_frames,
+                missing_frames=drive.n_missing,
+                vut_speed_kmh=float(axis.vut_speed_kmh[index]),
+                vru_speed_kmh=3.6 * drive.vru_speed_mps,
+                closing_speed_mps=drive.closing_speed_mps,
+                motion="same direction" if is_longitudinal(drive) else "crossing",
+                last_brake_time_s=float(axis.last_brake_time_s[index]),
+                is_avoided=bool(evaluation.rsu_all.is_avoided[index]),
+            )
+            for index, drive in enumerate(recording.drives)
+        ),
         frames=RecordedFramesRecord(
             recorded=recording.n_frames,
             in_drives=axis.n_frames,
@@ -179,9 +198,19 @@ def _build_result(
     )
 
 
-def _units(folder_names: Sequence[str]) -> tuple[RecordedUnitRecord, ...]:
+def _units(folder_names: Iterable[str]) -> tuple[RecordedUnitRecord, ...]:
     """Units by the names of their folders."""
-    return tuple(RecordedUnitRecord(id=rsu_name(name), folder=name) for name in folder_names)
+    return tuple(RecordedUnitRecord(id=f"RSU{name}", folder=name) for name in folder_names)
+
+
+def _of_parties(measure: Callable[[Verdict], _T], found: RecordedEvaluation) -> dict[str, Any]:
+    """A measure of each party, by its name; None where the vehicle's detections are unknown."""
+    return {
+        "vut": None if found.vut is None else measure(found.vut),
+        "rsu_all": measure(found.rsu_all),
+        "vut_and_rsus": None if found.vut_and_rsus is None else measure(found.vut_and_rsus),
+        "units": {f"RSU{name}": measure(unit) for name, unit in found.units.items()},
+    }
 
 
 def _build_apr(evaluation: RecordedEvaluation, rule: AebRule) -> RecordedAprRecord:
@@ -191,15 +220,10 @@ def _build_apr(evaluation: RecordedEvaluation, rule: AebRule) -> RecordedAprReco
     def ratios(verdict: Verdict) -> PartyAprRecord:
         return PartyAprRecord(all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)})
 
+    problem = recorded_problem(evaluation, budget_units=n_units, fusion="any", rule=rule)
     return RecordedAprRecord(
-        vut=_known(ratios, evaluation.vut),
-        rsu_all=ratios(evaluation.rsu_all),
-        vut_and_rsus=_known(ratios, evaluation.vut_and_rsus),
-        units={rsu_name(name): ratios(unit) for name, unit in evaluation.units.items()},
-        apr_without_worst_unit=apr_one_failed(
-            recorded_problem(evaluation, budget_units=n_units, fusion="any", rule=rule),
-            range(n_units),
-        ),
+        **_of_parties(ratios, evaluation),
+        apr_without_worst_unit=apr_one_failed(problem, range(n_units)),
     )
 
 
@@ -217,49 +241,6 @@ def recorded_problem(
         ),
         fusion=fusion,
         rule=rule,
-    )
-
-
-def rsu_name(folder_name: str) -> str:
-    """Name of a roadside unit by that of its folder."""
-    return f"RSU{folder_name}"
-
-
-def _known(measure: Callable[[Verdict], _T], verdict: Verdict | None) -> _T | None:
-    return None if verdict is None else measure(verdict)
-
-
-def _detected_share(evaluation: RecordedEvaluation) -> DetectedShareRecord:
-    def share(verdict: Verdict) -> float:
-        return detected_share(verdict, evaluation.axis)
-
-    return DetectedShareRecord(
-        vut=_known(share, evaluation.vut),
-        rsu_all=share(evaluation.rsu_all),
-        vut_and_rsus=_known(share, evaluation.vut_and_rsus),
-        units={rsu_name(name): share(unit) for name, unit in evaluation.units.items()},
-    )
-
-
-def _drives(
-    recording: Recording, evaluation: RecordedEvaluation
-) -> tuple[RecordedDriveRecord, ...]:
-    axis = evaluation.axis
-    return tuple(
-        RecordedDriveRecord(
-            run=axis.run_ids[index],
-            case=axis.cases[index],
-            first_frame=drive.first_number,
-            frames=drive.n_frames,
-            missing_frames=drive.n_missing,
-            vut_speed_kmh=float(axis.vut_speed_kmh[index]),
-            vru_speed_kmh=3.6 * drive.vru_speed_mps,
-            closing_speed_mps=drive.closing_speed_mps,
-            motion="same direction" if is_longitudinal(drive) else "crossing",
-            last_brake_time_s=float(axis.last_brake_time_s[index]),
-            is_avoided=bool(evaluation.rsu_all.is_avoided[index]),
-        )
-        for index, drive in enumerate(recording.drives)
     )
 
 
@@ -312,8 +293,8 @@ def run_recorded_placement(
         effort=build_effort(question),
         on_stage=lambda stage: progress(f"optimise: {stage}", 0, 0),
     )
-    greedy = _pick(recording, solve_greedy(problem, reduced))
-    chosen = _pick(recording, solution.pose_index)
+    greedy = [recording.units[index] for index in solve_greedy(problem, reduced)]
+    chosen = [recording.units[index] for index in solution.pose_index]
     first = solution.certificate.stages[0]
     result = replace(
         _build_result(recording, take_units(everything, chosen, rule), rule),
@@ -363,10 +344,6 @@ def _evaluate(
     return recording, evaluate_recording(recording, rule, min_confidence=min_confidence)
 
 
-def _pick(recording: Recording, unit_index: Sequence[int]) -> list[str]:
-    return [recording.units[index] for index in unit_index]
-
-
 def _finish(
     result: RecordedResult,
     out: Path | None,
@@ -380,7 +357,6 @@ def _finish(
         if write_more is not None:
             write_more(new)
         result = replace(result, seconds=progress.finish())
-        text = to_json_text(result).encode()
-        write_atomically(new / MARKER, text)
+        write_atomically(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {out}"
     return result
