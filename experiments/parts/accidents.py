@@ -63,12 +63,12 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     for them alone and for all sources with each layout.
     """
     axis = next(iter(evaluations.values())).axis
-    verdicts = _parties(evaluations)
+    parties = _parties(evaluations)
     return Table(
         caption=f"Accident prevention ratio by {_groups(axis, 'and')}",
-        columns=[_groups(axis, "or"), *(name for name, _, _ in verdicts)],
-        rows=_apr_rows([(item, verdict) for _, item, verdict in verdicts]),
-        numeric=range(1, 1 + len(verdicts)),
+        columns=[_groups(axis, "or"), *parties],
+        rows=_apr_rows([*parties.values()], axis),
+        numeric=range(1, 1 + len(parties)),
     )
 
 
@@ -77,8 +77,7 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 
     None where all runs have the same one.
     """
-    verdicts = _parties(evaluations)
-    axis = verdicts[0][1].axis
+    axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
     along = groups_by_position(axis)
     groupings = [
         ("speed of the car", "speed (km/h)", groups_by_speed(axis)),
@@ -88,38 +87,33 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     return [
         Table(
             caption=f"Accident prevention ratio by {words}",
-            columns=[head, *(name for name, _, _ in verdicts)],
+            columns=[head, *parties],
             rows=[
-                [group, *(percent(apr(verdict, item.axis, mask)) for _, item, verdict in verdicts)]
+                [group, *(percent(apr(verdict, axis, mask)) for verdict in parties.values())]
                 for group, mask in groups
             ],
-            numeric=range(1, 1 + len(verdicts)),
+            numeric=range(1, 1 + len(parties)),
         )
         for words, head, groups in groupings
         if len(groups) > 1
     ]
 
 
-def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Evaluation, Verdict]]:
-    """Columns of a table of APR: head, evaluation, verdict."""
+def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
+    """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
-    parties = [
-        *(
-            (f"{name}: {count_sensors(item.layout)}", item, item.rsu_all)
-            for name, item in evaluations.items()
-        ),
-        ("car (VUT) alone", subject, subject.vut),
-        *((f"car (VUT) and {name}", item, item.vut_and_rsus) for name, item in evaluations.items()),
-    ]
+    layouts = evaluations.items()
+    parties = {f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts}
+    parties |= {"car (VUT) alone": subject.vut}
+    parties |= {f"car (VUT) and {name}": item.vut_and_rsus for name, item in layouts}
     # Who announces themselves does not depend on the layout.
     if "vam" in subject.others:
-        parties.append(("road users' messages (VAM) alone", subject, subject.others["vam"]))
-    parties += [
-        (f"car (VUT), {name} and VAM", item, item.others["all_sources"])
-        for name, item in evaluations.items()
+        parties["road users' messages (VAM) alone"] = subject.others["vam"]
+    return parties | {
+        f"car (VUT), {name} and VAM": item.others["all_sources"]
+        for name, item in layouts
         if "all_sources" in item.others
-    ]
-    return parties
+    }
 
 
 def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
@@ -128,21 +122,20 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     The last row: in what share of the frames the unit detects. Of more than ``MAX_UNIT_COLUMNS``
     units each is a row instead, the best first; a long table is to unfold.
     """
-    labels = unit_labels(evaluation.layout)
-    units = evaluation.units.items()
-    detected = [percent(detected_share(verdict, evaluation.axis)) for _, verdict in units]
-    columns = [_groups(evaluation.axis, "or"), *(labels[unit_id] for unit_id, _ in units)]
+    labels, axis = unit_labels(evaluation.layout), evaluation.axis
+    units, verdicts = evaluation.units.items(), [*evaluation.units.values()]
+    detected = [percent(detected_share(verdict, axis)) for verdict in verdicts]
+    columns = [_groups(axis, "or"), *(labels[unit_id] for unit_id, _ in units)]
     caption = f"APR of each unit of {name} by itself"
-    rows = [
-        *_apr_rows([(evaluation, verdict) for _, verdict in units]),
-        ["frames in which it detects", *detected],
-    ]
+    rows = [*_apr_rows(verdicts, axis), ["frames in which it detects", *detected]]
     if len(labels) > MAX_UNIT_COLUMNS:
         caption += ", best first"
         columns = ["unit", *(row[0] for row in rows)]
         of_units = zip(units, zip(*(row[1:] for row in rows), strict=True), strict=True)
         best_first = sorted(  # stable: as in the layout where two are alike
-            of_units, key=lambda pair: _rank(pair[0][1], evaluation.axis), reverse=True
+            of_units,
+            key=lambda pair: (apr(pair[0][1], axis), detected_share(pair[0][1], axis)),
+            reverse=True,
         )
         rows = [[labels[unit_id], *cells] for (unit_id, _), cells in best_first]
     return Table(
@@ -152,10 +145,6 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
         numeric=range(1, len(columns)),
         summary=caption if len(rows) > _MAX_FLAT_ROWS else "",
     )
-
-
-def _rank(verdict: Verdict, axis: FrameAxis) -> tuple[float, float]:
-    return apr(verdict, axis), detected_share(verdict, axis)
 
 
 def _groups(axis: FrameAxis, conjunction: str) -> str:
@@ -168,24 +157,13 @@ def several_weathers(axis: FrameAxis) -> list[str]:
     return weathers if len(weathers) > 1 else []
 
 
-def _apr_rows(verdicts: Sequence[tuple[Evaluation, Verdict]]) -> list[list[str]]:
-    axis = verdicts[0][0].axis
+def _apr_rows(verdicts: Sequence[Verdict], axis: FrameAxis) -> list[list[str]]:
     of_weather = np.array(axis.weathers)
-    by_case = [apr_by_case(verdict, item.axis) for item, verdict in verdicts]
-    return [
-        ["all runs", *(percent(apr(verdict, item.axis)) for item, verdict in verdicts)],
-        *(
-            [case, *(percent(shares[case]) for shares in by_case)]
-            for case in dict.fromkeys(axis.cases)
-        ),
-        *(
-            [
-                f"weather: {weather}",
-                *(
-                    percent(apr(verdict, item.axis, of_weather == weather))
-                    for item, verdict in verdicts
-                ),
-            ]
-            for weather in several_weathers(axis)
-        ),
-    ]
+    by_case = [apr_by_case(verdict, axis) for verdict in verdicts]
+    rows = [["all runs", *(percent(apr(verdict, axis)) for verdict in verdicts)]]
+    for case in dict.fromkeys(axis.cases):
+        rows.append([case, *(percent(shares[case]) for shares in by_case)])
+    for weather in several_weathers(axis):
+        shares = (apr(verdict, axis, of_weather == weather) for verdict in verdicts)
+        rows.append([f"weather: {weather}", *map(percent, shares)])
+    return rows

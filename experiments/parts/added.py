@@ -78,13 +78,11 @@ def build_added(setting: Setting, evaluation: Evaluation, *, fusion: str = "any"
         groups += [(kind, name, mask) for name, mask in found if len(found) > 1]
 
     def group(kind: str, name: str, mask: BoolArray) -> AddedGroup:
-        weight = axis.weight * mask
-        if not weight.any():
-            return AddedGroup(kind=kind, name=name, vut=None, with_units=None, gain=None)
-        alone, with_units = weight_share(own, weight), weight_share(together, weight)
-        return AddedGroup(
-            kind=kind, name=name, vut=alone, with_units=with_units, gain=with_units - alone
-        )
+        weight, alone, both, gain = axis.weight * mask, None, None, None
+        if weight.any():
+            alone, both = weight_share(own, weight), weight_share(together, weight)
+            gain = both - alone
+        return AddedGroup(kind=kind, name=name, vut=alone, with_units=both, gain=gain)
 
     return Added(
         groups=tuple(group(*one) for one in groups), units=_one_by_one(setting, evaluation, fusion)

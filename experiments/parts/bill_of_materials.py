@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from geometry.catalogue import sensor_kind
 from geometry.notes import assumed_sites
-from geometry.scene import Scene, Site
+from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
@@ -79,7 +79,9 @@ def build_bill(
     ``prices.toml``, unless `site_cost_eur` was said for every site. Units of
     `kept_ids` exist already: neither they nor their sites are paid for.
     """
-    to_make = [] if site_cost_eur is not None else _used_sites(layout, scene, kept_ids)
+    used = {unit.site_id for unit in layout.units}
+    used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
+    to_make = [one for one in scene.sites if one.id in used and site_cost_eur is None]
     to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
     of_model = Counter(unit.sensor.name for unit in layout.units)
     return BillOfMaterials(
@@ -90,7 +92,7 @@ def build_bill(
                 kind=_KINDS[sensor_kind(sensor)],
                 count=to_buy[name],
                 n_units=of_model[name],
-                price_eur=_told(sensor.price_eur),
+                price_eur=sensor.price_eur if sensor.price_eur > 0.0 else None,
                 price_source="catalogue" if sensor.price_eur > 0.0 else "",
             )
             for name, sensor in {unit.sensor.name: unit.sensor for unit in layout.units}.items()
@@ -135,18 +137,6 @@ def _site_items(
     return tuple(items)
 
 
-def _used_sites(layout: Layout, scene: Scene, kept_ids: Collection[str]) -> list[Site]:
-    """Sites that have to be made ready."""
-    used = {unit.site_id for unit in layout.units}
-    used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
-    return [site for site in scene.sites if site.id in used]
-
-
-def _told(price_eur: float) -> float | None:
-    """A price; None of 0, which means unknown."""
-    return price_eur if price_eur > 0.0 else None
-
-
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
     import pandas as pd
@@ -177,18 +167,11 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
         return [f"All lines together: {_euros(known)}."]
     if len(unknown) == len(items):
         return ["No price is known."]
-    what = " and ".join(
-        several(count, one, many)
-        for count, one, many in (
-            (sum(item.part == "sensor" for item in unknown), "sensor model", "sensor models"),
-            (
-                sum(item.count for item in unknown if item.part == "site"),
-                "mounting place",
-                "mounting places",
-            ),
-        )
-        if count
-    )
+    n_models = sum(item.part == "sensor" for item in unknown)
+    n_places = sum(item.count for item in unknown if item.part == "site")
+    models = several(n_models, "sensor model", "sensor models") if n_models else ""
+    places = several(n_places, "mounting place", "mounting places") if n_places else ""
+    what = " and ".join(filter(None, (models, places)))
     return [
         f"At least {_euros(known)}: the sum of what is known. The price of {what} is unknown and "
         "comes on top."
@@ -198,17 +181,10 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
 def bill_tables(bill: BillOfMaterials) -> list[Table]:
     """Sensors by model, and sites; each with a row for all together."""
     sensors, sites = bill.sensors, bill.sites
-    rows: list[list[object]] = [
-        [
-            one.name,
-            one.kind,
-            str(one.n_units),
-            str(one.count),
-            _or_unknown(one.price_eur),
-            _sum([one]),
-        ]
-        for one in sensors
-    ]
+    rows = []
+    for one in sensors:
+        price = UNKNOWN if one.price_eur is None else _amount(one.price_eur)
+        rows.append([one.name, one.kind, str(one.n_units), str(one.count), price, _sum([one])])
     n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
     rows.append(["all", "", str(n_units), str(n_to_buy), "", _sum(sensors)])
     columns = ["model", "kind", "units", "to buy", "price of one (EUR)", "sum (EUR)"]
@@ -255,10 +231,6 @@ def _sum(items: Sequence[Item]) -> str:
     if not known:
         return UNKNOWN
     return _amount(sum(known)) if len(known) == len(values) else f"≥ {_amount(sum(known))}"
-
-
-def _or_unknown(value: float | None) -> str:
-    return UNKNOWN if value is None else _amount(value)
 
 
 def _amount(value: float) -> str:

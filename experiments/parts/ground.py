@@ -68,10 +68,8 @@ def private_ground_sentences(
     """The same of a result; `others` are those of layouts compared with it, by name."""
     if found is None:
         return []
-    return [
-        private_ground_sentence(found),
-        *(f"{name}: {private_ground_sentence(other)}" for name, other in others.items() if other),
-    ]
+    of_others = [f"{name}: {private_ground_sentence(one)}" for name, one in others.items() if one]
+    return [private_ground_sentence(found), *of_others]
 
 
 def private_ground_section(
@@ -92,20 +90,14 @@ def private_ground_section(
     shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
     rows = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
     caption = "Share of each private area that a unit sees"
-    for n_shown, n_all, what in (
-        (len(shown), len(units), "units"),
-        (len(rows), len(areas), "areas"),
-    ):
-        if n_shown < n_all:
-            caption += f"; of {n_all} {what} the {n_shown} that matter most"
+    if len(shown) < len(units):
+        caption += f"; of {len(units)} units the {len(shown)} that matter most"
+    if len(rows) < len(areas):
+        caption += f"; of {len(areas)} areas the {len(rows)} that matter most"
+    heads = ["area", "size (m\N{SUPERSCRIPT TWO})", "most, by one unit"]
     table = Table(
         caption=caption,
-        columns=[
-            "area",
-            "size (m\N{SUPERSCRIPT TWO})",
-            "most, by one unit",
-            *(labels.get(unit_id, unit_id) for unit_id in shown),
-        ],
+        columns=[*heads, *(labels.get(unit_id, unit_id) for unit_id in shown)],
         rows=[
             [
                 area.name,

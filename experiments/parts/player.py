@@ -19,8 +19,8 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from ..figures.axes import describe_run, unit_labels
-from ..figures.plan import CLASS_STYLES, UNIT_COLOURS
+from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
+from ..figures.plan import CLASS_STYLES
 from ..figures.views import GroundViews
 from ..results.tables import margin_s, parties
 

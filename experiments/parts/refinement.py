@@ -1,6 +1,5 @@
 """Gains of refinement between the poses of the grid, in sentences."""
 
-from collections.abc import Iterable
 from typing import Annotated, cast
 
 import msgspec
@@ -43,18 +42,14 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
     """Changes by the search between the poses of the grid."""
     return RefinementRecord(
         is_improved=refinement.is_improved,
-        before=_stage_values(refinement.before),
-        after=_stage_values(refinement.after),
+        before={cast(StageName, name): value for name, value in refinement.before},
+        after={cast(StageName, name): value for name, value in refinement.after},
         moves=tuple(_move(move) for move in refinement.moves),
         grid_candidates=refinement.unrefined.problem.table.n_poses,
         grid_is_proven=refinement.unrefined.certificate.is_proven,
         poses_tried=refinement.n_tried,
         seconds=refinement.seconds,
     )
-
-
-def _stage_values(values: Iterable[tuple[str, float]]) -> StageValues:
-    return {cast(StageName, name): value for name, value in values}
 
 
 def _move(move: Move) -> MoveRecord:

@@ -1,6 +1,7 @@
 """The runs: what is driven, and every outcome."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -46,12 +47,8 @@ def case_table(setting: Setting) -> Table:
     There is a column of weights where not every run counts the same.
     """
     has_weights = is_weighted(setting.axis)
-    every = dict.fromkeys(
-        [
-            *(run.approach for run in setting.runs),
-            *(refusal.approach for refusal in setting.refusals),
-        ]
-    )
+    refused = [refusal.approach for refusal in setting.refusals]
+    every = dict.fromkeys([*(run.approach for run in setting.runs), *refused])
     rows = []
     for name, indices in runs_by_case(setting).items():
         runs = [setting.runs[index] for index in indices]
@@ -101,12 +98,12 @@ def _steps(values: Sequence[float]) -> str:
 
 def describe_hopeless(setting: Setting) -> list[str]:
     """Which cases have runs that no braking avoids, in sentences."""
-    sentences = []
-    for name, indices in runs_by_case(setting).items():
-        n_runs = sum(not math.isfinite(setting.runs[index].last_brake_time_s) for index in indices)
-        if n_runs:
-            sentences.append(f"In {count_runs(n_runs)} of {name} no braking avoids the impact.")
-    return sentences
+    hopeless = [run for run in setting.runs if not math.isfinite(run.last_brake_time_s)]
+    n_runs = Counter(run.case.name for run in hopeless)
+    names = [name for name in runs_by_case(setting) if n_runs[name]]
+    return [
+        f"In {count_runs(n_runs[name])} of {name} no braking avoids the impact." for name in names
+    ]
 
 
 def describe_refusals(setting: Setting) -> list[str]:

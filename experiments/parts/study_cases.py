@@ -50,10 +50,8 @@ def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:
         build_score(name, item.rsu_all, item.axis, n_units=len(item.layout.units))
         for name, item in evaluations.items()
     ]
-    return StudyCases(
-        runs=first.axis.n_runs,
-        parties=(*layouts, build_score("VUT alone", first.vut, first.axis, n_units=0)),
-    )
+    alone = build_score("VUT alone", first.vut, first.axis, n_units=0)
+    return StudyCases(runs=first.axis.n_runs, parties=(*layouts, alone))
 
 
 def study_question(question: Question) -> Question:
@@ -93,19 +91,15 @@ def on_study_cases(
     the setting of a question at the same scene. Raises InputError if no arm carries any of the
     cases.
     """
-    if find_baseline(asked.scene) is None or not _has_cases(question):
+    given = {case.name for case in select_cases(question.cases, force=question.force).cases}
+    has_cases = {case.name for case in select_cases("study").cases} <= given
+    if find_baseline(asked.scene) is None or not has_cases:
         return None
     rows = study_rows(question, asked)
     study = build(study_question(question)) if rows is None else _part(asked, rows)
     if is_same_question(asked, study):
         return None
     return score_on(study, asked, rows, evaluations, compute=compute)
-
-
-def _has_cases(question: Question) -> bool:
-    """All cases of the study are asked about."""
-    given = select_cases(question.cases, force=question.force).cases
-    return {case.name for case in select_cases("study").cases} <= {case.name for case in given}
 
 
 def score_on(
@@ -173,14 +167,13 @@ def _part(asked: Setting, rows: IntArray) -> Setting:
 
 def is_same_question(one: Setting, other: Setting) -> bool:
     """Two settings have the same runs, in any order, with the same weights, and the same rule."""
-    (names, weight), (other_names, other_weight) = (
-        (np.sort(axis.run_ids), axis.weight[np.argsort(axis.run_ids)])
-        for axis in (one.axis, other.axis)
+    runs, others = (
+        dict(zip(axis.run_ids, axis.weight, strict=True)) for axis in (one.axis, other.axis)
     )
     return (
         one.rule == other.rule
-        and np.array_equal(names, other_names)
-        and np.allclose(weight, other_weight, rtol=1.0e-9, atol=0.0)
+        and runs.keys() == others.keys()
+        and all(math.isclose(runs[name], others[name], rel_tol=1.0e-9) for name in runs)
     )
 
 
@@ -234,15 +227,9 @@ def table(record: StudyCases) -> Table:
         caption=f"APR on the study's {count_runs(record.runs)}",
         columns=["case", *(party.name for party in record.parties)],
         rows=[
-            ["all runs", *(percent(party.all) for party in record.parties)],
-            [
-                "runs avoided",
-                *(f"{party.runs_avoided} of {record.runs}" for party in record.parties),
-            ],
-            *(
-                [case, *(percent(party.by_case[case]) for party in record.parties)]
-                for case in cases
-            ),
+            ["all runs", *(percent(one.all) for one in record.parties)],
+            ["runs avoided", *(f"{one.runs_avoided} of {record.runs}" for one in record.parties)],
+            *([case, *(percent(one.by_case[case]) for one in record.parties)] for case in cases),
         ],
         numeric=range(1, 1 + len(record.parties)),
     )
