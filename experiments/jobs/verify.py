@@ -184,6 +184,7 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
         "numbers": certified.recompute(stored),
         "layout file": [] if sites == stored.units else ["it shows units at other sites"],
     }
+    unknown = "bounds of the blocks, and APRs by world: certify computes them again, with the seed"
     return VerificationResult(
         folder=str(folder),
         is_verified=not any(wrong.values()),
@@ -193,9 +194,7 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
         ),
         stages=(),
         solver="",
-        not_checked=(
-            "bounds of the blocks, and APRs by world: certify computes them again, with the seed",
-        ),
+        not_checked=(unknown,),
         seconds=progress.finish(),
     )
 
