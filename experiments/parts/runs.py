@@ -10,7 +10,7 @@ from placement.evaluation import Evaluation, Outcome, run_outcome
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 
-from ..results.drives import describe_left_out, describe_limits, describe_places, is_set_aside
+from ..results.drives import describe_left_out, describe_limits, describe_places, lacking_room
 from ..results.numbers import count_runs, number, percent
 from ..results.tables import margin_s
 from .accidents import is_weighted, several_weathers
@@ -112,9 +112,7 @@ def describe_refusals(setting: Setting) -> list[str]:
     Away from the junction, where each position has other speeds, these are left out.
     """
     places: dict[tuple[str, str, str], dict[str, list[str]]] = {}
-    for refusal in setting.refusals:
-        if refusal.limit_kmh is not None or is_set_aside(refusal):
-            continue
+    for refusal in lacking_room(setting):
         speeds = refusal.speeds_text if refusal.position == AT_ZERO.name else ""
         of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
         of_reason.setdefault(refusal.approach, []).append(refusal.position)

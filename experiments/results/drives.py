@@ -95,13 +95,13 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
 def _without_effect(setting: Setting) -> Iterator[str]:
     """Wishes that change nothing: light, for a detector that knows none."""
     detector = setting.detector
-    weathers = [name for name in dict.fromkeys(setting.axis.weathers) if name != "day"]
-    if not weathers or not isinstance(detector, GeometricDetector):
+    if not isinstance(detector, GeometricDetector):
         return
     alike = []
-    for name in weathers:
+    for name in dict.fromkeys(setting.axis.weathers):
         weather = pick_weather(name, "run: weather")
-        if weather.contrast * float(weather.transmission(_FARTHEST_M)) >= detector.min_contrast:
+        contrast = weather.contrast * float(weather.transmission(_FARTHEST_M))
+        if name != "day" and contrast >= detector.min_contrast:
             alike.append(name)
     if alike:
         changes = "changes" if len(alike) == 1 else "change"
@@ -117,18 +117,15 @@ def describe_driven(setting: Setting) -> list[str]:
     Nothing where everything that was asked for is driven.
     """
     limits = [*describe_limits(setting), *describe_left_out(setting)]
-    if all(one.limit_kmh is not None or is_set_aside(one) for one in setting.refusals):
+    if not lacking_room(setting):
         return limits
     n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
+    first = f"{n_runs} of {n_possible} possible runs could be driven"
+    if n_runs == n_possible:
+        first = f"All {n_runs} possible runs are driven"
     gaps = list(_gaps(setting))
-    said = "; ".join(gaps[:_MOST_GAPS])
-    if len(gaps) > _MOST_GAPS:
-        said += f"; {len(gaps) - _MOST_GAPS} more below"
-    first = (
-        f"All {n_runs} possible runs are driven"
-        if n_runs == n_possible
-        else f"{n_runs} of {n_possible} possible runs could be driven"
-    )
+    more = [f"{len(gaps) - _MOST_GAPS} more below"] if len(gaps) > _MOST_GAPS else []
+    said = "; ".join([*gaps[:_MOST_GAPS], *more])
     return [f"{first}: {said}." if said else f"{first}.", *_reasons(setting), *limits]
 
 
@@ -151,9 +148,13 @@ def describe_limits(setting: Setting) -> list[str]:
     ]
 
 
-def is_set_aside(refusal: Refusal) -> bool:
-    """Left out by whom it meets, or laid nowhere: no question of what is possible here."""
-    return refusal.left_out in ("unprotected", "not laid")
+def lacking_room(setting: Setting) -> list[Refusal]:
+    """Refusals for want of roads or room; speed limits, and whom cases meet, are other reasons."""
+    return [
+        one
+        for one in setting.refusals
+        if one.limit_kmh is None and one.left_out not in ("unprotected", "not laid")
+    ]
 
 
 def describe_left_out(setting: Setting) -> Iterator[str]:
@@ -194,13 +195,8 @@ def _gaps(setting: Setting) -> Iterator[str]:
     """Cases that are not driven at all or not from everywhere: the widest gaps first."""
     driven = dict.fromkeys((run.case.name, run.approach) for run in setting.runs)
     for_speed = {run.case.name for run in setting.runs}
-    missing: dict[tuple[str, str], Refusal] = {
-        (one.case.name, one.approach): one
-        for one in setting.refusals
-        if one.limit_kmh is None
-        and not is_set_aside(one)
-        and (one.case.name, one.approach) not in driven
-    }
+    refused = {(one.case.name, one.approach): one for one in lacking_room(setting)}
+    missing = {pair: one for pair, one in refused.items() if pair not in driven}
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
         yield f"no {joined(list(dict.fromkeys(nowhere)))} at all"
@@ -226,9 +222,8 @@ def _gaps(setting: Setting) -> Iterator[str]:
 def _reasons(setting: Setting) -> Iterator[str]:
     """A line per reason: those of most possible runs first, last what is not possible."""
     groups: dict[str, list[Refusal]] = {}
-    for one in setting.refusals:
-        if one.limit_kmh is None and not is_set_aside(one):
-            groups.setdefault(one.reason, []).append(one)
+    for one in lacking_room(setting):
+        groups.setdefault(one.reason, []).append(one)
 
     def count(group: Sequence[Refusal]) -> int:
         return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)
