@@ -110,15 +110,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
 
 def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
     """Draw bodies that belong to single cases: what they cover, and each once its outline."""
-    corners = [
-        footprint_corners(
-            body.pose.position_m[:2],
-            body.pose.yaw_deg,
-            length_m=body.actor.length_m,
-            width_m=body.actor.width_m,
-        )
-        for body in {body.key: body for body in bodies}.values()
-    ]
+    corners = [placed_footprint(one) for one in {body.key: body for body in bodies}.values()]
     if not corners:
         return
     # All in one: a hatch takes as long as a hundred outlines.
@@ -126,6 +118,13 @@ def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
     axes.add_patch(PathPatch(covered, zorder=2.2, **PARKED_STYLE))
     outlines = Path.make_compound_path(*(_ring(ring) for ring in corners))
     axes.add_patch(PathPatch(outlines, zorder=2.2, **PARKED_STYLE | {"fill": False, "hatch": ""}))
+
+
+def placed_footprint(body: PlacedActor) -> FloatArray:
+    """Corners of a placed body on the road, (4, 2), in metres."""
+    pose, actor = body.pose, body.actor
+    size = {"length_m": actor.length_m, "width_m": actor.width_m}
+    return footprint_corners(pose.position_m[:2], pose.yaw_deg, **size)
 
 
 def _outline(shape: shapely.Geometry) -> Path:
