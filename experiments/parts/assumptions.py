@@ -10,11 +10,11 @@ from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
-from ..results.numbers import count_runs, joined, percent, several
+from ..results.numbers import count_runs, first_of, joined, percent, several
 from .accidents import is_weighted
 from .result import EvaluationResult, PlacementResult, Result
 from .sampled_worlds import moving_sentence
-from .section import Block, Box, Code, Section, Table, Terms
+from .section import Box, Code, Section, Table, Terms
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _MAX_NAMES = 3
@@ -48,15 +48,11 @@ def _together(group: Sequence[Note]) -> str:
     if len(group) == 1:
         return f"{first.what}: {first.why}."
     numbers = [[float(word) for word in _NUMBER.findall(one.why)] for one in group]
-    ranges = [
-        f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        for low, high in ((min(column), max(column)) for column in zip(*numbers, strict=True))
-    ]
-    why = _NUMBER.sub(lambda _match: ranges.pop(0), first.why)
+    lows_highs = [(min(column), max(column)) for column in zip(*numbers, strict=True)]
+    ranges = iter(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in lows_highs)
+    why = _NUMBER.sub(lambda _match: next(ranges), first.why)
     names = [site_id for one in group for site_id in one.site_ids]
-    listed = ", ".join(names[:_MAX_NAMES])
-    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-    return f"{len(names)} sites ({listed}{more}): {why}."
+    return f"{len(names)} sites ({first_of(names, _MAX_NAMES)}): {why}."
 
 
 def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
@@ -67,25 +63,14 @@ def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, 
 
 def again_section(result: Result, command: str) -> Section:
     """The command line, how long it took, and with which programs."""
-    tables: list[Block] = []
-    if result.seconds:
-        seconds = [(stage, f"{value:.1f}") for stage, value in result.seconds.items()]
-        tables.append(
-            Table(caption="Time taken", columns=["stage", "seconds"], rows=seconds, numeric=[1])
-        )
-    if result.versions:
-        versions = [*result.versions.items()]
-        tables.append(Table(caption="Versions", columns=["what", "version"], rows=versions))
-    columns = Box("beside tables", [Box("", [table]) for table in tables])
+    seconds = [(stage, f"{value:.1f}") for stage, value in result.seconds.items()]
+    versions = [*result.versions.items()]
+    tables = [
+        Table(caption="Time taken", columns=["stage", "seconds"], rows=seconds, numeric=[1]),
+        Table(caption="Versions", columns=["what", "version"], rows=versions),
+    ]
+    columns = Box("beside tables", [Box("", [table]) for table in tables if table.rows])
     return Section("again", "To make it again", [Code(command), columns])
-
-
-def _cars(setting: Setting) -> str:
-    """Whether layouts are judged together with the car's own sensors."""
-    if not setting.cars:
-        return ""
-    who = "every car" if setting.cars == 1.0 else f"{percent(setting.cars)} of the cars"
-    return f" That is one more unit of {who}, which costs nothing and never fails."
 
 
 def assumptions(
@@ -93,7 +78,15 @@ def assumptions(
 ) -> list[tuple[str, str]]:
     """Assumptions behind the numbers, as term and text; layouts by display name."""
     rule, axis = setting.rule, setting.axis
-    frame_s = 1.0 / rule.frame_rate_hz
+    cars = ""
+    if setting.cars:
+        who = "every car" if setting.cars == 1.0 else f"{percent(setting.cars)} of the cars"
+        cars = f" That is one more unit of {who}, which costs nothing and never fails."
+    onset = f"reached linearly {rule.build_up_s:g} s after the onset"
+    if rule.build_up_s == 0.0:
+        onset = "constant from the onset"
+    weathers = list(dict.fromkeys(run.weather for run in setting.runs))
+    dims = " It takes contrast from cameras and pulses from LiDARs."
     terms = [
         (
             "Runs",
@@ -104,18 +97,22 @@ def assumptions(
         (
             "Detection",
             f"{setting.detector.description}{_figures(setting)} The car itself looks with: "
-            f"{' and '.join(setting.vut_sensors)}.{_cars(setting)}",
+            f"{' and '.join(setting.vut_sensors)}.{cars}",
         ),
-        ("Confirmation", f"{rule.n_confirmations} detected frames in a row, {frame_s:g} s apart."),
+        (
+            "Confirmation",
+            f"{rule.n_confirmations} detected frames in a row, {1.0 / rule.frame_rate_hz:g} s "
+            "apart.",
+        ),
         ("Tracks", _tracks(rule)),
         ("Latency", _latency(rule, layouts)),
         (
             "Braking",
-            f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {_onset(rule.build_up_s)}, along "
+            f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {onset}, along "
             "the car's path. The road user keeps going.",
         ),
         ("Avoided", "The outlines of car and road user on the road never touch."),
-        ("Weather", _weather(setting)),
+        ("Weather", f"{', '.join(weathers)}.{'' if weathers == ['day'] else dims}"),
     ]
     if setting.radio != Radio():
         terms.append(("Radio", _radio(setting.radio)))
@@ -131,8 +128,7 @@ def assumptions(
 def _figures(setting: Setting) -> str:
     """How many figures of response tables are measured; that of the table where it is another."""
     tables = {one.name: one for one in (setting.detector, setting.table_detector)}.values()
-    words = [one.figures_words for one in tables if isinstance(one, ResponseDetector)]
-    return "".join(f" {one}" for one in words)
+    return "".join(f" {one.figures_words}" for one in tables if isinstance(one, ResponseDetector))
 
 
 def _tracks(rule: AebRule) -> str:
@@ -158,22 +154,11 @@ def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
             if unit.latency(rule) != rule.latency_s:
                 unit_ids.setdefault(unit.latency(rule), []).append(unit.id)
         of = f" of {name}" if len(layouts) > 1 else ""
-        own += [
-            f"{_all_or(ids, len(layout.units))}{of} {1000.0 * latency_s:g} ms"
-            for latency_s, ids in sorted(unit_ids.items())
-        ]
+        for latency_s, ids in sorted(unit_ids.items()):
+            who = "every unit" if len(ids) == len(layout.units) > 1 else joined(ids)
+            own.append(f"{who}{of} {1000.0 * latency_s:g} ms")
     text = f"{1000.0 * rule.latency_s:g} ms for processing and communication"
     return f"{text}; units with a latency of their own: {'; '.join(own)}." if own else f"{text}."
-
-
-def _all_or(unit_ids: Sequence[str], n_units: int) -> str:
-    return "every unit" if len(unit_ids) == n_units > 1 else joined(unit_ids)
-
-
-def _onset(build_up_s: float) -> str:
-    if build_up_s == 0.0:
-        return "constant from the onset"
-    return f"reached linearly {build_up_s:g} s after the onset"
 
 
 def _weights(setting: Setting) -> str:
@@ -188,14 +173,6 @@ def _weights(setting: Setting) -> str:
         verb = "is" if n_without == 1 else "are"
         text += f" {count_runs(n_without)} of weight 0 {verb} driven, but not counted."
     return text
-
-
-def _weather(setting: Setting) -> str:
-    weathers = list(dict.fromkeys(run.weather for run in setting.runs))
-    text = f"{', '.join(weathers)}."
-    if weathers == ["day"]:
-        return text
-    return f"{text} It takes contrast from cameras and pulses from LiDARs."
 
 
 def _radio(links: Radio) -> str:

@@ -6,8 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from placement.baselines import Baselines as JudgedProposals
-from placement.baselines import RandomLayouts, judge_proposals, propose
+from placement.baselines import Proposals, RandomLayouts, judge_proposals, propose
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.evaluation import (
@@ -19,6 +18,7 @@ from placement.evaluation import (
     apr_one_failed,
 )
 from placement.layout import Layout
+from placement.optimiser import PlacementProblem
 from placement.optimiser import apr as table_apr
 from placement.pipeline import Assembly, Placement, pick_layout
 from placement.sampling.out_of_sample import estimate_mean
@@ -133,9 +133,7 @@ def compare_placement(
         n_units=len(placement.pose_index),
         rng=np.random.default_rng(seed),
     )
-    found = judge_proposals(problem, proposals)
-    on_table = table_apr(problem, found.expert) if found.expert else 0.0
-    return _proposed(found, candidates, on_table)
+    return _judge(problem, proposals, candidates)
 
 
 def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Proposed | None:
@@ -148,57 +146,52 @@ def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Pro
     if sum(site.capacity_units for site in scene.sites if site.use != "forbidden") < n_units:
         return None
     sensors = {unit.sensor: None for unit in layout.units}
-    grid = replace(load_candidate_grid(), sensors=tuple(sensors))
-    candidates = build_candidates(scene, grid)
-    wishes = Wishes(budget_units=n_units)
-    proposals = propose(
-        Assembly(setting=setting, candidates=candidates, wishes=wishes).limits,
-        candidates,
-        scene,
-        n_units=n_units,
-        rng=np.random.default_rng(compute.seed),
-    )
+    candidates = build_candidates(scene, replace(load_candidate_grid(), sensors=tuple(sensors)))
+    plan = Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=n_units))
+    rng = np.random.default_rng(compute.seed)
+    proposals = propose(plan.limits, candidates, scene, n_units=n_units, rng=rng)
     rows = proposals.rows
     if not rows:
         return None
     compute.progress(STAGE, 0, 0)
     drawn = [candidates[row] for row in rows]
-    problem = Assembly(
-        setting=setting, candidates=drawn, wishes=wishes, compute=compute.within(STAGE)
-    ).problem
-    found = judge_proposals(problem, proposals.among(rows))
-    on_table = table_apr(problem, found.expert) if found.expert else 0.0
-    return _proposed(found, drawn, on_table)
+    problem = replace(plan, candidates=drawn, compute=compute.within(STAGE)).problem
+    return _judge(problem, proposals.among(rows), drawn)
+
+
+def _judge(
+    problem: PlacementProblem, proposals: Proposals, candidates: Sequence[CandidatePose]
+) -> Proposed:
+    """Proposals on a detection table, of which the candidates are the rows."""
+    found = judge_proposals(problem, proposals)
+    rows = found.expert
+    return Proposed(
+        random=found.random,
+        expert=pick_layout(candidates, rows, f"expert-{len(rows)}") if rows else None,
+        corners=found.corners,
+        expert_on_table=table_apr(problem, rows) if rows else 0.0,
+    )
 
 
 def build_baselines(proposed: Proposed, expert: Evaluation | None, setting: Setting) -> Baselines:
     """Their APR; `expert` is that layout by the evaluator."""
-    random = proposed.random
-    return Baselines(
-        random=None if random is None else _random(random),
-        expert=None
-        if expert is None
-        else ExpertBaseline(
-            name=expert.layout.name,
+    random, of_expert = proposed.random, None
+    if expert is not None:
+        name, units = expert.layout.name, expert.layout.units
+        blind, seeing = (
+            build_score(name, verdict, expert.axis, n_units=len(units))
+            for verdict in (expert.rsu_all, expert.vut_and_rsus)
+        )
+        of_expert = ExpertBaseline(
+            name=name,
             layout=build_unit_records(expert.layout),
             corners=proposed.corners,
-            cost_eur=sum(unit.sensor.price_eur for unit in expert.layout.units),
+            cost_eur=sum(unit.sensor.price_eur for unit in units),
             on_table=round(proposed.expert_on_table, 12),
-            score=_score_of(expert),
+            score=mixed(blind, seeing, expert.cars),
             apr_without_worst_unit=apr_one_failed(expert, setting.rule),
-        ),
-    )
-
-
-def _score_of(evaluation: Evaluation) -> Score:
-    """What a layout is judged by."""
-    name, n_units = evaluation.layout.name, len(evaluation.layout.units)
-    blind, seeing = (
-        build_score(name, verdict, evaluation.axis, n_units=n_units)
-        for verdict in (evaluation.rsu_all, evaluation.vut_and_rsus)
-    )
-    score: Score = mixed(blind, seeing, evaluation.cars)
-    return score
+        )
+    return Baselines(random=None if random is None else _random(random), expert=of_expert)
 
 
 def _random(layouts: RandomLayouts) -> RandomBaseline:
@@ -217,18 +210,6 @@ def _random(layouts: RandomLayouts) -> RandomBaseline:
         low=round(layouts.low, 12),
         high=round(layouts.high, 12),
         in_worlds=in_worlds,
-    )
-
-
-def _proposed(
-    found: JudgedProposals, candidates: Sequence[CandidatePose], on_table: float
-) -> Proposed:
-    rows = found.expert
-    return Proposed(
-        random=found.random,
-        expert=pick_layout(candidates, rows, f"expert-{len(rows)}") if rows else None,
-        corners=found.corners,
-        expert_on_table=on_table,
     )
 
 

@@ -11,8 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from geometry.arrays import FloatArray
-
 from ..figures.axes import root_figure, to_png
 
 _T = TypeVar("_T")
@@ -45,11 +43,10 @@ def tabulate(
     is_open: bool = False,
 ) -> Table:
     """A table with a row per item: each column has a head, and what it says of an item."""
-    rows = [[cell(item) for cell in columns.values()] for item in items]
     return Table(
         caption=caption,
         columns=[*columns],
-        rows=rows,
+        rows=[[cell(item) for cell in columns.values()] for item in items],
         numeric=numeric,
         summary=summary,
         is_open=is_open,
@@ -161,12 +158,9 @@ def with_palette(png: bytes) -> bytes:
     reduced = image.quantize(
         _N_COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
     )
-    error = np.abs(_levels(reduced.convert("RGB")) - _levels(image))
+    levels, before = (np.asarray(one, dtype=float) for one in (reduced.convert("RGB"), image))
+    error = np.abs(levels - before)
     buffer = BytesIO()
     reduced.save(buffer, format="png", optimize=True)
     is_alike = error.max() <= _LARGEST_ERROR and error.mean() <= _LARGEST_MEAN_ERROR
     return buffer.getvalue() if is_alike and buffer.tell() < len(png) else png
-
-
-def _levels(image: Image.Image) -> FloatArray:
-    return np.asarray(image, dtype=np.float64)
