@@ -81,10 +81,7 @@ for _command in (
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line; every problem that the user can mend is one line and exit code 2.
-
-    What nobody foresaw is one line, too, with exit code 70: it names a file with the whole text.
-    """
+    """Run the command line: what users can mend is a line and exit code 2, all else code 70."""
     os.environ["MPLBACKEND"] = "agg"  # no window is opened, whatever a user prefers elsewhere
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = Session(_import_map)

@@ -73,8 +73,7 @@ class Interrupted(BaseException):
 class StageProgress:
     """Shows which stage runs and how far it is, and keeps the time of each.
 
-    A bar on a terminal; elsewhere a line per stage, and in long ones one each half minute; nothing
-    before :meth:`start` or with ``quiet``.
+    A bar on a terminal; elsewhere a line per stage; nothing before :meth:`start` or with ``quiet``.
     """
 
     def __init__(self) -> None:

@@ -119,10 +119,7 @@ def _get_ready(modules: Sequence[str], prepare: str) -> None:
 def side_process(
     is_wanted: bool, *, modules: Sequence[str] = (), prepare: str = ""
 ) -> Iterator[SideProcess]:
-    """A second process, which ends with the block, or none where none is wanted.
-
-    While there is nothing to make, it loads `modules` and calls `prepare`, as "module:function".
-    """
+    """A second process for the block, if wanted; idle, it loads modules and calls "module:f"."""
     if not is_wanted:
         yield SideProcess()
         return

@@ -62,10 +62,9 @@ _BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1
 
 
 def plot_film(scene: Scene, run: Run) -> list[Axes]:
-    """Film strip of a run in which nobody brakes: six plan views from its begin to the impact.
+    """Film strip of a run in which nobody brakes: six plan views, in metres, north up.
 
-    In metres, north up. The fourth shows the last frame in which braking still helps, the last one
-    the impact.
+    The fourth shows the last frame in which braking still helps, the last one the impact.
     """
     figure = new_figure(_COLUMNS * _PANEL_IN, _ROWS * (_PANEL_IN + 0.3) + 1.0, dpi=_DPI)
     figure.suptitle(_title(run), fontsize=11)

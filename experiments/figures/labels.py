@@ -116,10 +116,7 @@ def _overlap(one: FloatArray, other: FloatArray) -> float:
 
 
 def unit_names(layout: Layout, scene: Scene) -> list[Label]:
-    """Short names of units, beyond the tips of their arrows; of many, how many are at a place.
-
-    Those that look the same way from one pole share a label.
-    """
+    """Short names of units that look one way from one pole; of many, how many are at a place."""
     if len(layout.units) > MAX_LABELLED_UNITS:
         places = Counter(tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units)
         return [

@@ -197,10 +197,9 @@ def plot_plan(
 ) -> Axes:
     """Plan of the junction with a layout: where its units are and what ground they look at.
 
-    `others` are drawn lighter, without fields of view. The square that is shown lies around the
-    middle of the junction; half its side is by default 45 m, or what shows all units and places
-    along the arms. Fields of view end at `max_range_m`; the camera itself sees farther. The axes
-    are in metres, north up; by default in a new figure of so many inches.
+    `others` are drawn lighter. The square around the middle of the junction is by default 45 m each
+    way, or what shows all units and places along the arms. Fields of view end at `max_range_m`. The
+    axes are in metres, north up; by default in a new figure.
     """
     entries = _plan_legend(setting, layout, others)
     n_columns = 1 if width_in < WIDTH_IN else 2
@@ -287,10 +286,7 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
 
 
 def _camera_marker(unit: CandidatePose, rank: int = 0) -> Style:
-    """A dart that points from the pole to where the camera looks; a disc where that is all round.
-
-    Darts of further cameras that look there from the same pole stand one before the other.
-    """
+    """A dart that points where the camera looks, the next ones before it; a disc: all round."""
     if is_ring(unit.sensor):
         return {**_ROUND_MARKER, "markersize": 10.0}
     yaw = math.radians(unit.pose.yaw_deg)
@@ -370,10 +366,8 @@ def is_wide(unit: CandidatePose) -> bool:
 def ground_rings(unit: CandidatePose, *, max_range_m: float) -> tuple[FloatArray, FloatArray]:
     """Outlines of the road plane that a wide LiDAR's beams meet, if nothing stood on it.
 
-    Where the ground ends that it meets, and where that begins, each (n, 2): below lies what the
-    lowest beams pass over. Both counter-clockwise around the foot, to a tenth of a metre; empty
-    where there is none, and the inner one is the foot itself to the sides where no ground is met.
-    World frame. [m]
+    Where the ground that it meets ends and begins, each (n, 2), counter-clockwise around the foot;
+    empty where there is none. To the sides where no ground is met the inner one is the foot. [m]
     """
     foot = unit.pose.position_m[:2]
     angles = np.linspace(0.0, 2.0 * np.pi, _N_BEARINGS, endpoint=False)
@@ -393,21 +387,14 @@ def ground_rings(unit: CandidatePose, *, max_range_m: float) -> tuple[FloatArray
 
 
 def blind_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
-    """Ground around the foot of a wide LiDAR that its lowest beams pass over.
-
-    Shape (n, 2). Empty if there is none, and of every other sensor: its outline says where it sees.
-    [m]
-    """
+    """Ground around a wide LiDAR's foot that its beams pass over, (n, 2), in metres; or empty."""
     if not is_wide(unit):
         return np.empty((0, 2))
     return ground_rings(unit, max_range_m=max_range_m)[1]
 
 
 def ring_path(*outlines_m: FloatArray) -> Path:
-    """Outlines as one shape to draw: what is inside the second one is a hole in the first.
-
-    Outlines are (n, 2), counter-clockwise, not closed. [m]
-    """
+    """Open outlines, (n, 2), as one shape: the inside of the second is a hole in the first."""
     rings = [
         Path(np.vstack([corners, corners[:1]])[:: -1 if index else 1], closed=True)
         for index, corners in enumerate(outlines_m)

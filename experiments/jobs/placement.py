@@ -279,10 +279,7 @@ def _begin_fresh_worlds(
 def _evaluate(
     job: _Job, found: _Found, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
-    """Layouts by display name as the evaluator sees them; and those that lead, the one found first.
-
-    Together, for what is seen is the same for all.
-    """
+    """Layouts by display name, and those that lead, the one found first, by the evaluator."""
     leading = leading_layouts(found.on_grid, found.placement)
     further = [layout for layout in leading if layout is not found.placement.greedy]
     judged = evaluate_layouts([*layouts.values(), *further], job.setting, compute=job.compute)
@@ -297,10 +294,7 @@ def _in_fresh_worlds(
     evaluations: Mapping[str, Evaluation],
     fresh: Sequence[Task[FreshWorlds]],
 ) -> SampledRecord:
-    """Layouts in fresh sampled worlds.
-
-    The second process begins with the first worlds, this one with the last.
-    """
+    """Layouts in fresh worlds: the other process begins with the first ones, this one last."""
     looked: list[FreshWorlds] = []
     for done, task in enumerate(reversed(fresh)):
         job.progress(OUT_OF_SAMPLE, done, len(fresh))
@@ -381,11 +375,7 @@ def run_evaluation(
     command: str,
     progress: StageProgress,
 ) -> EvaluationResult:
-    """Evaluate a layout, and write a report if asked to.
-
-    Raises InputError if a unit is mounted underground or inside something, or `out` cannot be
-    written.
-    """
+    """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written."""
     scene = load_scene(question.scene)
     _check_out(out, progress)
     with _begin_job(
@@ -422,8 +412,7 @@ def run_comparison(
 ) -> ComparisonResult:
     """Compare two layouts or more on the same runs; write a report if asked to.
 
-    With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
-    differences have an interval. Raises InputError as :func:`run_evaluation`.
+    With samples also in so many sampled worlds. Raises InputError as :func:`run_evaluation`.
     """
     scene = load_scene(question.scene)
     drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)

@@ -91,9 +91,8 @@ def run_solve(
 ) -> CoveringResult:
     """Read a covering instance and solve it; it is written to `out` as OR-Library's if asked to.
 
-    With a budget it is a maximal covering problem, else `target` is the share of the rows to
-    cover: None for all that can be covered. Raises InputError if the file holds no instance or the
-    question has no answer, OSError if `out` cannot be written.
+    With a budget it is a maximal covering problem, else `target` is the share of the rows to cover:
+    None for all. Raises InputError if there is no instance or answer, OSError if `out` fails.
     """
     if solver.upper() not in ("AUTO", HIGHS):
         raise InputError("--solver", solver, f"auto or {HIGHS} for covering problems")
@@ -149,9 +148,8 @@ def run_solve_windows(
 ) -> PlacementSolution:
     """Read a placement problem, ``instance.npz`` of a result folder, and solve it.
 
-    Budgets, target (infinity: all that can be avoided, with the fewest units) and memory of tracks
-    are in place of the file's own. Raises InputError if the file is damaged, or the question has no
-    answer.
+    Budgets, target (infinity: all that can be avoided) and memory of tracks are in place of the
+    file's own. Raises InputError if the file is damaged, or the question has no answer.
     """
     progress("read", 0, 0)
     problem = load_problem(path)

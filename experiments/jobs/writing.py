@@ -57,10 +57,9 @@ def write_results(
 ) -> _R:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
-    `folder` is replaced as a whole, or left as it was. The first of the evaluations, by display
-    name, is the subject. Where a placement found it, its certificate is written, too: `candidates`
-    are the rows of its table. `recommended` is what the evaluator prefers to the subject, `bill`
-    knows more of its costs than the scene, and `command` makes the result again. Raises InputError
+    `folder` is replaced as a whole, or left as it was. The first evaluation is the subject;
+    `candidates` are the rows of the placement's table, `recommended` is what the evaluator prefers,
+    `bill` knows more of costs than the scene, `command` makes the result again. Raises InputError
     if something cannot be written: it names the folder where the answer is all the same.
     """
     progress(WRITING, 0, 0)

@@ -58,9 +58,8 @@ def alone_section(detailed: Mapping[str, Evaluation]) -> Section:
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     """APR of every sensing party; evaluations on the same runs, the first one is the subject.
 
-    A row for all runs, for each case, and for each weather where there are several. A column per
-    layout, for the car alone, for the car with each layout; where road users announce themselves,
-    for them alone and for all sources with each layout.
+    A row for all runs, each case, and each weather where there are several. A column per layout,
+    for the car alone and with each layout; and where road users announce themselves.
     """
     axis = next(iter(evaluations.values())).axis
     parties = _parties(evaluations)
@@ -73,10 +72,7 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
 
 
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """APR of the parties of :func:`apr_table` by speed, by where the car comes from, by position.
-
-    None where all runs have the same one.
-    """
+    """APR of these parties by speed, direction and position, where there are several."""
     axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
     along = groups_by_position(axis)
     groupings = [

@@ -94,10 +94,7 @@ def find_other_weights(
     compute: Compute,
     progress: StageProgress,
 ) -> ByRuns | None:
-    """The layout that is best if all runs count the same; None where that is not asked.
-
-    Weights that the user gave are meant: runs that count the same are not compared with them.
-    """
+    """The layout that is best if all runs count the same; None if weights were asked for."""
     progress(STAGE, 0, 0)
     if question.weights not in ("", "case") or question.score != AVOIDED:
         return None
@@ -119,9 +116,8 @@ def begin_standing(
 def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:
     """Layouts that lead on the table behind the one found: the greedy one.
 
-    None where it is not the highest APR that was asked for, worlds were sampled, or runs have
-    levels of a score: the evaluator's APR is that of the runs as planned. `on_grid` is the
-    placement before it was refined.
+    None where something else than the highest APR was asked for, or the evaluator's is another
+    measure: of sampled worlds, of a score. `on_grid` is the placement before it was refined.
     """
     problem = placement.problem
     if problem.goal != "best" or problem.survive or placement.nominal is not problem:

@@ -31,10 +31,7 @@ _FUSIONS = {
 
 
 def assumption_sentences(result: Result) -> list[str]:
-    """Assumptions where the map of the junction is silent, the most important first.
-
-    Sites of which the same is assumed share a sentence.
-    """
+    """What the map leaves open, the most important first; sites alike share a sentence."""
     groups: dict[tuple[str, ...], list[Note]] = {}
     for index, one in enumerate(result.assumptions):
         key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)

@@ -139,8 +139,7 @@ def compare_placement(
 def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Proposed | None:
     """Baselines of as many units as a given layout, of its sensors, within what the sites carry.
 
-    None where the scene's sites cannot carry as many. A detection table is built of the poses drawn
-    alone.
+    None where they cannot carry as many. The detection table has the poses drawn alone.
     """
     scene, n_units = setting.scene, len(layout.units)
     if sum(site.capacity_units for site in scene.sites if site.use != "forbidden") < n_units:

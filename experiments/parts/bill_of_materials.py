@@ -75,9 +75,8 @@ def build_bill(
 ) -> BillOfMaterials:
     """Sensors and sites that a layout needs.
 
-    A cost or price of 0 is unknown: that of a site is then assumed by its kind, from
-    ``prices.toml``, unless `site_cost_eur` was said for every site. Units of
-    `kept_ids` exist already: neither they nor their sites are paid for.
+    A cost of 0 is unknown: that of a site is then assumed by its kind, unless `site_cost_eur` was
+    said for every site. Units of `kept_ids` exist: neither they nor their sites are paid for.
     """
     used = {unit.site_id for unit in layout.units}
     used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}

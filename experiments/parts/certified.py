@@ -71,10 +71,7 @@ def run_certify(
     command: str,
     progress: StageProgress,
 ) -> CertifiedResult:
-    """Find a layout for the mean over worlds and what it may lack; write it to `out` if asked to.
-
-    Raises InputError as :func:`placement.certify.certify`, or if `out` cannot be written.
-    """
+    """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
     expect_files(out, progress)
     plan = assemble(question, compute=compute)
     found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)

@@ -120,10 +120,7 @@ def words(name: str, compared: Sequence[Compared]) -> list[str]:
 def side_by_side_table(
     evaluations: Mapping[str, Evaluation], rule: AebRule, baselines: Baselines | None = None
 ) -> Table:
-    """A row per layout, by display name, one of the VUT alone, one of what random layouts prevent.
-
-    The score has a column where one was asked for.
-    """
+    """A row per layout, of the VUT alone, and of random layouts; a column of a score, if any."""
     subject = next(iter(evaluations.values()))
     axis, levels = subject.axis, subject.levels
 

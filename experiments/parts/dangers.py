@@ -95,10 +95,7 @@ def _groups(groups: Sequence[RunGroup], is_avoided: BoolArray) -> tuple[DangerGr
 
 
 def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
-    """How many runs are not avoided, and which: an answer begins with it.
-
-    `cars` is the share of cars that see; where it is not all, others are told of.
-    """
+    """How many runs are not avoided, and which; `cars` is the share of cars that see."""
     whose = " by cars that do not see" if 0.0 < cars < 1.0 else ""
     n_left = dangers.not_avoided
     if not n_left:
@@ -135,8 +132,7 @@ def _most_left(groups: Sequence[DangerGroup], words_of: Callable[[str], str], ot
 def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -> Section:
     """Which places stay dangerous; layouts by display name.
 
-    The first one, which was chosen with this fusion, is drawn, and so is the last one: that is what
-    it is compared with.
+    Drawn are the first one, which was chosen with this fusion, and the last one.
     """
     names = dict.fromkeys([next(iter(shown)), [*shown][-1]])
     avoided = {
@@ -175,10 +171,7 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
 
 
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
-    """Share of the runs that a layout avoids, by position along the arms and approach of the car.
-
-    A row for each position as the car passes them, with how many of its runs are avoided.
-    """
+    """Share of the runs avoided: a row per position as the car passes, a column per approach."""
     approaches = groups_by_direction(axis)
 
     def share(mask: BoolArray) -> str:

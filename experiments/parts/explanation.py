@@ -53,10 +53,7 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
 
 
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Reasons for these units, and runs that they miss, on the detection table.
-
-    Runs of weight 0 are in no list.
-    """
+    """Why these units, and what they miss, on the detection table, without runs of weight 0."""
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
     not_avoided: Annotated[
@@ -248,10 +245,7 @@ def _rescue(entry: Unavoided) -> str:
 def explanation_sections(
     explained: ExplainedRecord | None, labels: Mapping[str, str]
 ) -> list[Section]:
-    """Why these poses, and what they miss; none where nothing was optimised.
-
-    `labels` are short names of the layout's units, by id.
-    """
+    """Why these poses, and what they miss; none without an optimiser. `labels` of units by id."""
     if not explained:
         return []
     why = ["Each unit is taken away in turn, on the detection table."]

@@ -83,10 +83,7 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
 def failure_table(
     failures: Sequence[Failure], labels: Mapping[str, str], *, of: Literal["unit", "pair", "pole"]
 ) -> Table:
-    """A row per failure of a unit, of two at once, or of a pole with its units, the worst first.
-
-    It has at most ``MAX_ROWS`` rows; the caption says what is left out.
-    """
+    """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
     what, many, head = {
         "unit": ("one unit fails", " units", "fails"),
         "pair": ("two units fail", " pairs", "fail"),
@@ -108,11 +105,7 @@ def failure_table(
 
 
 def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]) -> Section:
-    """APR that remains if a unit fails, or two, or a pole with all its units.
-
-    There is no table of pairs where it says nothing new, or where pairs are not looked at. `labels`
-    are short names of the units, by id.
-    """
+    """What remains if a unit fails, or two, or a pole; `labels` are short names of units by id."""
     failures = find_failures(evaluation, rule)
     tables = [failure_table(failures.one_failed, labels, of="unit")]
     if len(failures.two_failed) > 1:

@@ -312,10 +312,7 @@ def describe_front(
     *,
     n_kept: int = 0,
 ) -> FrontRecord:
-    """A front with the units of every point; `n_kept` of them are mounted already.
-
-    `candidates` are the rows of the problem's table.
-    """
+    """A front with the units of every point; `n_kept` exist. `candidates` are the table's rows."""
 
     def record(point: FrontPoint) -> FrontPointRecord:
         layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
@@ -347,10 +344,7 @@ def describe_front(
 
 
 def front_table(front: FrontRecord) -> "pd.DataFrame":
-    """A row per point: units, apr, apr_bound and so on, is_proven, and ids of poses.
-
-    The bound of what was not optimised is missing.
-    """
+    """A row per point; the bound of what was not optimised is missing."""
     import pandas as pd
 
     rows = []

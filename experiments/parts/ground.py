@@ -75,10 +75,7 @@ def private_ground_sentences(
 def private_ground_section(
     found: PrivateGroundRecord | None, labels: Mapping[str, str]
 ) -> Section | None:
-    """Shares of private ground that units see, the most seen areas first; None without any.
-
-    `labels` are short names of the units, by id.
-    """
+    """What units see of private ground, the most seen first; `labels` are their names by id."""
     if not found:
         return None
     units, areas = found.units, found.areas

@@ -62,10 +62,7 @@ class PartyLatency(Record, frozen=True, kw_only=True):
     apr: tuple[float, ...]
 
     def longest_s(self, latencies_s: tuple[float, ...], level: float) -> float:
-        """Longest latency shown up to which the APR is at least `level`; -inf: not even the first.
-
-        Infinite if it is at every latency shown.
-        """
+        """Longest latency shown with an APR of at least `level`: -inf: none, inf: every one."""
         holds = np.array(self.apr) >= level - _SAME_SHARE
         return (-math.inf, *latencies_s[:-1], math.inf)[int(np.argmin(np.append(holds, False)))]
 
@@ -97,10 +94,9 @@ def run_latency(
 ) -> LatencyResult:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
 
-    The budget is the question's latency, or what :func:`placement.latency.load_latency_budget`
-    finds by its name; for `vut_latency_s` see :func:`placement.latency.apr_by_latency`. Shown up to
-    `max_latency_s`, by default half a second or as far as the budget reaches. Raises InputError if
-    the budget is unknown or given twice, a unit is inside something, or `out` cannot be written.
+    The budget is the question's latency, or one by name; shown up to `max_latency_s`, by default
+    half a second or as far as it reaches. Raises InputError if the budget is unknown or given
+    twice, a unit is inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
     expect_files(out, progress)

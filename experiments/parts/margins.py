@@ -145,10 +145,7 @@ def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarginSummary:
-    """Margins of a group of runs; what there is none of is NaN.
-
-    The smallest in seconds and the smallest in metres may be of different runs.
-    """
+    """Margins of a group of runs; what there is none of is NaN. Each smallest is of its own run."""
 
     n_runs: int
     n_avoided: int
@@ -170,10 +167,7 @@ class MarginSummary:
 def summarise_margins(
     verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None
 ) -> MarginSummary:
-    """Margins of some runs.
-
-    `run_mask`, (n_runs,) bool, says which; runs of weight 0 are left out in any case.
-    """
+    """Margins of some runs, (n_runs,) bool, without those of weight 0."""
     mask = (axis.weight > 0.0) & (True if run_mask is None else run_mask)
     avoided = verdict.is_avoided & mask
     sets_in = np.isfinite(verdict.onset_time_s)
@@ -207,10 +201,7 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]
 
 
 def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """Margins by case, by speed and by direction, to unfold.
-
-    In each, a row per group and layout, and one for the car alone; the first group is all runs.
-    """
+    """Margins by case, speed and direction, to unfold: a row per group and layout or car."""
     axis = next(iter(evaluations.values())).axis
     everything = ("all runs", np.ones(axis.n_runs, dtype=bool))
     tables = []

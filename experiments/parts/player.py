@@ -103,10 +103,7 @@ def to_base64(array: NDArray[Any]) -> str:
 
 
 def pack_bits(bits: ArrayLike) -> str:
-    """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
-
-    `bits` is (n_rows, n); the player's script gives it back.
-    """
+    """Rows of bits, (n_rows, n), each padded to whole bytes, the first bit highest, in base64."""
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
 
 

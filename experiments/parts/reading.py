@@ -41,11 +41,7 @@ _A_WHOLE = "a whole file, as place-rsus has written it"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredResult:
-    """A folder that a placement, an evaluation or a comparison has written.
-
-    For the tables see :func:`experiments.results.tables.runs_table` and
-    :func:`~experiments.results.tables.apr_table`.
-    """
+    """A folder that a job has written; for its tables see :mod:`experiments.results.tables`."""
 
     folder: Path
     summary: Result

@@ -272,9 +272,8 @@ def run_recorded_placement(
 ) -> RecordedResult:
     """Choose the best roadside units among those of a recording, and prove the choice.
 
-    As :func:`run_recording`; of the question count budget, fusion and how hard to try, too. A
-    recording has no sites and no prices. Raises InputError if the budget is more than the units
-    recorded.
+    As :func:`run_recording`; of the question count budget, fusion and how hard to try, too. Raises
+    InputError if the budget is more than the units recorded.
     """
     rule = _build_rule(question)
     recording, everything = _evaluate(folder, rule, min_confidence, out, progress)

@@ -251,10 +251,7 @@ def build_comparison_result(
     of_others: Sequence[PrivateGroundRecord | None] = (),
     **parts: Any,
 ) -> ComparisonResult:
-    """A layout against at least one other on the same runs, with further `parts` by name.
-
-    `of_others` is what each of the others sees of private ground.
-    """
+    """A layout against others on the same runs; `of_others` is what these see of private ground."""
     compared = tuple(
         build_compared(subject, other, setting.rule, private)
         for other, private in zip(others, of_others or [None] * len(others), strict=True)
@@ -330,10 +327,7 @@ def build_placement_result(
 
 
 def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
-    """Runs on which detection table and evaluator disagree about the layout found: (n_runs,) bool.
-
-    Both under the placement's own fusion.
-    """
+    """Runs, (n_runs,) bool, on which table and evaluator disagree under the placement's fusion."""
     on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
     disagrees: BoolArray = on_table != avoided_runs(evaluation, placement.problem.fusion)
     return disagrees

@@ -84,10 +84,7 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
 
 
 def words(record: RoadUserGroups) -> list[str]:
-    """Whose runs count and how many are prevented, and who is left out, in one sentence.
-
-    Nothing where all runs meet the same and nobody is left out.
-    """
+    """Whose runs count, in one sentence; none where all meet the same and nobody is left out."""
     if len(record.groups) < 2 and not record.unprotected:
         return []
     counted = ", ".join(

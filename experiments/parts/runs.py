@@ -42,10 +42,7 @@ def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
 
 
 def case_table(setting: Setting) -> Table:
-    """The cases that are driven: what, how fast, from where, how late braking may begin.
-
-    There is a column of weights where not every run counts the same.
-    """
+    """The cases driven: what, how fast, from where, how late to brake; and their weights."""
     has_weights = is_weighted(setting.axis)
     refused = [refusal.approach for refusal in setting.refusals]
     every = dict.fromkeys([*(run.approach for run in setting.runs), *refused])
@@ -107,10 +104,7 @@ def describe_hopeless(setting: Setting) -> list[str]:
 
 
 def describe_refusals(setting: Setting) -> list[str]:
-    """Sentences about what cannot be driven; approaches share one with a reason.
-
-    Away from the junction, where each position has other speeds, these are left out.
-    """
+    """What cannot be driven, and why; speeds are told at the junction alone."""
     places: dict[tuple[str, str, str], dict[str, list[str]]] = {}
     for refusal in lacking_room(setting):
         speeds = refusal.speeds_text if refusal.position == AT_ZERO.name else ""
@@ -134,11 +128,7 @@ def runs_by_case(setting: Setting) -> dict[str, list[int]]:
 
 
 def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """A row per run, those with the least time to spare first: hits come before the rest.
-
-    Evaluations by display name, on the same runs; the first one is the subject. Weather and weight
-    have a column where they differ.
-    """
+    """A row per run, the least time to spare first; the first evaluation is the subject."""
     subject = next(iter(evaluations.values()))
     axis = subject.axis
     verdicts = [*(item.headline for item in evaluations.values()), subject.vut]

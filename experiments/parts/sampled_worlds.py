@@ -216,10 +216,7 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
 
 
 def _pair(first: SampledApr, second: SampledApr, tails: FloatArray | None) -> SampledPairRecord:
-    """Two layouts in the same worlds: the difference, and who avoids more how often.
-
-    `tails` are differences of cvar in resampled worlds.
-    """
+    """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
     gain = first.apr_by_sample - second.apr_by_sample
     low, high = (None, None) if tails is None else np.quantile(tails, (0.025, 0.975)).tolist()
     return SampledPairRecord(
@@ -422,11 +419,7 @@ def sampled_section(found: SampledRecord, picture: Picture) -> Section:
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:
-    """A row per layout: its mean, the interval of the mean, and its worst and best world.
-
-    Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to the
-    best world.
-    """
+    """A row per layout: its mean with the 95 % interval; thin line: from worst to best world."""
     layouts = found.layouts
     axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
     for row, layout in enumerate(layouts):
@@ -447,10 +440,7 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
 
 
 def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
-    """A row per pair of layouts: the mean difference in the same worlds, with its interval.
-
-    Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
-    """
+    """A row per pair: the mean difference and its interval; open: there is no sure difference."""
     axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
     for row, pair in enumerate(pairs):
         _whisker(axes, row, pair, is_hollow=is_open(pair))

@@ -125,10 +125,7 @@ class Section:
 def build_picture(
     drawn: Figure | Axes, *, title: str, caption: str, alt: str, narrow: Figure | Axes | None = None
 ) -> Picture:
-    """A figure, or all of the one that some axes are in, with its words.
-
-    Equal figures give equal pictures. `narrow` is the same, drawn for a phone.
-    """
+    """A figure with its words; equal ones give equal pictures. `narrow` is drawn for a phone."""
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
@@ -147,10 +144,7 @@ def build_picture(
 
 
 def with_palette(png: bytes) -> bytes:
-    """A PNG file with at most 256 colours where that spares much and is not seen.
-
-    It is the same file where that is small, would not become smaller, or would look different.
-    """
+    """A PNG file of at most 256 colours, where that spares much and is not seen; else the same."""
     if len(png) <= MAX_TRUE_COLOUR_BYTES:
         return png
     image = Image.open(BytesIO(png)).convert("RGB")

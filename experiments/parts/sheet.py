@@ -52,11 +52,7 @@ def mounting_sheet(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
-    """A PDF with an A4 page for each unit: where, how high, where it looks, what it will see.
-
-    The picture shows the run and frame in which the road user is nearest; `tolerances` are in the
-    order of the units.
-    """
+    """A PDF with an A4 page per unit: where, how high, where it looks, what it will see."""
     labels = unit_labels(layout)
     buffer = io.BytesIO()
     metadata = {"Title": f"Mounting sheet: {layout.name}"}

@@ -57,9 +57,8 @@ def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:
 def study_question(question: Question) -> Question:
     """A question changed to what the study drives, read as the study does.
 
-    That is its cases by day, at the junction alone, all speeds and approaches, each run alike; a
-    track that is confirmed once lives for ever, and cars are blind. Scene, sensors, detector, links
-    and all else stay as they were asked for.
+    Its cases by day, at the junction alone, all speeds and approaches, each run alike; a confirmed
+    track lives for ever, and cars are blind. All else stays as it was asked for.
     """
     return replace(
         question,
@@ -86,10 +85,9 @@ def on_study_cases(
 ) -> StudyCases | None:
     """Score layouts on the study's cases, where these are a part of what was asked about.
 
-    None at another junction than the study's, where some of its cases are left out, and where its
-    runs are all that was asked about. Evaluations are those in the setting `asked`; `build` makes
-    the setting of a question at the same scene. Raises InputError if no arm carries any of the
-    cases.
+    None at another junction, where some of its cases are left out, and where they are all that was
+    asked about. Evaluations are in the setting `asked`; `build` makes one of another question at
+    the same scene. Raises InputError if no arm carries any of the cases.
     """
     given = {case.name for case in select_cases(question.cases, force=question.force).cases}
     has_cases = {case.name for case in select_cases("study").cases} <= given
@@ -121,11 +119,7 @@ def score_on(
 
 
 def study_rows(question: Question, asked: Setting) -> IntArray | None:
-    """Rows of the study's runs among those asked about, (n_runs,), in the study's order.
-
-    None where the question leaves cases, speeds, approaches, daylight or the place at the junction
-    out: then the study's runs are not all there.
-    """
+    """Rows of the study's runs among those asked about, in its order; None where some are not."""
     wanted = {case.name: case for case in select_cases("study").cases}
     given = {case.name: case for case in select_cases(question.cases, force=question.force).cases}
     is_whole = (
@@ -180,10 +174,7 @@ def is_same_question(one: Setting, other: Setting) -> bool:
 def judge_again(
     evaluations: Sequence[Evaluation], rows: IntArray, part: Setting, judge: Judge
 ) -> list[Evaluation]:
-    """Evaluations on some of their runs, by another braking rule.
-
-    `rows` are the runs of `part` among those evaluated. What was detected stays as it is.
-    """
+    """Evaluations on some of their runs, the `rows`, which are those of `part`, by its rule."""
     axis, rule = evaluations[0].axis, part.rule
     frames = np.concatenate([np.arange(axis.n_frames)[axis.frames_of(row)] for row in rows])
     return judge_layouts(

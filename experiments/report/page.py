@@ -72,11 +72,7 @@ def write_report(
     evaluations: Mapping[str, Evaluation],
     **options: Any,
 ) -> Path:
-    """Write the page of :func:`build_report` to ``report.html`` in `folder`, which must exist.
-
-    The plan and the APR in sampled worlds are written next to it as PNG files. `options` are those
-    of :func:`build_report`.
-    """
+    """Write the page of :func:`build_report`, with plan and APR in sampled worlds as PNG files."""
     page, pictures = build_report(result, setting, evaluations, **options)
     for name, picture in pictures.items():
         write_atomically(folder / f"{name}.png", base64.b64decode(picture.png))
@@ -96,9 +92,8 @@ def build_report(
 ) -> tuple[str, dict[str, Picture]]:
     """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
 
-    Evaluations are by display name: the first one is the subject, one named "greedy" appears in
-    tables and bars only. `command` makes the result again; `bill` knows more of the costs than the
-    scene. Raises InputError if there is no evaluation.
+    The first evaluation is the subject. `command` makes the result again; `bill` knows more of the
+    costs than the scene. Raises InputError if there is no evaluation.
     """
     side = side or SideProcess()
     tasks = begin_tasks(side, result, setting, evaluations)
@@ -216,10 +211,7 @@ class Tasks:
 def begin_tasks(
     side: SideProcess, result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> Tasks:
-    """Begin what takes long to draw; once begun, the report that is written takes it from there.
-
-    Arguments as for :func:`build_report`.
-    """
+    """Begin what takes long to draw: the report that is written takes it from there."""
     if not evaluations:
         raise InputError("evaluations", Unquoted("none"), "at least one")
     shown, detailed = _shown(result, evaluations)

@@ -112,10 +112,7 @@ def _without_effect(setting: Setting) -> Iterator[str]:
 
 
 def describe_driven(setting: Setting) -> list[str]:
-    """How many of the possible runs are driven, what is missing, and why: a line per reason.
-
-    Nothing where everything that was asked for is driven.
-    """
+    """What is missing of the possible runs, and why: a line per reason, if anything is."""
     limits = [*describe_limits(setting), *describe_left_out(setting)]
     if not lacking_room(setting):
         return limits
@@ -130,10 +127,7 @@ def describe_driven(setting: Setting) -> list[str]:
 
 
 def describe_limits(setting: Setting) -> list[str]:
-    """How many runs are left out since the map has lower speed limits; nothing where none is.
-
-    It says which limits these are.
-    """
+    """How many runs the map's speed limits leave out, and which limits; nothing where none is."""
     found = [one for one in setting.refusals if one.limit_kmh is not None]
     if not found:
         return []

@@ -46,10 +46,7 @@ def write_manifest(folder: Path) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Hashes by file name, as ``SHA256SUMS`` lists them; nothing where there is no such file.
-
-    Raises InputError if the file cannot be read, or is not a list of hashes and names.
-    """
+    """Hashes by file name of ``SHA256SUMS``, if there; InputError if it is no such list."""
     path = folder / MANIFEST
     if not path.exists():
         return {}
@@ -98,10 +95,7 @@ def _is_filled_folder(path: Path) -> bool:
 
 
 def check_result_folder(folder: Path) -> None:
-    """Check, before anything is computed, that a result folder can be written; changes nothing.
-
-    It must be new, empty, or an earlier result as it was written; else InputError says what it is.
-    """
+    """Check that a folder is new, empty or an earlier result, and writable; else InputError."""
     _check_name(folder)
     try:
         real = folder.resolve()
@@ -127,10 +121,9 @@ def check_result_folder(folder: Path) -> None:
 def new_result_folder(folder: Path) -> Iterator[Path]:
     """Fill a temporary folder, then put it in the place of `folder`, which may be a link.
 
-    If the block raises, `folder` stays as it was. What was written so far is kept next to it if
+    If the block raises, `folder` stays as it was; what was written is kept next to it if
     ``summary.json`` is among it, unless the user ends the program. Raises InputError as
-    :func:`check_result_folder`, for much may have changed since the results were asked for; or
-    writing failed: it names the folder in which the results are kept.
+    :func:`check_result_folder`, or if writing failed: it names the folder that is kept.
     """
     check_result_folder(folder)
     real = folder.resolve()

@@ -32,10 +32,7 @@ def parties(evaluation: Evaluation) -> dict[str, Verdict]:
 
 
 def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
-    """Last brake time minus (confirmation + latency) of each run in seconds: (n_runs,) float.
-
-    Negative: too late. Minus infinity: never confirmed, or no braking avoids.
-    """
+    """Last brake time less onset, (n_runs,) [s]; negative: too late; -inf: never, or no use."""
     # At most one infinity of each sign: an onset is never -inf, so this is never NaN.
     margin: FloatArray = axis.last_brake_time_s - verdict.onset_time_s
     return margin
@@ -44,11 +41,8 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     """Ratios of every party, by case, approach, position, weather and speed.
 
-    Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr, n_runs, n_avoided.
     "all" stands for every case, approach, position, weather or speed; a single position, weather or
-    speed has no rows of its own. Speeds are those of all approaches, positions and weathers
-    together, positions of all weathers and speeds, either of all approaches or of all cases
-    together. The ratio is missing where none of the runs has weight.
+    speed has no rows of its own. The ratio is missing where none of the runs has weight.
     """
     import pandas as pd
 
@@ -71,11 +65,7 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
 
 
 def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Every run's outcome for every party: a row per layout, party and run.
-
-    Times that do not exist (never confirmed, no braking avoids) are missing; so are
-    speeds where nobody braked bodies.
-    """
+    """Every run's outcome for every party; times and speeds that do not exist are missing."""
     import pandas as pd
 
     tables = []
