@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import shapely
@@ -21,7 +20,7 @@ from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from .axes import Style, literal, root_figure, unit_labels
+from .axes import Style, literal, root_figure, unit_labels, write_beside
 
 HALO = withStroke(linewidth=3.0, foreground="white")
 _POINTS_PER_INCH = 72.0
@@ -88,18 +87,10 @@ def draw_labels(
             continue
         taken.append(boxes[best])
         away = middles[best] - point
-        style: dict[str, Any] = {"path_effects": [HALO], "zorder": 9} | (label.style or {})
-        axes.annotate(
-            literal(label.text),
-            xy=label.point_m,
-            xytext=(float(away[0]), float(away[1])),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=label.size,
-            annotation_clip=True,
-            **style,
-        )
+        style: Style = {"path_effects": [HALO], "zorder": 9, "annotation_clip": True}
+        style |= {"ha": "center", "fontsize": label.size} | (label.style or {})
+        at_pt = (float(away[0]), float(away[1]))
+        write_beside(axes, literal(label.text), label.point_m, away_pt=at_pt, **style)
 
 
 def _shift(label: Label, half: FloatArray, more: float, turn_deg: float) -> FloatArray:
@@ -130,24 +121,22 @@ def unit_names(layout: Layout, scene: Scene) -> list[Label]:
         ]
     labels = unit_labels(layout)
     doubts = assumed_sites(scene.notes)
-    groups: list[list[CandidatePose]] = []
+    groups: list[tuple[CandidatePose, list[str]]] = []
     for unit in layout.units:
-        found = next((group for group in groups if looks_alike(unit, group[0])), None)
+        found = next((names for first, names in groups if looks_alike(unit, first)), None)
         if found is None:
-            groups.append([unit])
-        else:
-            found.append(unit)
+            groups.append((unit, found := []))
+        found.append(labels[unit.id])
     return [
         Label(
-            text=", ".join(labels[unit.id] for unit in group)
-            + " (assumed)" * (group[0].site_id in doubts),
-            point_m=(float(group[0].pose.position_m[0]), float(group[0].pose.position_m[1])),
-            toward_deg=group[0].pose.yaw_deg,
-            gap=ARROW_POINTS * len(group),
+            text=", ".join(names) + " (assumed)" * (first.site_id in doubts),
+            point_m=(float(first.pose.position_m[0]), float(first.pose.position_m[1])),
+            toward_deg=first.pose.yaw_deg,
+            gap=ARROW_POINTS * len(names),
             size=9.0,
             style={"fontweight": "bold"},
         )
-        for group in groups
+        for first, names in groups
     ]
 
 

@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import msgspec
 
-from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation
@@ -34,6 +33,7 @@ from ..results.folders import (
     RECOMMENDED_FILE,
     RUNS_FILE,
     new_result_folder,
+    unwritable,
 )
 from ..results.tables import apr_table, csv_text, runs_table
 from ..side_process import SideProcess
@@ -127,8 +127,4 @@ def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
         kept = Path(tempfile.mkdtemp(prefix="place-rsus-kept-"))
         for name, text in answer.items():
             write_atomically(kept / name, text)
-        raise InputError(
-            "--out",
-            Unquoted(f"{folder}: {error.strerror or error}"),
-            f"a folder that can be written to; layout and numbers are kept in {kept}",
-        ) from error
+        raise unwritable(folder, error, f"; layout and numbers are kept in {kept}") from error

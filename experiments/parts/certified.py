@@ -18,7 +18,7 @@ from ..results.folders import LAYOUT_FILE, expect_files, save_files
 from ..results.numbers import percent, several
 from ..results.record import Record, says
 from .sampled_worlds import EstimateRecord
-from .section import Table, tabulate
+from .section import Table
 
 JSON_NAME = "certified.json"
 _SMALL = 1.0e-9
@@ -124,11 +124,8 @@ def recompute(stored: CertifiedResult) -> list[str]:
     first = [block.first for block in stored.blocks]
     if first != [index * stored.worlds_of_block for index in range(len(first))]:
         wrong.append("blocks: their worlds are not apart")
-    wrong += [
-        f"block from world {b.first}: APR above its bound"
-        for b in stored.blocks
-        if b.apr > b.bound + _SMALL
-    ]
+    above = [block.first for block in stored.blocks if block.apr > block.bound + _SMALL]
+    wrong += [f"block from world {first}: APR above its bound" for first in above]
     best = max(stored.pool, key=lambda one: one.mean or 0.0)
     if not stored.pool or best != stored.pool[0]:
         wrong.append("pool: the first one is not the best")
@@ -161,14 +158,9 @@ def words(result: CertifiedResult) -> list[str]:
 
 def table(result: CertifiedResult) -> Table:
     """A row per layout of the pool."""
-    return tabulate(
-        f"Layouts found, in {len(result.apr_by_world)} worlds that choose among them",
-        result.pool,
-        {
-            "layout": lambda one: one.name,
-            "APR": lambda one: percent(one.mean),
-            "from": lambda one: percent(one.low),
-            "to": lambda one: percent(one.high),
-        },
+    return Table(
+        caption=f"Layouts found, in {len(result.apr_by_world)} worlds that choose among them",
+        columns=["layout", "APR", "from", "to"],
+        rows=[[one.name, *map(percent, (one.mean, one.low, one.high))] for one in result.pool],
         numeric=(1, 2, 3),
     )

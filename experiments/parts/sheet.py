@@ -282,9 +282,8 @@ def run_sheet(
         out.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(out, pdf)
     except OSError as error:
-        raise InputError(
-            "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file that can be written"
-        ) from None
+        got = Unquoted(f"{out}: {error.strerror or error}")
+        raise InputError("--out", got, "a file that can be written") from None
     progress.kept = f"the sheet is in {out}"
     return SheetResult(
         layout=layout.name, written=str(out), units=tuple(tolerances), seconds=progress.finish()

@@ -140,12 +140,7 @@ def new_result_folder(folder: Path) -> Iterator[Path]:
         if isinstance(error, Exception) and (temporary / MARKER).exists():
             kept = _free_name(real, "unfinished")
             temporary.rename(kept)
-            reason = _reason(error)
-            raise InputError(
-                "--out",
-                Unquoted(f"{folder}: {reason}"),
-                f"a folder that can be written to; what was computed is kept in {kept}",
-            ) from error
+            raise unwritable(folder, error, f"; what was computed is kept in {kept}") from error
         shutil.rmtree(temporary, ignore_errors=True)
         with suppress(OSError):
             for parent in made:
@@ -179,18 +174,12 @@ def _check_existing(folder: Path, real: Path) -> None:
             what += f" but no {MANIFEST}"
         elif change == "changed":
             what += ", changed since it was written"
-        raise InputError(
-            "--out",
-            Unquoted(f"{folder}, which {what}"),
-            "a new or empty folder, or one with earlier results and nothing else",
-        )
+        expected = "a new or empty folder, or one with earlier results and nothing else"
+        raise InputError("--out", Unquoted(f"{folder}, which {what}"), expected)
     if real.is_mount() or Path.cwd().is_relative_to(real):
         # Such a folder cannot be replaced, or not without pulling the rug from under a shell.
-        raise InputError(
-            "--out",
-            Unquoted(f"{folder}, the current folder or a mounted one"),
-            "a folder inside it",
-        )
+        got = Unquoted(f"{folder}, the current folder or a mounted one")
+        raise InputError("--out", got, "a folder inside it")
 
 
 def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
@@ -258,11 +247,10 @@ def left_as_it_was(folder: Path) -> str:
     return f"nothing was written to {folder}"
 
 
-def unwritable(folder: Path, error: Exception) -> InputError:
+def unwritable(folder: Path, error: Exception, more: str = "") -> InputError:
     """The error of an ``--out`` that cannot be written."""
-    return InputError(
-        "--out", Unquoted(f"{folder}: {_reason(error)}"), "a folder that can be written to"
-    )
+    got = Unquoted(f"{folder}: {_reason(error)}")
+    return InputError("--out", got, f"a folder that can be written to{more}")
 
 
 def _reason(error: Exception) -> str:

@@ -2,6 +2,7 @@
 
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,72 +69,69 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     """Every run's outcome for every party; times and speeds that do not exist are missing."""
     import pandas as pd
 
-    tables = []
-    for name, evaluation in evaluations.items():
-        axis = evaluation.axis
-        for party, verdict in parties(evaluation).items():
-            tables.append(
-                pd.DataFrame(
-                    {
-                        "layout": name,
-                        "party": party,
-                        "run": axis.run_ids,
-                        "case": axis.cases,
-                        "approach": axis.approaches,
-                        "position": axis.positions,
-                        "weather": axis.weathers,
-                        "vut_speed_kmh": axis.vut_speed_kmh,
-                        "weight": axis.weight,
-                        "last_brake_time_s": _missing(axis.last_brake_time_s),
-                        "confirmation_time_s": _missing(verdict.confirmation_time_s),
-                        "margin_s": _missing(margin_s(verdict, axis)),
-                        "is_avoided": verdict.is_avoided,
-                        "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
-                        / np.diff(axis.run_start),
-                        "impact_speed_kmh": np.nan
-                        if verdict.impact_speed_kmh is None
-                        else verdict.impact_speed_kmh,
-                    }
-                )
+    return pd.concat(
+        [
+            pd.DataFrame(
+                {
+                    "layout": name,
+                    "party": party,
+                    "run": axis.run_ids,
+                    "case": axis.cases,
+                    "approach": axis.approaches,
+                    "position": axis.positions,
+                    "weather": axis.weathers,
+                    "vut_speed_kmh": axis.vut_speed_kmh,
+                    "weight": axis.weight,
+                    "last_brake_time_s": _missing(axis.last_brake_time_s),
+                    "confirmation_time_s": _missing(verdict.confirmation_time_s),
+                    "margin_s": _missing(margin_s(verdict, axis)),
+                    "is_avoided": verdict.is_avoided,
+                    "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
+                    / np.diff(axis.run_start),
+                    "impact_speed_kmh": np.nan
+                    if verdict.impact_speed_kmh is None
+                    else verdict.impact_speed_kmh,
+                }
             )
-    return pd.concat(tables, ignore_index=True)
-
-
-def _several(words: Sequence[str]) -> tuple[str, ...]:
-    """Each word once; none where there is but one."""
-    different = tuple(dict.fromkeys(words))
-    return different if len(different) > 1 else ()
+            for name, evaluation in evaluations.items()
+            for axis in [evaluation.axis]
+            for party, verdict in parties(evaluation).items()
+        ],
+        ignore_index=True,
+    )
 
 
 def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
     """Groups of runs by their words, each with its runs; none is empty."""
+    speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
     of_run = {
         "case": np.array(axis.cases),
         "approach": np.array(axis.approaches),
         "position": np.array(axis.positions),
         "weather": np.array(axis.weathers),
-        "vut_speed_kmh": np.array([f"{speed:g}" for speed in axis.vut_speed_kmh]),
+        "vut_speed_kmh": np.array(speeds),
     }
-    cases = (ALL, *dict.fromkeys(axis.cases))
+
+    def each(words: Sequence[str]) -> list[str]:
+        return [*dict.fromkeys(words)]
+
+    def several(words: Sequence[str]) -> list[str]:
+        return each(words) if len(each(words)) > 1 else []
+
+    cases, arms = [ALL, *each(axis.cases)], each(axis.approaches)
+    positions, weathers = several(sort_positions(axis.positions)), several(axis.weathers)
+    ascending = several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
     wanted = [
-        (case, approach, ALL, weather, ALL)
-        for case in cases
-        for approach in (ALL, *dict.fromkeys(axis.approaches))
-        for weather in (ALL, *_several(axis.weathers))
+        *product(cases, [ALL, *arms], [ALL], [ALL, *weathers], [ALL]),
+        *product(cases, [ALL], [ALL], [ALL], ascending),
+        *product(cases, [ALL], positions, [ALL], [ALL]),
+        *((ALL, arm, position, ALL, ALL) for arm in arms for position in positions),
     ]
-    speeds = _several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
-    wanted += [(case, ALL, ALL, ALL, speed) for case in cases for speed in speeds]
-    positions = _several(sort_positions(axis.positions))
-    wanted += [(case, ALL, position, ALL, ALL) for case in cases for position in positions]
-    arms = dict.fromkeys(axis.approaches)
-    wanted += [(ALL, arm, position, ALL, ALL) for arm in arms for position in positions]
     groups = []
     for words in wanted:
         group = dict(zip(of_run, words, strict=True))
-        mask: BoolArray = np.ones(axis.n_runs, dtype=bool)
-        for key, word in group.items():
-            if word != ALL:
-                mask &= of_run[key] == word
+        masks = [of_run[key] == word for key, word in group.items() if word != ALL]
+        mask = np.logical_and.reduce([np.ones(axis.n_runs, dtype=bool), *masks])
         if mask.any():
             groups.append((group, mask))
     return groups
