@@ -1,6 +1,5 @@
 """What units add to cars: the VUT by itself, with the units, the difference, and unit by unit."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -139,34 +138,25 @@ def _points(gain: float | None) -> str:
     return number(None if gain is None else 100.0 * gain, 1)
 
 
-def tables(record: Added) -> list[Table]:
-    """A row per unit in the order of what they add; a row per group of runs."""
+def section(record: Added | None) -> Section | None:
+    """What the units add, one after the other and by group; None where that is not known."""
+    if record is None:
+        return None
     of_units = Table(
         caption="One unit after the other next to a car that sees, the one first that adds most",
         columns=["unit", "APR with it", "adds (points)"],
         rows=[[unit.unit, percent(unit.apr), _points(unit.gain)] for unit in record.units],
         numeric=(1, 2),
     )
+    rows = []
+    for one in record.groups:
+        name = position_words(one.name) if one.kind == "position" else one.name
+        rows.append([name, percent(one.vut), percent(one.with_units), _points(one.gain)])
     of_groups = Table(
         caption="What all units together add, by the evaluator",
         columns=["runs", "car (VUT) alone", "car (VUT) and units", "added (points)"],
-        rows=[
-            [
-                position_words(group.name) if group.kind == "position" else group.name,
-                percent(group.vut),
-                percent(group.with_units),
-                _points(group.gain),
-            ]
-            for group in record.groups
-        ],
+        rows=rows,
         numeric=(1, 2, 3),
     )
-    return [of_units, of_groups] if record.units else [of_groups]
-
-
-def section(record: Added | None) -> Section | None:
-    """What the units add; None where that is not known."""
-    if record is None:
-        return None
-    blocks: Sequence[str | Table] = [*words(record), *tables(record)]
-    return Section("added", "What the units add", [*blocks])
+    tables = [of_units, of_groups] if record.units else [of_groups]
+    return Section("added", "What the units add", [*words(record), *tables])

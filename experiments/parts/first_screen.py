@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation
@@ -25,8 +26,7 @@ _BEST = {
 _SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Card:
+class Card(NamedTuple):
     """A figure with what it means."""
 
     head: str
@@ -125,17 +125,16 @@ def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
             f". That would be {percent(n_avoided / n_runs)}, but some count more than others: "
             "all shares here are by weight"
         )
-    share = percent(weight_share(avoided, axis.weight))
-    return Card(head="Prevented", figure=share, words=words)
+    return Card("Prevented", percent(weight_share(avoided, axis.weight)), words)
 
 
 def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
     if len(subject.units) == 1 and result.cars < 1.0:
         words = "there is but one: if it fails, only the car itself is left"
-        return Card(head="If a sensor fails", figure=NOTHING, words=words)
+        return Card("If a sensor fails", NOTHING, words)
     words = "are prevented even if the sensor that is needed most is out of order"
-    return Card(head="If a sensor fails", figure=percent(left), words=words)
+    return Card("If a sensor fails", percent(left), words)
 
 
 def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
@@ -146,7 +145,7 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
     words = f"to buy {count_sensors(subject.layout)} and to make their poles ready"
     if bill.assumed:
         words += "; prices of poles are assumed"
-    return Card(head="Cost", figure=euros(total), words=words)
+    return Card("Cost", euros(total), words)
 
 
 def _proof(result: Result) -> Card:
@@ -176,11 +175,8 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
     titles = {
         run.case.name: run.case.title.replace("VUT", "car") or run.case.name for run in setting.runs
     }
-    found = [
-        f"{_capital(titles.get(group.name, group.name))}: {_left(group)}."
-        for group in dangers.by_case[:_MOST_DANGERS]
-        if group.not_avoided
-    ]
+    worst = [group for group in dangers.by_case[:_MOST_DANGERS] if group.not_avoided]
+    found = [f"{_capital(titles.get(one.name, one.name))}: {_left(one)}." for one in worst]
     where = [group for group in dangers.by_position[:2] if group.not_avoided]
     if where:
         told = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])
