@@ -4,6 +4,7 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar
@@ -99,16 +100,17 @@ def _begin_job(
     compute: Compute,
     progress: StageProgress,
     side: SideProcess | None = None,
-    is_written: bool = True,
+    out: Path | None,
 ) -> Iterator[_Job]:
-    """Begin a second process unless `side` has one, if there is much to do."""
+    """Make the setting, if not known; begin a second process unless `side` has one, if it pays."""
     if setting is None:
+        _check_out(out, progress)
         progress("setting", 0, 0)
         setting = build_setting(question, scene, compute=compute)
     setting = with_sight(setting, compute=compute)
     is_large = compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
     begun = side if side is not None and side.exists else None
-    with side_process(is_written and is_large and begun is None, **READY) as new:
+    with side_process(out is not None and is_large and begun is None, **READY) as new:
         chosen = begun or new
         chosen.share(setting)
         yield _Job(
@@ -152,9 +154,8 @@ def run_placement(
     _check_out(out, progress)
     scene = load_scene(question.scene)
     plan = assemble(question, scene=scene, compute=compute)
-    with _begin_job(
-        question, scene, setting=plan.setting, compute=compute, progress=progress, side=side
-    ) as job:
+    job_of = partial(_begin_job, setting=plan.setting, compute=compute, progress=progress)
+    with job_of(question, scene, side=side, out=out) as job:
         found = _find(job, plan)
         placement, layout, setting = found.placement, found.placement.layout, job.setting
         study = find_baseline(scene)
@@ -377,20 +378,17 @@ def run_evaluation(
 ) -> EvaluationResult:
     """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written."""
     scene = load_scene(question.scene)
-    _check_out(out, progress)
-    with _begin_job(
-        question, scene, compute=compute, progress=progress, is_written=out is not None
-    ) as job:
+    with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         (layout,) = _with_distinct_names([layout])
-        check_layout(layout, job.setting.scene)
-        private = load_private_ground(Path(no_look), job.setting.scene) if no_look else None
+        check_layout(layout, scene)
+        private = load_private_ground(Path(no_look), scene) if no_look else None
         (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
         bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
         evaluations = {layout.name: evaluation}
         result = build_evaluation_result(
             job.setting,
             evaluation,
-            private_ground=_private_ground(layout, job.setting.scene, private),
+            private_ground=_private_ground(layout, scene, private),
             sites_eur=bill.sites_eur,
             assumed_prices=bill.assumed,
             study_cases=None if out is None else _on_study_cases(job, evaluations),
@@ -417,15 +415,12 @@ def run_comparison(
     scene = load_scene(question.scene)
     drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
     check_worlds_of_cars(replace(question, samples=samples))
-    _check_out(out, progress)
-    with _begin_job(
-        question, scene, compute=compute, progress=progress, is_written=out is not None
-    ) as job:
+    with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         setting = job.setting
         layouts = _with_distinct_names(layouts)
         for layout in layouts:
-            check_layout(layout, setting.scene)
-        private = load_private_ground(Path(no_look), setting.scene) if no_look else None
+            check_layout(layout, scene)
+        private = load_private_ground(Path(no_look), scene) if no_look else None
         proposed = compare_layout(layouts[0], setting, compute=compute)
         everyone = layouts
         if proposed is not None and proposed.expert is not None:
@@ -443,7 +438,7 @@ def run_comparison(
                 planned_apr={item.layout.name: headline_apr(item) for item in judged},
             )
         bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
-        seen = [_private_ground(layout, setting.scene, private) for layout in layouts]
+        seen = [_private_ground(layout, scene, private) for layout in layouts]
         result = build_comparison_result(
             setting,
             judged[0],

@@ -201,10 +201,8 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
 
 def _load_summary(path: Path) -> Mapping[str, Any] | None:
     """The summary as plain values; None if there is none."""
-    if not path.exists():
-        return None
-    summary = _load_object(path)
-    if "recording" not in summary:
+    summary = _load_object(path) if path.exists() else None
+    if summary is not None and "recording" not in summary:
         check_schema(summary, str(path))
     return summary
 
@@ -239,17 +237,12 @@ def _check_scene(
                 f"{INSTANCE_FILE} does not say what its poses are"
             )
         return None
-    shown = "" if layout is None else layout.scene_name
-    same_name = shown == mounts.scene_name
-    found.add(
-        "scene",
-        "" if same_name else f"{LAYOUT_FILE} says {shown or 'nothing'}, not {mounts.scene_name}",
-        mounts.scene_name,
-    )
-    if not source and mounts.scene_name != STUDY:
+    name, shown = mounts.scene_name, "" if layout is None else layout.scene_name
+    wrong = "" if shown == name else f"{LAYOUT_FILE} says {shown or 'nothing'}, not {name}"
+    found.add("scene", wrong, name)
+    if not source and name != STUDY:
         found.not_checked.append(
-            f"whether {mounts.scene_name} is the scene that it is said to be: --scene tells where "
-            "it is"
+            f"whether {name} is the scene that it is said to be: --scene tells where it is"
         )
         return None
     scene = load_scene(source) if source else load_study_scene()
@@ -258,8 +251,7 @@ def _check_scene(
         text = f"SHA-256 {digest[:16]}.., not {mounts.scene_sha256[:16]}..; it may have changed"
         found.add("scene as it stands", text if source else f"{text} with the version", "")
         return None
-    feet = {site.id: site.position_m for site in scene.sites}
-    astray = mounts.misnamed(pose_ids, feet)
+    astray = mounts.misnamed(pose_ids, {site.id: site.position_m for site in scene.sites})
     found.add("scene as it stands", astray, f"SHA-256 {digest[:16]}.., and poses are at its sites")
     return scene
 
@@ -349,11 +341,9 @@ def _check_summary(
             "cost_eur": sum(unit.sensor.price_eur for unit in layout.units),
             "presolve": str(PresolveStatistics(**stored.presolve)),
         }
-    for key, stage, what in (
-        ("apr", "apr", "objective"),
-        ("bound", "apr", "bound"),
-        ("gap", "apr", "gap"),
-        ("spent_eur", "cost_eur", "objective"),
+    for stage, what, key in (
+        *(("apr", "objective", "apr"), ("apr", "bound", "bound"), ("apr", "gap", "gap")),
+        ("cost_eur", "objective", "spent_eur"),
     ):
         if stage in values and summary.get(key) is not None:
             expected[key] = getattr(values[stage], what)
@@ -392,9 +382,8 @@ def _check_summary(
 def _agree(got: object, expected: object) -> bool:
     """Two plain values are equal; numbers up to rounding, an infinite one is None."""
     if isinstance(expected, Mapping):
-        if not isinstance(got, Mapping):
-            return False
-        return got.keys() == expected.keys() and all(_agree(got[k], expected[k]) for k in expected)
+        is_alike = isinstance(got, Mapping) and got.keys() == expected.keys()
+        return is_alike and all(_agree(got[key], expected[key]) for key in expected)  # type: ignore[index]
     if isinstance(expected, list):
         if not isinstance(got, list) or len(got) != len(expected):
             return False

@@ -71,8 +71,8 @@ def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tup
     counts = axis.weight > 0.0
     for panel, (name, verdict) in zip(panels, parties, strict=True):
         panel.set_xscale("symlog", linthresh=_LINEAR_MS, linscale=0.8)
-        panel.set_xlim(2.5 * low_ms, 1.5 * high_ms)  # marks at the left edge have room
         _draw_margins(panel, verdict, axis, cases, approaches)
+        panel.set_xlim(2.5 * low_ms, 1.5 * high_ms)  # marks at the left edge have room
         n_avoided, n_runs = int((verdict.is_avoided & counts).sum()), int(counts.sum())
         head = literal(textwrap.fill(name, max(12, 64 // len(parties))))
         panel.set_title(f"{head}\n{n_avoided} of {n_runs} avoided", fontsize=8)

@@ -257,8 +257,7 @@ def run_recording(
     Of the question only how the VUT confirms and brakes counts; detections below `min_confidence`
     do not. Raises InputError if the recording is not what it should be, or `out` cannot be written.
     """
-    rule = _build_rule(question)
-    recording, evaluation = _evaluate(folder, rule, min_confidence, out, progress)
+    rule, recording, evaluation = _evaluate(question, folder, min_confidence, out, progress)
     return _finish(_build_result(recording, evaluation, rule), out, progress)
 
 
@@ -275,8 +274,7 @@ def run_recorded_placement(
     As :func:`run_recording`; of the question count budget, fusion and how hard to try, too. Raises
     InputError if the budget is more than the units recorded.
     """
-    rule = _build_rule(question)
-    recording, everything = _evaluate(folder, rule, min_confidence, out, progress)
+    rule, recording, everything = _evaluate(question, folder, min_confidence, out, progress)
     n_units = len(recording.units)
     budget_units, fusion = question.budget, question.fusion
     if budget_units is None:
@@ -326,21 +324,22 @@ def run_recorded_placement(
     return _finish(result, out, progress, lambda new: save_certificate(new, document, problem))
 
 
-def _build_rule(question: Question) -> AebRule:
-    """The rule of a question; a recording of the study is read as the study does: no track dies."""
-    endless = math.inf if question.track_memory_s is None else question.track_memory_s
-    return build_rule(replace_field(question, track_memory_s=endless))
-
-
 def _evaluate(
-    folder: Path, rule: AebRule, min_confidence: float, out: Path | None, progress: StageProgress
-) -> tuple[Recording, RecordedEvaluation]:
+    question: Question,
+    folder: Path,
+    min_confidence: float,
+    out: Path | None,
+    progress: StageProgress,
+) -> tuple[AebRule, Recording, RecordedEvaluation]:
+    """Read and evaluate a recording, by default as the study reads it: no track dies."""
+    endless = math.inf if question.track_memory_s is None else question.track_memory_s
+    rule = build_rule(replace_field(question, track_memory_s=endless))
     if out is not None:
         check_result_folder(out)
     progress("read recording", 0, 0)
     recording = read_recording(folder)
     progress("evaluate", 0, 0)
-    return recording, evaluate_recording(recording, rule, min_confidence=min_confidence)
+    return rule, recording, evaluate_recording(recording, rule, min_confidence=min_confidence)
 
 
 def _finish(
