@@ -47,10 +47,7 @@ class AddedGroup:
 class Added:
     """What the units of a layout add to a VUT that sees, by the evaluator."""
 
-    groups: Annotated[
-        tuple[AddedGroup, ...],
-        says("All runs first, then each case, position and road user, where there are several."),
-    ]
+    groups: Annotated[tuple[AddedGroup, ...], says("All runs, then each case, place, road user.")]
     units: Annotated[
         tuple[AddedUnit, ...],
         says(

@@ -53,24 +53,16 @@ class LeadingLayout:
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
     apr: Annotated[float, says("By the evaluator.")]
-    apr_one_failed: Annotated[
-        float, says("APR when the most needed unit fails; 0 for a single unit.")
-    ]
-    mounting: Annotated[
-        Standing | None, says("What errors of mounting cost; null: not asked for.")
-    ] = None
+    apr_one_failed: Annotated[float, says("APR when the most needed unit fails; of one unit: 0.")]
+    mounting: Annotated[Standing | None, says("Cost of mounting errors; null: not asked.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontRunners:
     """The layout found and others that lead, judged by the evaluator."""
 
-    recommended: Annotated[
-        str, says("Name of one of them; recommended.json has it if it is not the layout found.")
-    ]
-    decided_by: Annotated[
-        Deciding, says("Why the layout found was passed over; order: it is the one recommended.")
-    ]
+    recommended: Annotated[str, says("One of them; if another one, it is in recommended.json.")]
+    decided_by: Annotated[Deciding, says("What speaks for another layout; order: nothing does.")]
     equal_within: Annotated[float, says("Shares that differ by no more are equal.")] = EQUAL_APR
     layouts: Annotated[tuple[LeadingLayout, ...], says("The layout found comes first.")]
 

@@ -44,12 +44,8 @@ class Score:
     units: Annotated[int, says("How many units it has; 0: the vehicle by itself.")]
     runs_avoided: Annotated[int, says("How many.")]
     all: Annotated[float | None, says("APR over all runs, by weight.")]
-    by_case: Annotated[
-        dict[str, float | None], says("APR of each case; null where no run of it has weight.")
-    ]
-    by_position: Annotated[
-        dict[str, float | None], says("The same of each position along the arms.")
-    ]
+    by_case: Annotated[dict[str, float | None], says("APR of each case; null: no run has weight.")]
+    by_position: Annotated[dict[str, float | None], says("The same by position along the arms.")]
 
 
 def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -> Score:
@@ -96,9 +92,7 @@ class ExpertBaseline:
     cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.")]
     on_table: Annotated[float, says("APR on the detection table.")]
     score: Annotated[Score, says("By the evaluator.")]
-    apr_without_worst_unit: Annotated[
-        float | None, says("APR by the evaluator if the most needed unit fails.")
-    ]
+    apr_without_worst_unit: Annotated[float | None, says("APR without the most needed unit.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,9 +100,7 @@ class Baselines:
     """Layouts that need no optimiser, within the same limits."""
 
     random: Annotated[RandomBaseline | None, says("Drawn; null: none is within the limits.")]
-    expert: Annotated[
-        ExpertBaseline | None, says("By rule of thumb; null: not within the limits, or no corners.")
-    ]
+    expert: Annotated[ExpertBaseline | None, says("By rule of thumb; null: it is not possible.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -49,9 +49,7 @@ class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
     blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.")]
     pool: Annotated[tuple[PoolRecord, ...], says("Layouts found, the best first.")]
     units: Annotated[tuple[str, ...], says("Sites of the best one's units.")]
-    apr_by_world: Annotated[
-        tuple[float, ...], says("Its APR in worlds that nothing was chosen in.")
-    ]
+    apr_by_world: Annotated[tuple[float, ...], says("In worlds that nothing was chosen in.")]
     apr: Annotated[float, says("Mean of these.")]
     least: Annotated[float, says("Its APR over all worlds is not below this.")]
     most: Annotated[float, says("No layout's APR over all worlds is above this.")]

@@ -56,9 +56,7 @@ class Compared:
     evaluation: Annotated[EvaluationRecord, says("By the evaluator.")]
     runs_gained: Annotated[tuple[str, ...], says("Runs that only the first layout avoids.")]
     runs_lost: Annotated[tuple[str, ...], says("Runs that only this one avoids.")]
-    private_ground: Annotated[
-        PrivateGroundRecord | None, says("What its cameras see of it; only with --no-look.")
-    ] = None
+    private_ground: Annotated[PrivateGroundRecord | None, says("Only with --no-look.")] = None
 
 
 def build_compared(

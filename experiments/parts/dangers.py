@@ -56,10 +56,7 @@ class Dangers:
 
     not_avoided: Annotated[int, says("How many of all runs.")]
     by_case: Annotated[tuple[DangerGroup, ...], says("Largest share of runs left first.")]
-    by_position: Annotated[
-        tuple[DangerGroup, ...],
-        says("Along the arms, ordered alike; empty where there is but one."),
-    ]
+    by_position: Annotated[tuple[DangerGroup, ...], says("The same by position; empty: only one.")]
 
 
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:

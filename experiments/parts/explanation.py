@@ -45,9 +45,7 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
         says("Runs with weight avoided only with it; # and the number of a sampled world behind."),
     ]
     marginal_apr: Annotated[Share, says("APR of all less that of the others.")]
-    mean_delay_s: Annotated[
-        float, says("Later confirmation without it, where the others avoid, too, in seconds.")
-    ]
+    mean_delay_s: Annotated[float, says("Later confirmation without it, on average, in seconds.")]
     max_delay_s: Annotated[float, says("The most of it in any run, in seconds.")]
     without: Annotated[LayoutValueRecord, says("What the others are worth.")]
 
@@ -56,9 +54,7 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
     """Why these units, and what they miss, on the detection table, without runs of weight 0."""
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
-    not_avoided: Annotated[
-        tuple[Unavoided, ...], says("Runs that are not avoided, in the order of the runs.")
-    ]
+    not_avoided: Annotated[tuple[Unavoided, ...], says("Runs not avoided, in their order.")]
     runs_without_weight: Annotated[int, says("How many are left out with weight 0.", ge=0)]
 
 

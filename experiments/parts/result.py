@@ -58,12 +58,8 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("Units of the layout.", min_length=1)]
     cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.", ge=0)]
-    sites_eur: Annotated[
-        float | None, says("Sites made ready, by own or assumed prices, in EUR; null: unknown.")
-    ] = None
-    assumed_prices: Annotated[
-        tuple[str, ...], says("What is assumed of sites without a price that matter, in sentences.")
-    ] = ()
+    sites_eur: Annotated[float | None, says("Sites made ready, in EUR; null: unknown.")] = None
+    assumed_prices: Annotated[tuple[str, ...], says("Of sites without a price, in words.")] = ()
     fusion: Annotated[
         Literal["any", "single"],
         says("any: in each frame any unit may detect; single: one unit has to confirm by itself."),
@@ -77,12 +73,8 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
             "stages, contributions, front, random layouts - is this score."
         ),
     ] = "avoided"
-    apr: Annotated[
-        Share | None, says("APR: of a placement on the detection table, else by the evaluator.")
-    ]
-    assumptions: Annotated[
-        tuple[Note, ...], says("What the map leaves open and was assumed, what matters most first.")
-    ] = ()
+    apr: Annotated[Share | None, says("Of a placement on the table, else by the evaluator.")]
+    assumptions: Annotated[tuple[Note, ...], says("What the map leaves open; worst first.")] = ()
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
     dangers: Annotated[Dangers, says("Runs that it does not avoid, by the evaluator, and where.")]
     added: Annotated[
@@ -93,20 +85,13 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         tuple[HeavyRun, ...],
         says("Runs that count more than 2 % of the APR, and more than others; the heaviest first."),
     ] = ()
-    road_users: Annotated[
-        RoadUserGroups | None, says("Runs by the road user that is met, and who is left out.")
-    ] = None
+    road_users: Annotated[RoadUserGroups | None, says("By the road user that is met.")] = None
     study_cases: Annotated[
         StudyCases | None,
         says("The layouts on the study's cases; null where these are asked about, or cannot be."),
     ] = None
-    private_ground: Annotated[
-        PrivateGroundRecord | None, says("What cameras see of private ground; only with --no-look.")
-    ] = None
-    seconds: Annotated[
-        dict[str, Annotated[float, Meta(ge=0)]],
-        says("Time of each step, by its name, and in total, in seconds."),
-    ]
+    private_ground: Annotated[PrivateGroundRecord | None, says("Only with --no-look.")] = None
+    seconds: Annotated[dict[str, Annotated[float, Meta(ge=0)]], says("Of each step, in seconds.")]
     versions: Annotated[dict[str, str], says("Of the programs that the numbers depend on.")]
 
 
@@ -116,9 +101,7 @@ class HighestRecord:
 
     given_up: Annotated[float, says("APR that might be given up, 0..1.")]
     stages: Annotated[tuple[StageRecord, ...], says("The proof of the highest APR.")]
-    compared: Annotated[
-        Compared | None, says("That layout by the evaluator; null: it is the one chosen.")
-    ]
+    compared: Annotated[Compared | None, says("By the evaluator; null: it is the one chosen.")]
 
 
 class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placement/2"):
@@ -135,19 +118,11 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
     presolve: Annotated[str, says("What dropped out before solving, in words.")]
     stages: Annotated[tuple[StageRecord, ...], says("Objectives in order, proven.", min_length=1)]
     solver: Annotated[str, says("What the proof rests on: name and version.")]
-    bound: Annotated[
-        float | None, says("APR on the detection table that no layout exceeds; null: unknown.")
-    ]
-    gap: Annotated[
-        float | None, says("(bound - apr) / apr; 0: proven best; null: infinite or unknown.")
-    ]
+    bound: Annotated[float | None, says("APR on the table that no layout exceeds; null: unknown.")]
+    gap: Annotated[float | None, says("(bound - apr) / apr; 0: proven; null: infinite, unknown.")]
     spent_eur: Annotated[float, says("Units, and sites once, as optimised, in EUR.")]
-    apr_without_worst_unit: Annotated[
-        Share, says("APR if the most needed unit fails, on the detection table.")
-    ]
-    apr_without_worst_site: Annotated[
-        Share | None, says("The same of the most needed pole; null where none carries several.")
-    ]
+    apr_without_worst_unit: Annotated[Share, says("On the table, without the most needed unit.")]
+    apr_without_worst_site: Annotated[Share | None, says("The same of poles; null: none shared.")]
     failing: Annotated[
         Literal["unit", "site"],
         says("What fails at once where the optimiser asks: units, or poles (--survive site)."),
@@ -158,32 +133,20 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
     ] = None
     greedy: Annotated[Compared, says("Units chosen one by one, for comparison.")]
     baseline: Annotated[Compared | None, says("The study's layout; null at other junctions.")]
-    surrogate_disagreement: Annotated[
-        Share, says("Share of the runs on which detection table and evaluator disagree.")
-    ]
+    surrogate_disagreement: Annotated[Share, says("Of the runs: table and evaluator disagree.")]
     disagreements: Annotated[tuple[Disagreement, ...], says("These runs, and why they disagree.")]
     explained: Annotated[ExplainedRecord, says("Why these units, and what they miss.")]
-    front: Annotated[
-        FrontRecord | None, says("Best layouts of smaller sizes; null where not the best is asked.")
-    ] = None
+    front: Annotated[FrontRecord | None, says("Best layouts of smaller sizes; may be null.")] = None
     next_unit: Annotated[
         NextUnit | None,
         says("What one more unit gains on the table, by greedy choice; null where none fits."),
     ] = None
     baselines: Annotated[Baselines, says("Random layouts and an expert's rule of as many units.")]
-    by_runs: Annotated[
-        ByRuns | None, says("Whether the layout is the best, too, if every run counts the same.")
-    ] = None
+    by_runs: Annotated[ByRuns | None, says("Is it the best if all runs count alike?")] = None
     mounting: Annotated[Standing | None, says("What errors of mounting cost.")] = None
-    front_runners: Annotated[
-        FrontRunners | None, says("Which of the leading layouts the evaluator recommends.")
-    ] = None
-    refinement: Annotated[
-        RefinementRecord | None, says("What turning units between grid poses changed; --refine.")
-    ] = None
-    sampled: Annotated[
-        SampledRecord | None, says("APR in sampled worlds; only with --samples.")
-    ] = None
+    front_runners: Annotated[FrontRunners | None, says("What the evaluator recommends.")] = None
+    refinement: Annotated[RefinementRecord | None, says("Gain by turning; --refine.")] = None
+    sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
 
 
 class EvaluationResult(Answer, frozen=True, kw_only=True, tag="place-rsus/evaluation/2"):
@@ -195,12 +158,8 @@ class ComparisonResult(Answer, frozen=True, kw_only=True, tag="place-rsus/compar
 
     compared: Annotated[tuple[Compared, ...], says("The other layouts.", min_length=1)]
     differences: Annotated[tuple[Difference, ...], says("For any two of the layouts.")]
-    baselines: Annotated[
-        Baselines | None, says("As many units as the first layout has; null: the sites lack room.")
-    ] = None
-    sampled: Annotated[
-        SampledRecord | None, says("APR in sampled worlds; only with --samples.")
-    ] = None
+    baselines: Annotated[Baselines | None, says("As the first layout; null: no room.")] = None
+    sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
 
 
 Result = PlacementResult | EvaluationResult | ComparisonResult

@@ -24,9 +24,7 @@ class RoadUserScore:
     name: Annotated[str, says('Of the layout, or "VUT alone".')]
     runs_avoided: Annotated[int, says("How many runs.")]
     apr: Annotated[float | None, says("By weight; None where none of these runs counts.")]
-    mean_impact_speed_kmh: Annotated[
-        float | None, says("At contact, by weight, avoided runs as 0, in km/h; null: unknown.")
-    ]
+    mean_impact_speed_kmh: Annotated[float | None, says("By weight, avoided 0, in km/h; or null.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,9 +42,7 @@ class RoadUserGroups:
     """Whose runs count, and who is left out."""
 
     groups: Annotated[tuple[RoadUserGroup, ...], says("At least one, those on foot first.")]
-    unprotected: Annotated[
-        tuple[str, ...], says("Cases left out since they meet a car; none with --protect all.")
-    ] = ()
+    unprotected: Annotated[tuple[str, ...], says("Cases left out (--protect all has them).")] = ()
 
 
 def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) -> RoadUserGroups:

@@ -40,16 +40,12 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
     packet_loss: Annotated[Share, says("Share of the messages that get lost.")]
     draws_detections: Annotated[bool, says("Whether detections are drawn by their probability.")]
     traffic: Annotated[dict[str, float], says("Standing vehicles, by the names of the file.")]
-    vehicles: Annotated[
-        dict[str, dict[str, float]], says("Kinds of vehicles with their shares of those parked.")
-    ]
+    vehicles: Annotated[dict[str, dict[str, float]], says("Kinds of vehicles, with shares.")]
     road_users: Annotated[RoadUsers, says("How they move otherwise than in cases.")] = RoadUsers()
     person_share: Annotated[
         Share, says("Of the noise of detections, what a person has in all frames for all units.")
     ] = 0.0
-    unit_person_share: Annotated[
-        Share, says("Of the same, what a person has in all frames for one unit.")
-    ] = 0.0
+    unit_person_share: Annotated[Share, says("The same for one unit.")] = 0.0
     burst_frames: Annotated[float, says("Frames between draws of which messages get lost.")] = 1.0
     loss_shared_by: Annotated[str, says("Who loses the same messages: unit or pole.")] = "unit"
     outages: Annotated[Outages, says("Units out of order.")] = Outages()
@@ -81,17 +77,11 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
     name: Annotated[str, says("Of the layout.")]
     units: Annotated[int, says("Number of its units.", ge=0)]
     planned: Annotated[Share | None, says("APR with nothing uncertain.")]
-    in_sample: Annotated[
-        float | None, says("Mean APR in the worlds that it was chosen in; null: chosen in none.")
-    ]
+    in_sample: Annotated[float | None, says("Mean APR in the worlds it was chosen in; or null.")]
     cvar: Annotated[float | None, says("Mean APR of the worst worlds.")]
-    cvar_error: Annotated[
-        float | None, says("Its standard error, by resampled worlds; null: all count.")
-    ] = None
+    cvar_error: Annotated[float | None, says("Standard error of it; null: all count.")] = None
     worst: Annotated[float | None, says("APR in the very worst one.")]
-    of_all: Annotated[
-        Share | None, says("Mean APR over cars with and without V2X; null: all hear.")
-    ]
+    of_all: Annotated[Share | None, says("Mean APR over cars with and without V2X; or null.")]
     apr_by_sample: Annotated[tuple[float | None, ...], says("APR in each world.")]
     least_sure_runs: Annotated[tuple[LeastSureRunRecord, ...], says("The least sure first.")]
 
@@ -104,9 +94,7 @@ class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
     more_share: Annotated[Share, says("Worlds in which the first one avoids more.")]
     equal_share: Annotated[Share, says("Worlds in which they avoid as much.")]
     less_share: Annotated[Share, says("Worlds in which the first one avoids less.")]
-    cvar_low: Annotated[
-        float | None, says("Lower end of the 95 % interval of the difference of cvar, or null.")
-    ] = None
+    cvar_low: Annotated[float | None, says("Low end for the difference of cvar; or null.")] = None
     cvar_high: Annotated[float | None, says("Upper end of it.")] = None
 
 

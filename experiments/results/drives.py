@@ -29,9 +29,7 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
     position: Annotated[str, says("Where along the arms: 0, -15, +15 and so on.")] = "0"
     speeds_kmh: Annotated[tuple[float, ...], says("Speeds of the vehicle, in km/h.")]
     reason: Annotated[str, says("Why, in words.")]
-    is_possible: Annotated[
-        bool, says("Roads and speeds are there, only room is missing: such runs count as possible.")
-    ] = True
+    is_possible: Annotated[bool, says("Only room is missing: it counts as possible.")] = True
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
@@ -41,27 +39,17 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
     detector: Annotated[str, says("What detects: name.")]
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
-    cars: Annotated[
-        Share, says("Share of the vehicles whose own sensors are one more unit (--cars); 0: none.")
-    ] = 0.0
+    cars: Annotated[Share, says("Of cars whose own sensors are one more unit (--cars).")] = 0.0
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
     vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
     track_memory_s: Annotated[
         float | None,
         says("How long a confirmed track lives without detections, in seconds; null: for ever."),
     ]
-    not_driven: Annotated[
-        tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
-    ]
-    possible_runs: Annotated[
-        int, says("Runs driven, and those with the roads for them, but not the room.", ge=1)
-    ]
-    driven: Annotated[
-        tuple[str, ...], says("What is missing of the possible runs, and why; empty: nothing.")
-    ]
-    without_effect: Annotated[
-        tuple[str, ...], says("What was asked for and changes nothing, in sentences.")
-    ] = ()
+    not_driven: Annotated[tuple[RefusalRecord, ...], says("What has no room in the scene.")]
+    possible_runs: Annotated[int, says("Runs driven, and those that lack only room.", ge=1)]
+    driven: Annotated[tuple[str, ...], says("What possible runs are missing, and why.")]
+    without_effect: Annotated[tuple[str, ...], says("What changes nothing, in words.")] = ()
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:

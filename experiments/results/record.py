@@ -104,12 +104,8 @@ class StageRecord(Record, frozen=True, kw_only=True):
 
     name: Annotated[StageName, says("Which objective.")]
     objective: Annotated[float, says("Of the layout found, in the unit that the name ends in.")]
-    bound: Annotated[
-        float | None, says("What no layout exceeds, or undercuts where least is best; or null.")
-    ]
-    gap: Annotated[
-        float | None, says("Distance of the two over the objective; 0: proven; null: infinite.")
-    ]
+    bound: Annotated[float | None, says("What no layout exceeds, or goes below; null: unknown.")]
+    gap: Annotated[float | None, says("Of the two, over the objective; 0: proven; null: infinite.")]
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
 
 
@@ -137,12 +133,8 @@ class LayoutValueRecord(Record, frozen=True, kw_only=True):
 
     apr: Annotated[Share, says("APR on the detection table.")]
     apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float, says("Least time to spare of avoided runs, in seconds; 0: there is none.")
-    ]
-    mean_margin_s: Annotated[
-        float, says("Mean of the same by weight, in seconds; 0 where there is none.")
-    ]
+    smallest_margin_s: Annotated[float, says("Least time to spare, in seconds; 0: none.")]
+    mean_margin_s: Annotated[float, says("Mean time to spare, in seconds; 0: none.")]
     cost_eur: Annotated[float, says("Units, and sites once, in EUR.")]
 
 
@@ -150,9 +142,7 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
     """Accident prevention ratio of a sensing party."""
 
     all: Annotated[Share | None, says("APR over all runs, by weight.")]
-    by_case: Annotated[
-        dict[str, Share | None], says("APR of each case; null where no run of it has weight.")
-    ]
+    by_case: Annotated[dict[str, Share | None], says("APR of each case; null: no run has weight.")]
     by_position: Annotated[
         dict[str, Share | None],
         says("The same of each position along the arms, such as -15; empty of recordings."),
@@ -161,9 +151,7 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
         float | None,
         says("Of the VUT at contact by weight, avoided runs as 0, in km/h; null of recordings."),
     ] = None
-    score: Annotated[
-        Share | None, says("By the speeds at contact; only with --score rating-2026.")
-    ] = None
+    score: Annotated[Share | None, says("Only with --score rating-2026.")] = None
 
 
 class EvaluationRecord(Record, frozen=True, kw_only=True):
@@ -173,12 +161,8 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
     rsu_all: Annotated[PartyAprRecord, says("All units: in each frame, any of them may detect.")]
     vut_and_rsus: Annotated[PartyAprRecord, says("All units and the vehicle's own sensors.")]
     units: Annotated[dict[str, PartyAprRecord], says("Each unit by itself, by its id.")]
-    vam: Annotated[
-        PartyAprRecord | None, says("Road users that announce themselves; null: none do.")
-    ] = None
-    all_sources: Annotated[
-        PartyAprRecord | None, says("Units, vehicle and announcements together; null: no such.")
-    ] = None
+    vam: Annotated[PartyAprRecord | None, says("Road users' own messages; null: none.")] = None
+    all_sources: Annotated[PartyAprRecord | None, says("All together; null: no messages.")] = None
     headline: Annotated[
         PartyAprRecord | None,
         says(
@@ -186,12 +170,8 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
             "with a share of cars that see the weighted sum of that and rsu_all. Null: rsu_all."
         ),
     ] = None
-    apr_without_worst_unit: Annotated[
-        Share | None, says("APR of all units but the one that is needed most.")
-    ]
-    apr_without_worst_site: Annotated[
-        Share | None, says("The same of the most needed pole; null where none carries several.")
-    ] = None
+    apr_without_worst_unit: Annotated[Share | None, says("Of all but the most needed unit.")]
+    apr_without_worst_site: Annotated[Share | None, says("The same of poles, or null.")] = None
 
     @property
     def judged(self) -> PartyAprRecord:
