@@ -142,7 +142,7 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
         says("What one more unit gains on the table, by greedy choice; null where none fits."),
     ] = None
     baselines: Annotated[Baselines, says("Random layouts and an expert's rule of as many units.")]
-    by_runs: Annotated[ByRuns | None, says("Is it the best if all runs count alike?")] = None
+    by_runs: Annotated[ByRuns | None, says("Whether it is so if all runs count alike.")] = None
     mounting: Annotated[Standing | None, says("What errors of mounting cost.")] = None
     front_runners: Annotated[FrontRunners | None, says("What the evaluator recommends.")] = None
     refinement: Annotated[RefinementRecord | None, says("Gain by turning; --refine.")] = None
