@@ -122,25 +122,17 @@ class StageProgress:
         if not sys.stderr.isatty():
             self._prints_lines = True
             return
+        from rich import progress as bars
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            SpinnerColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
 
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("[dim]left"),
-            TimeRemainingColumn(),
+        self._bar = bars.Progress(
+            bars.SpinnerColumn(),
+            bars.TextColumn("{task.description}", markup=False),
+            bars.BarColumn(),
+            bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(),
+            bars.TextColumn("[dim]left"),
+            bars.TimeRemainingColumn(),
             console=Console(stderr=True),
             transient=True,
             # What others print must stay where it belongs: stdout is not rich's to move.
@@ -161,10 +153,8 @@ class StageProgress:
     def finish(self) -> dict[str, float]:
         """End the last stage; seconds of every stage and of all together."""
         self._end_stage()
-        total_s = sum(self.seconds.values())
-        return {
-            name: round(value, 3) for name, value in (*self.seconds.items(), ("total", total_s))
-        }
+        seconds = self.seconds | {"total": sum(self.seconds.values())}
+        return {name: round(value, 3) for name, value in seconds.items()}
 
     def interruption(self) -> str:
         """What to say when the program ends before its time."""

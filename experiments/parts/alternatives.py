@@ -181,12 +181,9 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
     elif found.decided_by == "apr_one_failed":
         why = f"the same APR, {percent(first.apr)}, and {left} if any one unit fails"
     else:
-        assert best.mounting
-        assert first.mounting
-        why = (
-            "the same APR, and a unit mounted 1 degree or 5 cm off leaves "
-            f"{percent(best.mounting.worst.apr)} against {percent(first.mounting.worst.apr)}"
-        )
+        worst = [percent(one.mounting.worst.apr) for one in (best, first) if one.mounting]
+        leaves = " against ".join(worst)
+        why = f"the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}"
     proof = "is proven best on the detection table" if is_proven else "is the best found"
     return [
         f"Recommended: {best.name}, in {RECOMMENDED_FILE}. The evaluator prefers it to "

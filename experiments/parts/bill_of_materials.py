@@ -140,21 +140,14 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
     import pandas as pd
 
-    rows = [
-        {
-            "part": item.part,
-            "name": item.name,
-            "kind": item.kind,
-            "units": item.n_units,
-            "to_buy": item.count,
-            "price_eur": "" if item.price_eur is None else f"{item.price_eur:g}",
-            "sum_eur": "" if item.sum_eur is None else f"{item.sum_eur:g}",
-            "price_source": item.price_source,
-            "assumed": item.assumed,
-        }
-        for item in (*bill.sensors, *bill.sites)
-    ]
-    return csv_text(pd.DataFrame(rows))
+    heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur"]
+    rows = []
+    for item in (*bill.sensors, *bill.sites):
+        amounts = ["" if eur is None else f"{eur:g}" for eur in (item.price_eur, item.sum_eur)]
+        counts = [item.n_units, item.count]
+        source = [item.price_source, item.assumed]
+        rows.append([item.part, item.name, item.kind, *counts, *amounts, *source])
+    return csv_text(pd.DataFrame(rows, columns=[*heads, "price_source", "assumed"]))
 
 
 def bill_sentences(bill: BillOfMaterials) -> list[str]:
@@ -189,16 +182,11 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
     columns = ["model", "kind", "units", "to buy", "price of one (EUR)", "sum (EUR)"]
     if n_to_buy == n_units:  # nothing exists already
         columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
-    of_sites = [
-        [
-            f"{one.name} (assumed)" if one.assumed else one.name,
-            one.kind,
-            str(one.n_units),
-            "there already" if one.count == 0 else _sum([one]),
-            one.price_source,
-        ]
-        for one in sites
-    ]
+    of_sites = []
+    for one in sites:
+        name = f"{one.name} (assumed)" if one.assumed else one.name
+        price = "there already" if one.count == 0 else _sum([one])
+        of_sites.append([name, one.kind, str(one.n_units), price, one.price_source])
     of_sites.append(["all", "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
     heads = ["site", "kind", "units", "making it ready (EUR)", "price"]
     return [

@@ -35,15 +35,11 @@ def build_private_ground_record(
 ) -> PrivateGroundRecord:
     """Shares of private ground that units see."""
     shares = private_shares(scene, units, ground)
+    areas = zip(ground.names, ground.area_m2, strict=True)
+    seen = zip(units, shares, strict=True)
     return PrivateGroundRecord(
-        areas=tuple(
-            PrivateAreaRecord(name=name, area_m2=float(area))
-            for name, area in zip(ground.names, ground.area_m2, strict=True)
-        ),
-        units={
-            unit.id: dict(zip(ground.names, row.tolist(), strict=True))
-            for unit, row in zip(units, shares, strict=True)
-        },
+        areas=tuple(PrivateAreaRecord(name=name, area_m2=float(area)) for name, area in areas),
+        units={one.id: dict(zip(ground.names, row.tolist(), strict=True)) for one, row in seen},
     )
 
 

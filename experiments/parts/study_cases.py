@@ -134,15 +134,14 @@ def study_rows(question: Question, asked: Setting) -> IntArray | None:
     )
     if not is_whole:
         return None
-    order = list(wanted)
     rows = [
-        (order.index(run.case.name), row)
+        row
+        for name, case in wanted.items()
         for row, run in enumerate(asked.runs)
-        if run.case.name in wanted
-        and run.vut_speed_kmh in wanted[run.case.name].vut_speeds_kmh
-        and (run.position, run.weather) == (AT_ZERO.name, "day")
+        if (run.case.name, run.position, run.weather) == (name, AT_ZERO.name, "day")
+        and run.vut_speed_kmh in case.vut_speeds_kmh
     ]
-    return np.array([row for _, row in sorted(rows)], dtype=np.int64) if rows else None
+    return np.array(rows, dtype=np.int64) if rows else None
 
 
 def _part(asked: Setting, rows: IntArray) -> Setting:
@@ -177,20 +176,14 @@ def judge_again(
     """Evaluations on some of their runs, the `rows`, which are those of `part`, by its rule."""
     axis, rule = evaluations[0].axis, part.rule
     frames = np.concatenate([np.arange(axis.n_frames)[axis.frames_of(row)] for row in rows])
-    return judge_layouts(
-        judge,
-        [
-            Seen(
-                layout=item.layout,
-                units={
-                    unit.id: (item.units[unit.id].detected[frames], unit.latency(rule))
-                    for unit in item.layout.units
-                },
-                vut=(item.vut.detected[frames], rule.latency_s),
-            )
-            for item in evaluations
-        ],
-    )
+
+    def seen(item: Evaluation) -> Seen:
+        detected = {unit.id: item.units[unit.id].detected[frames] for unit in item.layout.units}
+        units = {unit.id: (detected[unit.id], unit.latency(rule)) for unit in item.layout.units}
+        vut = (item.vut.detected[frames], rule.latency_s)
+        return Seen(layout=item.layout, units=units, vut=vut)
+
+    return judge_layouts(judge, [seen(item) for item in evaluations])
 
 
 def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) -> bool:
