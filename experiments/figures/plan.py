@@ -28,16 +28,7 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..results.numbers import shortened
-from .axes import (
-    BLUE,
-    UNIT_COLOURS,
-    VERMILION,
-    WIDTH_IN,
-    Style,
-    literal,
-    new_axes,
-    show_square,
-)
+from .axes import BLUE, UNIT_COLOURS, VERMILION, WIDTH_IN, Style, literal, new_axes, show_square
 from .labels import (
     ARROW_POINTS,
     HALO,

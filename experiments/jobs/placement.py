@@ -46,10 +46,9 @@ from ..parts.alternatives import (
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
-from ..parts.explanation import build_explained_record
+from ..parts.explanation import build_explained_record, build_refinement_record
 from ..parts.front import FrontRecord, describe_front
 from ..parts.ground import PrivateGroundRecord, build_private_ground_record
-from ..parts.refinement import build_refinement_record
 from ..parts.result import (
     ComparisonResult,
     EvaluationResult,

@@ -11,7 +11,7 @@ from scenarios.runs import FrameAxis
 
 from ..figures.axes import unit_labels
 from ..results.numbers import percent, several
-from ..results.tables import groups_by_direction, groups_by_position, groups_by_speed
+from ..results.tables import groups_by
 from .section import Block, Section, Table
 
 MAX_UNIT_COLUMNS = 24
@@ -74,10 +74,10 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     """APR of these parties by speed, direction and position, where there are several."""
     axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
-    along = groups_by_position(axis)
+    along = groups_by(axis, "position")
     groupings = [
-        ("speed of the car", "speed (km/h)", groups_by_speed(axis)),
-        ("direction from which the car comes", "from", groups_by_direction(axis)),
+        ("speed of the car", "speed (km/h)", groups_by(axis, "speed")),
+        ("direction from which the car comes", "from", groups_by(axis, "direction")),
         ("place along the arms, in metres before (-) or behind (+) the junction", "at", along),
     ]
     return [

@@ -14,7 +14,7 @@ from scenarios.weights import weight_share
 
 from ..results.numbers import number, percent
 from ..results.record import says
-from ..results.tables import groups_by_case, groups_by_position
+from ..results.tables import groups_by
 from .dangers import position_words
 from .section import Section, Table
 
@@ -67,8 +67,8 @@ def build_added(setting: Setting, evaluation: Evaluation, *, fusion: str = "any"
     met = np.array([run.road_user for run in setting.runs])
     groups: list[tuple[str, str, BoolArray]] = [("all", "all runs", np.ones(len(met), dtype=bool))]
     for kind, found in (
-        ("case", groups_by_case(axis)),
-        ("position", groups_by_position(axis)),
+        ("case", groups_by(axis, "case")),
+        ("position", groups_by(axis, "position")),
         ("road user", [(name, met == name) for name in ROAD_USER_GROUPS if name in met]),
     ):
         groups += [(kind, name, mask) for name, mask in found if len(found) > 1]

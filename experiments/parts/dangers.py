@@ -21,7 +21,7 @@ from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, sh
 from ..figures.plan import draw_scene
 from ..results.numbers import count_runs, joined, percent
 from ..results.record import says
-from ..results.tables import RunGroup, groups_by_case, groups_by_direction, groups_by_position
+from ..results.tables import RunGroup, groups_by
 from .accidents import is_weighted
 from .section import Block, Box, Section, Table, build_picture
 
@@ -74,10 +74,10 @@ def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
 
 def build_dangers(is_avoided: BoolArray, axis: FrameAxis) -> Dangers:
     """Runs that are not avoided, counted by case and position; weights do not matter."""
-    positions = groups_by_position(axis)
+    positions = groups_by(axis, "position")
     return Dangers(
         not_avoided=int((~is_avoided).sum()),
-        by_case=_groups(groups_by_case(axis), is_avoided),
+        by_case=_groups(groups_by(axis, "case"), is_avoided),
         by_position=_groups(positions, is_avoided) if len(positions) > 1 else (),
     )
 
@@ -162,14 +162,14 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
         "Triangles are units, rings are sites that could carry some."
     )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
-    if len(groups_by_position(setting.axis)) > 1:
+    if len(groups_by(setting.axis, "position")) > 1:
         blocks += [position_table(name, mask, setting.axis) for name, mask in avoided.items()]
     return Section("dangers", "Where it is still dangerous", blocks)
 
 
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
     """Share of the runs avoided: a row per position as the car passes, a column per approach."""
-    approaches = groups_by_direction(axis)
+    approaches = groups_by(axis, "direction")
 
     def share(mask: BoolArray) -> str:
         return percent(weight_share(is_avoided, axis.weight * mask))
@@ -184,7 +184,7 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
                 f"{int((is_avoided & at).sum())} of {int(at.sum())}",
                 *(share(at & of_approach) for _, of_approach in approaches),
             ]
-            for position, at in groups_by_position(axis)
+            for position, at in groups_by(axis, "position")
         ],
         numeric=range(1, 3 + len(approaches)),
     )

@@ -306,11 +306,7 @@ def run_pareto(
 
 
 def describe_front(
-    front: Front,
-    problem: PlacementProblem,
-    candidates: Sequence[CandidatePose],
-    *,
-    n_kept: int = 0,
+    front: Front, problem: PlacementProblem, candidates: Sequence[CandidatePose], *, n_kept: int = 0
 ) -> FrontRecord:
     """A front with the units of every point; `n_kept` exist. `candidates` are the table's rows."""
 

@@ -16,7 +16,7 @@ from scenarios.runs import FrameAxis
 
 from ..figures.axes import PALETTE, WIDTH_IN, Style, literal, new_figure, write_beside
 from ..results.numbers import NOTHING, count_runs, number
-from ..results.tables import groups_by_case, groups_by_direction, groups_by_speed, margin_s
+from ..results.tables import groups_by, margin_s
 from .section import Section, Table, build_picture
 
 MAX_COLUMNS = 4
@@ -206,9 +206,9 @@ def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     everything = ("all runs", np.ones(axis.n_runs, dtype=bool))
     tables = []
     for words, head, groups in (
-        ("case", "case", groups_by_case(axis)),
-        ("speed of the car", "speed (km/h)", groups_by_speed(axis)),
-        ("direction from which the car comes", "from", groups_by_direction(axis)),
+        ("case", "case", groups_by(axis, "case")),
+        ("speed of the car", "speed (km/h)", groups_by(axis, "speed")),
+        ("direction from which the car comes", "from", groups_by(axis, "direction")),
     ):
         caption = f"Margins to the last moment by {words}"
         rows = [

@@ -39,10 +39,9 @@ from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared, find_differences
 from .dangers import Dangers, avoided_runs, build_dangers
-from .explanation import ExplainedRecord
+from .explanation import ExplainedRecord, RefinementRecord
 from .front import FrontRecord
 from .ground import PrivateGroundRecord
-from .refinement import RefinementRecord
 from .road_users import RoadUserGroups, build_road_users
 from .sampled_worlds import SampledRecord
 from .study_cases import StudyCases

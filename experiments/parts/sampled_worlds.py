@@ -298,50 +298,48 @@ def what_is_uncertain(found: SampledRecord) -> str:
     """Words for what is drawn in the sampled worlds."""
     record = found.uncertainty
     mounting, latency, traffic = record.mounting, record.latency, record.traffic
-    parts = []
-    if any(astuple(mounting)):
-        parts.append(
-            f"units off by {mounting.yaw_sd_deg:g}\N{DEGREE SIGN} in yaw, "
-            f"{mounting.pitch_sd_deg:g}\N{DEGREE SIGN} in pitch and "
-            f"{100.0 * mounting.height_sd_m:g} cm in height"
-        )
-    if "budget" in latency:
-        parts.append(f"latency drawn from the budget {latency['budget']}")
-    elif latency["mean_s"]:
-        parts.append(f"messages {1000.0 * float(latency['mean_s']):g} ms later on average")
-    if record.packet_loss > 0.0:
-        bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
-        parts.append(
-            f"{percent(record.packet_loss)} of the messages lost"
-            + (bursts if record.burst_frames > 1.0 else "")
-        )
-    if record.draws_detections:
-        lasting = record.person_share + record.unit_person_share
-        parts.append(
-            "detections drawn where the detector gives a probability"
-            + (f" ({percent(lasting)} of the noise for a whole run)" if lasting else "")
-        )
-    outages, blinding = record.outages, record.blinding
-    if outages != Outages():
-        parts.append(
+    outages, blinding, low_sun = record.outages, record.blinding, record.blinding.low_sun_share
+    lasting = record.person_share + record.unit_person_share
+    degree, mean_ms = "\N{DEGREE SIGN}", 1000.0 * float(latency.get("mean_s", 0.0))
+    bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
+    bursts *= record.burst_frames > 1.0
+    for_a_run = f" ({percent(lasting)} of the noise for a whole run)" if lasting else ""
+    parts = (
+        (
+            any(astuple(mounting)),
+            f"units off by {mounting.yaw_sd_deg:g}{degree} in yaw, {mounting.pitch_sd_deg:g}"
+            f"{degree} in pitch and {100.0 * mounting.height_sd_m:g} cm in height",
+        ),
+        ("budget" in latency, f"latency drawn from the budget {latency.get('budget')}"),
+        (mean_ms, f"messages {mean_ms:g} ms later on average"),
+        (record.packet_loss > 0.0, f"{percent(record.packet_loss)} of the messages lost{bursts}"),
+        (
+            record.draws_detections,
+            f"detections drawn where the detector gives a probability{for_a_run}",
+        ),
+        (
+            outages != Outages(),
             f"units out of order in {percent(outages.unit_share)} and poles in "
-            f"{percent(outages.pole_share)} of the runs"
-        )
-    if blinding.dirty_share:
-        parts.append(f"{percent(blinding.dirty_share)} of the cameras dirty")
-    if blinding.low_sun_share:
-        parts.append(f"low sun in {percent(blinding.low_sun_share)} of the runs by day")
-    if traffic["taken_share"] > 0.0:
-        parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
-    if traffic["waiting_share"] > 0.0:
-        parts.append(f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes")
-    if record.road_users.measured:
-        parts.append("people as fast as they were measured")
-    if replace(record.road_users, measured={}) != RoadUsers():
-        parts.append("road users faster or slower, from nearer starts")
-    if found.moving:
-        parts.append(f"vehicles that drive by ({found.traffic_source})")
-    return ", ".join(parts) or "nothing is uncertain"
+            f"{percent(outages.pole_share)} of the runs",
+        ),
+        (blinding.dirty_share, f"{percent(blinding.dirty_share)} of the cameras dirty"),
+        (
+            blinding.low_sun_share,
+            f"low sun in {percent(blinding.low_sun_share)} of runs by day",
+        ),
+        (traffic["taken_share"], f"{percent(traffic['taken_share'])} of the parking places taken"),
+        (
+            traffic["waiting_share"],
+            f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes",
+        ),
+        (record.road_users.measured, "people as fast as they were measured"),
+        (
+            replace(record.road_users, measured={}) != RoadUsers(),
+            "road users faster or slower, from nearer starts",
+        ),
+        (found.moving, f"vehicles that drive by ({found.traffic_source})"),
+    )
+    return ", ".join(words for holds, words in parts if holds) or "nothing is uncertain"
 
 
 def moving_sentence(found: SampledRecord) -> str:

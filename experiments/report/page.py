@@ -17,11 +17,11 @@ from placement.setting import Setting
 from ..figures.axes import unit_labels
 from ..parts import added, answer, comparison, dangers, next_unit, proof, road_users, study_cases
 from ..parts.accidents import accidents_section, alone_section
+from ..parts.alternatives import failures_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
-from ..parts.failures import failures_section
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
 from ..parts.ground import private_ground_section

@@ -18,6 +18,7 @@ from .record import Record, Share, says
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
 _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
 _FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
+_AS_THEY_ARE = ("approach", "position", "reason", "is_possible")
 _MOST_GAPS = 6  # that the first sentence names
 
 
@@ -65,14 +66,11 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         track_memory_s=finite_or_none(setting.rule.track_memory_s),
         not_driven=tuple(
             RefusalRecord(
-                case=refusal.case.name,
-                approach=refusal.approach,
-                position=refusal.position,
-                speeds_kmh=tuple(refusal.speeds_kmh),
-                reason=refusal.reason,
-                is_possible=refusal.is_possible,
+                case=one.case.name,
+                speeds_kmh=tuple(one.speeds_kmh),
+                **{name: getattr(one, name) for name in _AS_THEY_ARE},
             )
-            for refusal in setting.refusals
+            for one in setting.refusals
         ),
         possible_runs=_count_possible(setting),
         driven=tuple(describe_driven(setting)),

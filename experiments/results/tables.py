@@ -3,7 +3,7 @@
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -141,30 +141,19 @@ def _missing(times_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(times_s), times_s, np.nan)
 
 
-def groups_by_case(axis: FrameAxis) -> list[RunGroup]:
-    """A group per case, in the order in which the cases first appear."""
-    return _equal(axis.cases)
-
-
-def groups_by_direction(axis: FrameAxis) -> list[RunGroup]:
-    """A group per approach from which the car comes, in the order in which they first appear."""
-    return _equal(axis.approaches)
-
-
-def groups_by_position(axis: FrameAxis) -> list[RunGroup]:
-    """A group per position along the arms, in the order in which the car passes them."""
-    return _equal(axis.positions, sort_positions(axis.positions))
-
-
-def groups_by_speed(axis: FrameAxis) -> list[RunGroup]:
-    """A group per speed of the car, the slowest first."""
-    speeds = axis.vut_speed_kmh
-    return [(f"{speed:g}", speeds == speed) for speed in np.unique(speeds)]
-
-
-def _equal(words: Sequence[str], order: Sequence[str] | None = None) -> list[RunGroup]:
-    of_run = np.array(words)
-    return [(word, of_run == word) for word in order or dict.fromkeys(words)]
+def groups_by(
+    axis: FrameAxis, what: Literal["case", "direction", "position", "speed"]
+) -> list[RunGroup]:
+    """A group per case or direction as they first appear, or per position or speed, ascending."""
+    speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
+    ascending = [f"{speed:g}" for speed in np.unique(axis.vut_speed_kmh)]
+    words, order = {
+        "case": (axis.cases, axis.cases),
+        "direction": (axis.approaches, axis.approaches),
+        "position": (axis.positions, sort_positions(axis.positions)),
+        "speed": (speeds, ascending),
+    }[what]
+    return [(word, np.array(words) == word) for word in dict.fromkeys(order)]
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
