@@ -323,10 +323,7 @@ def what_is_uncertain(found: SampledRecord) -> str:
             f"{percent(outages.pole_share)} of the runs",
         ),
         (blinding.dirty_share, f"{percent(blinding.dirty_share)} of the cameras dirty"),
-        (
-            blinding.low_sun_share,
-            f"low sun in {percent(blinding.low_sun_share)} of runs by day",
-        ),
+        (low_sun, f"low sun in {percent(low_sun)} of the runs by day"),
         (traffic["taken_share"], f"{percent(traffic['taken_share'])} of the parking places taken"),
         (
             traffic["waiting_share"],
