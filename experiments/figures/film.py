@@ -28,17 +28,7 @@ from placement.visibility.casting import build_static_mesh
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from .axes import (
-    BLUE,
-    SKY,
-    VERMILION,
-    Style,
-    drawing_any_name,
-    literal,
-    new_figure,
-    root_figure,
-    show_square,
-)
+from .axes import BLUE, SKY, VERMILION, Style, drawing_any_name, literal, new_figure, show_square
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
@@ -90,7 +80,8 @@ def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent
         buffer = BytesIO()
         metadata = {"Software": None} if suffix == ".png" else {}
         with drawing_any_name():
-            figure = root_figure(plot_film(scene, run)[0])
+            figure = plot_film(scene, run)[0].get_figure(root=True)
+            assert figure is not None  # it was made for these axes
             figure.savefig(buffer, format=suffix[1:], metadata=metadata)
         data = buffer.getvalue()
     else:

@@ -37,18 +37,12 @@ from placement.sampling.uncertainty import load_drawn
 from placement.setting import Setting, build_setting
 from placement.wishes import assumed_prices
 
-from ..parts.alternatives import (
-    begin_standing,
-    find_front_runners,
-    find_other_weights,
-    leading_layouts,
-)
+from ..parts import alternatives
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import build_explained_record, build_refinement_record
 from ..parts.front import FrontRecord, describe_front
-from ..parts.ground import PrivateGroundRecord, build_private_ground_record
 from ..parts.result import (
     ComparisonResult,
     EvaluationResult,
@@ -59,7 +53,7 @@ from ..parts.result import (
 )
 from ..parts.sampled_worlds import SampledRecord, build_sampled_record
 from ..parts.study_cases import StudyCases, on_study_cases
-from ..parts.units import build_plans
+from ..parts.units import PrivateGroundRecord, build_plans, build_private_ground_record
 from ..progress import StageProgress
 from ..results.folders import check_result_folder, left_as_it_was
 from ..side_process import SideProcess, Task, side_process
@@ -161,19 +155,19 @@ def run_placement(
         proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
         layouts = _named_layouts(placement, proposed.expert, study)
         # What depends on the layouts alone is begun, the longest first.
-        standing = begin_standing(job.side, setting, layout, question, compute)
+        standing = alternatives.begin_standing(job.side, setting, layout, question, compute)
         fresh = _begin_fresh_worlds(job, plan, [*layouts.values()])
         progress("explain", 0, 0)
         explained = build_explained_record(placement, setting, found.poses, compute=compute)
         others = [] if study is None else [study]
         job.side.begin("plans", build_plans, setting, {layout.name: layout}, others)
         front = _front_below(job, found)
-        by_runs = find_other_weights(
+        by_runs = alternatives.find_other_weights(
             found.on_grid, question, plan, compute=compute, progress=progress
         )
         evaluations, leading = _evaluate(job, found, layouts)
         study_cases = _on_study_cases(job, evaluations)  # while the other process goes on
-        front_runners, mounting, recommended = find_front_runners(
+        front_runners, mounting, recommended = alternatives.find_front_runners(
             leading, standing, setting, question, compute=compute, progress=progress
         )
         existing, prices = plan.wishes.existing, plan.wishes.prices
@@ -280,7 +274,7 @@ def _evaluate(
     job: _Job, found: _Found, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
     """Layouts by display name, and those that lead, the one found first, by the evaluator."""
-    leading = leading_layouts(found.on_grid, found.placement)
+    leading = alternatives.leading_layouts(found.on_grid, found.placement)
     further = [layout for layout in leading if layout is not found.placement.greedy]
     judged = evaluate_layouts([*layouts.values(), *further], job.setting, compute=job.compute)
     by_name = {item.layout.name: item for item in judged}

@@ -15,10 +15,10 @@ from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
 from .explanation import refinement_sentences
-from .ground import private_ground_sentences
 from .next_unit import next_unit_sentence
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, uncertainty_sentences
+from .units import private_ground_sentences
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:

@@ -31,9 +31,9 @@ from ..results.record import (
 from ..results.tables import margin_s
 from .baselines import Baselines
 from .baselines import words as baseline_words
-from .ground import PrivateGroundRecord
 from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_differences
 from .section import Block, Bullets, Section, Subheading, Table, build_picture, tabulate
+from .units import PrivateGroundRecord
 
 GREEDY, EXPERT, HIGHEST = "greedy", "expert rule", "highest APR"
 """Display names of layouts to compare with: they appear in tables and bars only."""

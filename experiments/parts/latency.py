@@ -23,17 +23,7 @@ from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.axes import (
-    BLUE,
-    GREY,
-    VERMILION,
-    WIDTH_IN,
-    Style,
-    finish_axes,
-    literal,
-    new_axes,
-    to_png,
-)
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, literal, new_axes, to_png
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -158,7 +148,7 @@ def plot_latency(
     axes = new_axes(WIDTH_IN, 3.9)
     shown_ms = [1000.0 * latency_s for latency_s in latencies_s]
     for name, party in parties.items():
-        style = _STYLES.get(name, {"color": GREY, "lw": 0.7})
+        style = _STYLES.get(name, {"color": "#999999", "lw": 0.7})
         axes.plot(shown_ms, [100.0 * apr for apr in party.apr], gid=name, **style)
     words = literal(f"budget {budget.name}: mean and range")
     axes.axvline(1000.0 * budget.mean_s, color="black", lw=0.8, gid="mean", label=words)

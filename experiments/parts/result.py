@@ -41,10 +41,10 @@ from .comparison import Compared, Difference, build_compared, find_differences
 from .dangers import Dangers, avoided_runs, build_dangers
 from .explanation import ExplainedRecord, RefinementRecord
 from .front import FrontRecord
-from .ground import PrivateGroundRecord
 from .road_users import RoadUserGroups, build_road_users
 from .sampled_worlds import SampledRecord
 from .study_cases import StudyCases
+from .units import PrivateGroundRecord
 
 
 class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):

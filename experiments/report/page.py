@@ -24,14 +24,13 @@ from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
-from ..parts.ground import private_ground_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
 from ..parts.result import EvaluationResult, PlacementResult, Result
 from ..parts.runs import cases_section, runs_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
-from ..parts.units import build_plans, units_section
+from ..parts.units import build_plans, private_ground_section, units_section
 from ..side_process import SideProcess, Task
 
 FILE_NAME = "report.html"
