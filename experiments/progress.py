@@ -126,13 +126,9 @@ class StageProgress:
         from rich.console import Console
 
         self._bar = bars.Progress(
-            bars.SpinnerColumn(),
-            bars.TextColumn("{task.description}", markup=False),
-            bars.BarColumn(),
-            bars.MofNCompleteColumn(),
-            bars.TimeElapsedColumn(),
-            bars.TextColumn("[dim]left"),
-            bars.TimeRemainingColumn(),
+            *(bars.SpinnerColumn(), bars.TextColumn("{task.description}", markup=False)),
+            *(bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeElapsedColumn()),
+            *(bars.TextColumn("[dim]left"), bars.TimeRemainingColumn()),
             console=Console(stderr=True),
             transient=True,
             # What others print must stay where it belongs: stdout is not rich's to move.

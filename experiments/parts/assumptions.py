@@ -84,42 +84,30 @@ def assumptions(
         onset = "constant from the onset"
     weathers = list(dict.fromkeys(run.weather for run in setting.runs))
     dims = " It takes contrast from cameras and pulses from LiDARs."
-    terms = [
-        (
-            "Runs",
-            f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every run "
-            "ends in an impact unless the car brakes. One frame falls on the moment of the impact.",
-        ),
-        ("Weights", _weights(setting)),
-        (
-            "Detection",
-            f"{setting.detector.description}{_figures(setting)} The car itself looks with: "
-            f"{' and '.join(setting.vut_sensors)}.{cars}",
-        ),
-        (
-            "Confirmation",
-            f"{rule.n_confirmations} detected frames in a row, {1.0 / rule.frame_rate_hz:g} s "
-            "apart.",
-        ),
-        ("Tracks", _tracks(rule)),
-        ("Latency", _latency(rule, layouts)),
-        (
-            "Braking",
-            f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {onset}, along "
-            "the car's path. The road user keeps going.",
-        ),
-        ("Avoided", "The outlines of car and road user on the road never touch."),
-        ("Weather", f"{', '.join(weathers)}.{'' if weathers == ['day'] else dims}"),
-    ]
+    terms = {
+        "Runs": f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every "
+        "run ends in an impact unless the car brakes. One frame falls on the moment of the impact.",
+        "Weights": _weights(setting),
+        "Detection": f"{setting.detector.description}{_figures(setting)} The car itself looks "
+        f"with: {' and '.join(setting.vut_sensors)}.{cars}",
+        "Confirmation": f"{rule.n_confirmations} detected frames in a row, "
+        f"{1.0 / rule.frame_rate_hz:g} s apart.",
+        "Tracks": _tracks(rule),
+        "Latency": _latency(rule, layouts),
+        "Braking": f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {onset}, along the car's "
+        "path. The road user keeps going.",
+        "Avoided": "The outlines of car and road user on the road never touch.",
+        "Weather": f"{', '.join(weathers)}.{'' if weathers == ['day'] else dims}",
+    }
     if setting.radio != Radio():
-        terms.append(("Radio", _radio(setting.radio)))
+        terms["Radio"] = _radio(setting.radio)
     sampled = None if isinstance(result, EvaluationResult) else result.sampled
     if sampled is not None and sampled.moving:
-        terms.append(("Traffic", f"{moving_sentence(sampled)}. {_MOVING}"))
-    terms.append(("Units together", _FUSIONS[result.fusion]))
+        terms["Traffic"] = f"{moving_sentence(sampled)}. {_MOVING}"
+    terms["Units together"] = _FUSIONS[result.fusion]
     if isinstance(result, PlacementResult) and result.budget is not None:
-        terms.append(("Budget", several(result.budget, "unit", "units") + "."))
-    return terms
+        terms["Budget"] = several(result.budget, "unit", "units") + "."
+    return [*terms.items()]
 
 
 def _figures(setting: Setting) -> str:

@@ -29,6 +29,11 @@ OUTCOMES = {
     "too late": "confirmed too late",
 }
 """Words for the outcome of a run that is not avoided."""
+_CONTRIBUTION_COLUMNS = (
+    *("unit", "runs that only it saves", "APR it adds", "APR without it"),
+    *("smallest time to spare without it (s)", "mean time to spare without it (s)"),
+    *("later without it, mean (s)", "later, at most (s)"),
+)
 _CAUSES = {
     "out of view": "out of view",
     "cut off": "cut off by the edge of the view",
@@ -178,28 +183,19 @@ def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
     """Contributions, a row for each unit; `labels` are short names of the units, by id."""
-    names = labels or {}
-
-    def time(value_s: float, part: ContributionRecord) -> str:
-        return number(value_s) if part.without.apr > 0.0 else NOTHING  # others avoid nothing
-
-    return tabulate(
-        "What each unit is there for, on the detection table",
-        explained.contributions,
-        {
-            "unit": lambda part: names.get(part.unit, part.unit),
-            "runs that only it saves": lambda part: str(len(part.only_runs)),
-            "APR it adds": lambda part: percent(part.marginal_apr),
-            "APR without it": lambda part: percent(part.without.apr),
-            "smallest time to spare without it (s)": lambda part: time(
-                part.without.smallest_margin_s, part
-            ),
-            "mean time to spare without it (s)": lambda part: time(
-                part.without.mean_margin_s, part
-            ),
-            "later without it, mean (s)": lambda part: time(part.mean_delay_s, part),
-            "later, at most (s)": lambda part: time(part.max_delay_s, part),
-        },
+    names, rows = labels or {}, []
+    for part in explained.contributions:
+        others = part.without
+        times_s = [others.smallest_margin_s, others.mean_margin_s]
+        times_s += [part.mean_delay_s, part.max_delay_s]
+        shares = percent(part.marginal_apr), percent(others.apr)
+        shown = [number(time_s) if others.apr > 0.0 else NOTHING for time_s in times_s]
+        name, n_saved = names.get(part.unit, part.unit), str(len(part.only_runs))
+        rows.append([name, n_saved, *shares, *shown])
+    return Table(
+        caption="What each unit is there for, on the detection table",
+        columns=_CONTRIBUTION_COLUMNS,
+        rows=rows,
         numeric=range(1, 8),
     )
 

@@ -56,15 +56,11 @@ def build_first_screen(
 ) -> FirstScreen:
     """The first screen of a result; `warnings` stand between its sentence and its figures."""
     avoided = avoided_runs(subject, result.fusion)
+    first = (_prevented(subject, avoided), _if_one_fails(result, subject))
     return FirstScreen(
         sentence=_sentence(result, subject, avoided),
         warnings=tuple(warnings),
-        cards=(
-            _prevented(subject, avoided),
-            _if_one_fails(result, subject),
-            _cost(bill, subject),
-            _proof(result),
-        ),
+        cards=(*first, _cost(bill, subject), _proof(result)),
         dangers=tuple(_dangers(result, setting)),
         plan=plan,
     )

@@ -16,7 +16,7 @@ from placement.setting import Setting
 
 from ..figures.axes import unit_labels
 from ..parts import added, answer, comparison, dangers, next_unit, proof, road_users, study_cases
-from ..parts.accidents import accidents_section, alone_section
+from ..parts.accidents import accidents_section, alone_section, cases_section, runs_section
 from ..parts.alternatives import failures_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
@@ -27,7 +27,6 @@ from ..parts.front import front_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
 from ..parts.result import EvaluationResult, PlacementResult, Result
-from ..parts.runs import cases_section, runs_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
 from ..parts.units import build_plans, private_ground_section, units_section
