@@ -111,28 +111,26 @@ def _site_items(
         used.setdefault(unit.site_id if unit.site_id in sites else None, []).append(unit.id)
     items = []
     for site_id, unit_ids in used.items():
+        kept = [unit_id for unit_id in unit_ids if unit_id in kept_ids]
         if site_id is None:
             name, kind, price_eur, source = _NO_SITE, UNKNOWN, site_cost_eur, ""
-            # Nobody knows which of them share a mount.
-            count = sum(unit_id not in kept_ids for unit_id in unit_ids)
+            count = len(unit_ids) - len(kept)  # nobody knows which of them share a mount
         else:
-            name, kind = site_id, sites[site_id].kind
             site = sites[site_id]
+            name, kind, count = site_id, site.kind, int(not kept)
             price_eur = load_prices().cost_eur(site) if site_cost_eur is None else site_cost_eur
             source = "told" if site.cost_eur > 0.0 else "assumption"
-            count = int(not any(unit_id in kept_ids for unit_id in unit_ids))
-        items.append(
-            Item(
-                part="site",
-                name=name,
-                kind=kind,
-                count=count,
-                n_units=len(unit_ids),
-                price_eur=price_eur,
-                price_source=source if site_cost_eur is None else "told",
-                assumed=doubts.get(site_id or "", ""),
-            )
+        item = Item(
+            part="site",
+            name=name,
+            kind=kind,
+            count=count,
+            n_units=len(unit_ids),
+            price_eur=price_eur,
+            price_source=source if site_cost_eur is None else "told",
+            assumed=doubts.get(site_id or "", ""),
         )
+        items.append(item)
     return tuple(items)
 
 

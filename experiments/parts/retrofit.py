@@ -122,7 +122,7 @@ def _by_kind(result: RetrofitResult) -> dict[str, list[ChangeRecord]]:
 
 def table(result: RetrofitResult) -> Table:
     """Possible changes: a row each, in groups, the best of each kind first."""
-    rows = [_row("as it is", 0.0, result.before)]
+    rows = [_row("as it is", 0.0, result.before, *[""] * 3)]
     for kind, changes in _by_kind(result).items():
         rows += [[f"{_HEADS.get(kind, kind)}:", *[""] * 6]] if changes else []
         for change in changes:
@@ -141,16 +141,9 @@ def table(result: RetrofitResult) -> Table:
     )
 
 
-def _row(
-    text: str,
-    price_eur: float,
-    value: LayoutValueRecord,
-    gained: str = "",
-    lost: str = "",
-    proof: str = "",
-) -> list[str]:
+def _row(text: str, price_eur: float, value: LayoutValueRecord, *cells: str) -> list[str]:
     shares = (percent(value.apr), percent(value.apr_one_failed))
-    return [text, f"{price_eur:,.0f}", *shares, gained, lost, proof]
+    return [text, f"{price_eur:,.0f}", *shares, *cells]
 
 
 def run_retrofit(

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
@@ -133,11 +132,6 @@ def build_sampled_record(
     is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
     chosen in.
     """
-    if not judged:
-        raise InputError("layouts", Unquoted("none"), "at least one")
-    n_samples = {len(item.apr_by_sample) for item in judged}
-    if len(n_samples) > 1:
-        raise InputError("samples", sorted(n_samples), "the same number for every layout")
     subject = judged[0]
     tails = None
     if tail < 1.0:
@@ -145,7 +139,7 @@ def build_sampled_record(
     planned, chosen, heard = planned_apr or {}, chosen_apr or {}, uncertainty.v2x_share
     return SampledRecord(
         uncertainty=build_uncertainty_record(uncertainty),
-        samples=n_samples.pop(),
+        samples=len(subject.apr_by_sample),
         chosen_in=chosen_in,
         seed=seed,
         traffic_source="" if uncertainty.moving is None else uncertainty.moving.name,

@@ -285,6 +285,5 @@ def run_sheet(
         got = Unquoted(f"{out}: {error.strerror or error}")
         raise InputError("--out", got, "a file that can be written") from None
     progress.kept = f"the sheet is in {out}"
-    return SheetResult(
-        layout=layout.name, written=str(out), units=tuple(tolerances), seconds=progress.finish()
-    )
+    units, seconds = tuple(tolerances), progress.finish()
+    return SheetResult(layout=layout.name, written=str(out), units=units, seconds=seconds)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from placement.evaluation import Evaluation
 from placement.setting import Setting
@@ -91,7 +90,7 @@ def build_report(
     """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
 
     The first evaluation is the subject. `command` makes the result again; `bill` knows more of the
-    costs than the scene. Raises InputError if there is no evaluation.
+    costs than the scene.
     """
     tasks = begin_tasks(side or SideProcess(), result, setting, evaluations)
     shown, detailed = _shown(result, evaluations)
@@ -157,8 +156,6 @@ def begin_tasks(
     side: SideProcess, result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> Tasks:
     """Begin what takes long to draw: the report that is written takes it from there."""
-    if not evaluations:
-        raise InputError("evaluations", Unquoted("none"), "at least one")
     shown, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
     others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
