@@ -84,7 +84,18 @@ def write_results(
             geojson = to_geojson(layout, setting.scene.crs, setting.scene)
             write_atomically(new / "layout.geojson", geojson)
         if placement is not None:
-            _write_certificate(new, placement, candidates, layout, setting, result)
+            mounts = build_mounts(setting.scene, candidates)
+            document = build_certificate(
+                placement.problem,
+                placement.certificate,
+                pose_index=placement.pose_index,
+                units=layout_records(layout),
+                presolve=placement.presolve,
+                seconds=placement.seconds,
+                versions=result.versions,
+                mounts=mounts,
+            )
+            save_certificate(new, document, placement.problem, mounts)
         bill = bill or build_bill(layout, setting.scene)
         write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         write_atomically(new / APR_FILE, csv_text(apr_table(evaluations)))
@@ -94,28 +105,6 @@ def write_results(
         write_atomically(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"
     return result
-
-
-def _write_certificate(
-    folder: Path,
-    placement: Placement,
-    candidates: Sequence[CandidatePose],
-    layout: Layout,
-    setting: Setting,
-    result: Result,
-) -> None:
-    mounts = build_mounts(setting.scene, candidates)
-    document = build_certificate(
-        placement.problem,
-        placement.certificate,
-        pose_index=placement.pose_index,
-        units=layout_records(layout),
-        presolve=placement.presolve,
-        seconds=placement.seconds,
-        versions=result.versions,
-        mounts=mounts,
-    )
-    save_certificate(folder, document, placement.problem, mounts)
 
 
 @contextmanager

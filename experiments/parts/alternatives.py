@@ -106,9 +106,8 @@ def begin_standing(
     """Begin to find what errors of mounting cost a layout; None where it has too many units."""
     if len(layout.units) > MAX_UNITS:
         return None
-    return side.begin(
-        TOLERANCES, find_standing, setting, layout.units, fusion=question.fusion, compute=compute
-    )
+    fusion, units = question.fusion, layout.units
+    return side.begin(TOLERANCES, find_standing, setting, units, fusion=fusion, compute=compute)
 
 
 def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:

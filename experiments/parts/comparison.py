@@ -215,16 +215,10 @@ def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
     """A pair the way round in which the mean difference is not negative."""
     if or_nan(pair.mean) >= 0.0:
         return pair
-    return msgspec.structs.replace(
-        pair,
-        first=pair.second,
-        second=pair.first,
-        mean=-or_nan(pair.mean),
-        low=-or_nan(pair.high),
-        high=-or_nan(pair.low),
-        more_share=pair.less_share,
-        less_share=pair.more_share,
-    )
+    names = {"first": pair.second, "second": pair.first}
+    shares = {"more_share": pair.less_share, "less_share": pair.more_share}
+    mean, low, high = (-or_nan(share) for share in (pair.mean, pair.high, pair.low))
+    return msgspec.structs.replace(pair, mean=mean, low=low, high=high, **names, **shares)
 
 
 def _points(share: float | None) -> str:

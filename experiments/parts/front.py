@@ -293,16 +293,13 @@ def run_pareto(
     if prices is not None:
         assumed = assumed_prices(prices, scene.sites)
         result = replace_fields(result, sentences=(*result.sentences, *assumed))
-    return save_files(
-        result,
-        out,
-        progress,
-        lambda found: {
-            CSV_NAME: csv_text(front_table(found)),
-            PNG_NAME: to_png(plot_front(found)),
-            JSON_NAME: to_json_text(found),
-        },
-    )
+
+    def files(done: FrontResult) -> dict[str, str | bytes]:
+        drawn = to_png(plot_front(done))
+        tables = {CSV_NAME: csv_text(front_table(done)), JSON_NAME: to_json_text(done)}
+        return {**tables, PNG_NAME: drawn}
+
+    return save_files(result, out, progress, files)
 
 
 def describe_front(

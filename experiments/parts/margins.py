@@ -3,7 +3,7 @@
 import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -210,16 +210,8 @@ def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
             if (mask & (axis.weight > 0.0)).any()
             for name, verdict in _parties(evaluations)
         ]
-        tables.append(
-            Table(
-                caption=caption,
-                columns=[head, *_COLUMNS],
-                rows=rows,
-                numeric=range(2, 11),
-                summary=caption,
-                is_open=len(rows) <= _MAX_UNFOLDED,
-            )
-        )
+        table = Table(caption=caption, columns=[head, *_COLUMNS], rows=rows, numeric=range(2, 11))
+        tables.append(replace(table, summary=caption, is_open=len(rows) <= _MAX_UNFOLDED))
     return tables
 
 

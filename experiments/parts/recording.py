@@ -232,16 +232,10 @@ def recorded_problem(
 ) -> PlacementProblem:
     """The choice among recorded units: each alone on a site of its own."""
     n_units = len(evaluation.units)
-    return PlacementProblem(
-        table=recorded_table(evaluation),
-        limits=Limits(
-            site_index=np.arange(n_units),
-            site_capacity=np.ones(n_units, dtype=np.int64),
-            budget_units=budget_units,
-        ),
-        fusion=fusion,
-        rule=rule,
-    )
+    ones = np.ones(n_units, dtype=np.int64)
+    limits = Limits(site_index=np.arange(n_units), site_capacity=ones, budget_units=budget_units)
+    table = recorded_table(evaluation)
+    return PlacementProblem(table=table, limits=limits, fusion=fusion, rule=rule)
 
 
 def run_recording(

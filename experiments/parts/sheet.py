@@ -227,15 +227,9 @@ def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Co
         axes.text(0.5, 0.5, "A LiDAR takes no picture.", ha="center", va="center", fontsize=11)
         return
     run, frame = _shown_frame(unit, setting)
+    weather, looking = pick_weather(run.weather, "weather"), (unit.pose, unit.sensor)
     picture = render_picture(
-        setting.scene,
-        run,
-        frame,
-        unit.pose,
-        unit.sensor,
-        weather=pick_weather(run.weather, "weather"),
-        with_vut=True,
-        compute=compute,
+        setting.scene, run, frame, *looking, weather=weather, with_vut=True, compute=compute
     )
     axes.imshow(picture.rgb)
     when = f"{run.id}, {-run.time_s[frame]:.1f} s before the impact"
