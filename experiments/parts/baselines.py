@@ -117,14 +117,9 @@ def compare_placement(
     placement: Placement, candidates: Sequence[CandidatePose], setting: Setting, *, seed: int
 ) -> Proposed:
     """Baselines of as many units as a layout found, within its limits, on its detection table."""
-    problem = placement.problem
-    proposals = propose(
-        problem.limits,
-        candidates,
-        setting.scene,
-        n_units=len(placement.pose_index),
-        rng=np.random.default_rng(seed),
-    )
+    problem, n_units = placement.problem, len(placement.pose_index)
+    rng, scene = np.random.default_rng(seed), setting.scene
+    proposals = propose(problem.limits, candidates, scene, n_units=n_units, rng=rng)
     return _judge(problem, proposals, candidates)
 
 

@@ -174,18 +174,15 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
     def share(mask: BoolArray) -> str:
         return percent(weight_share(is_avoided, axis.weight * mask))
 
+    rows = []
+    for position, at in groups_by(axis, "position"):
+        avoided = f"{int((is_avoided & at).sum())} of {int(at.sum())}"
+        each = [share(at & of_approach) for _, of_approach in approaches]
+        rows.append([position_words(position), share(at), avoided, *each])
     return Table(
         caption=f"Where along the arms {name} avoids how much",
-        columns=["where", "APR", "runs avoided", *(f"from the {name}" for name, _ in approaches)],
-        rows=[
-            [
-                position_words(position),
-                share(at),
-                f"{int((is_avoided & at).sum())} of {int(at.sum())}",
-                *(share(at & of_approach) for _, of_approach in approaches),
-            ]
-            for position, at in groups_by(axis, "position")
-        ],
+        columns=["where", "APR", "runs avoided", *(f"from the {arm}" for arm, _ in approaches)],
+        rows=rows,
         numeric=range(1, 3 + len(approaches)),
     )
 

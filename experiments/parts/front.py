@@ -124,24 +124,15 @@ def table(front: FrontRecord) -> Table:
     optimised += ["cost_eur"] * (front.by == "cost")
     heads = [head if name in optimised else f"{head}*" for name, head in _HEADS.items()]
     before = [0.0, *(point.apr for point in front.points)]
-    return Table(
-        caption=f"The best layout for each {_ALLOWED[front.by]}",
-        columns=["units", heads[0], "gain", *heads[1:], "proof"],
-        rows=[
-            [
-                str(point.units),
-                percent(point.apr),
-                number(100.0 * (point.apr - less), 1),
-                percent(point.apr_one_failed),
-                number(point.smallest_margin_s, 3),
-                number(point.mean_margin_s, 3),
-                f"{point.cost_eur:,.0f}",
-                _proof(point),
-            ]
-            for less, point in zip(before, front.points, strict=False)
-        ],
-        numeric=range(7),
-    )
+    rows = []
+    for less, point in zip(before, front.points, strict=False):
+        gain, left = number(100.0 * (point.apr - less), 1), percent(point.apr_one_failed)
+        times = [number(time_s, 3) for time_s in (point.smallest_margin_s, point.mean_margin_s)]
+        cost, proof = f"{point.cost_eur:,.0f}", _proof(point)
+        rows.append([str(point.units), percent(point.apr), gain, left, *times, cost, proof])
+    columns = ["units", heads[0], "gain", *heads[1:], "proof"]
+    caption = f"The best layout for each {_ALLOWED[front.by]}"
+    return Table(caption=caption, columns=columns, rows=rows, numeric=range(7))
 
 
 def notes(front: FrontRecord) -> list[str]:

@@ -165,12 +165,8 @@ def run_retrofit(
     scene = load_scene(question.scene)
     expect_files(out, progress)
     check_layout(layout, scene)
-    plan = assemble(
-        replace(question, budget=None, budget_cost=None),
-        scene=scene,
-        counts_money=True,
-        compute=compute,
-    )
+    asked = replace(question, budget=None, budget_cost=None)
+    plan = assemble(asked, scene=scene, counts_money=True, compute=compute)
     poses = build_retrofit_poses(layout, build_grid(question), plan.candidates)
     wishes = replace(plan.wishes, existing=tuple(unit.id for unit in layout.units))
     plan = replace(plan, candidates=poses.candidates, wishes=wishes)
@@ -238,15 +234,9 @@ def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
 
 def _at_price(visit_eur: float) -> Labour:
     """Labour at the user's price."""
-    return Labour(
-        people=0.0,
-        wage_eur_per_h=0.0,
-        travel_h=0.0,
-        lift_eur=visit_eur,
-        re_aim_h=0.0,
-        remove_h=0.0,
-        source="--visit-cost",
-    )
+    hours = {"travel_h": 0.0, "re_aim_h": 0.0, "remove_h": 0.0}
+    per_visit = {"people": 0.0, "wage_eur_per_h": 0.0, "lift_eur": visit_eur}
+    return Labour(**per_visit, **hours, source="--visit-cost")
 
 
 def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses) -> ChangeRecord:

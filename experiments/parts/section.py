@@ -129,17 +129,14 @@ def build_picture(
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
+    words = {"title": title, "caption": caption, "alt": alt}
     return Picture(
-        title=title,
-        caption=caption,
-        alt=alt,
+        **words,
         png=base64.b64encode(png).decode(),
         width_px=width_px,
         height_px=height_px,
         width_in=round(float(figure.get_figwidth()), 2),
-        narrow=None
-        if narrow is None
-        else build_picture(narrow, title=title, caption=caption, alt=alt),
+        narrow=None if narrow is None else build_picture(narrow, **words),
     )
 
 

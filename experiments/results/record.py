@@ -209,6 +209,7 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
         )
 
     blind, seeing = ratios(evaluation.rsu_all), ratios(evaluation.vut_and_rsus)
+    is_shared = any(len(units) > 1 for units in units_by_site(evaluation.layout).values())
     return EvaluationRecord(
         vut=ratios(evaluation.vut),
         rsu_all=blind,
@@ -217,11 +218,7 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
         units={name: ratios(verdict) for name, verdict in evaluation.units.items()},
         **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
         apr_without_worst_unit=apr_one_failed(evaluation, rule),
-        apr_without_worst_site=(
-            apr_one_site_failed(evaluation, rule)
-            if any(len(units) > 1 for units in units_by_site(evaluation.layout).values())
-            else None
-        ),
+        apr_without_worst_site=apr_one_site_failed(evaluation, rule) if is_shared else None,
     )
 
 
