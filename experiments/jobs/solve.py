@@ -103,13 +103,9 @@ def run_solve(
         save_instance(out, instance)
         progress.kept = f"{out} was written"
     progress("solve", 0, 0)
+    asked = {"budget_cost": budget_cost, "target": target}
     solution = solve_covering(
-        instance,
-        budget_units=budget_units,
-        budget_cost=budget_cost,
-        target=target,
-        time_limit_s=time_limit_s,
-        gap=gap,
+        instance, budget_units=budget_units, time_limit_s=time_limit_s, gap=gap, **asked
     )
     has_budget = budget_units is not None or budget_cost is not None
     return CoveringResult(

@@ -238,9 +238,8 @@ def describe_hopeless(setting: Setting) -> list[str]:
     hopeless = [run for run in setting.runs if not math.isfinite(run.last_brake_time_s)]
     n_runs = Counter(run.case.name for run in hopeless)
     names = [name for name in runs_by_case(setting) if n_runs[name]]
-    return [
-        f"In {count_runs(n_runs[name])} of {name} no braking avoids the impact." for name in names
-    ]
+    words = "no braking avoids the impact."
+    return [f"In {count_runs(n_runs[name])} of {name} {words}" for name in names]
 
 
 def describe_refusals(setting: Setting) -> list[str]:
@@ -261,10 +260,8 @@ def describe_refusals(setting: Setting) -> list[str]:
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:
     """Indices of the runs of each case, in the order in which the cases first appear."""
-    indices: dict[str, list[int]] = {}
-    for index, run in enumerate(setting.runs):
-        indices.setdefault(run.case.name, []).append(index)
-    return indices
+    masks = groups_by(setting.axis, "case")
+    return {name: np.flatnonzero(mask).tolist() for name, mask in masks}
 
 
 def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
@@ -274,27 +271,18 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
     margins = [margin_s(verdict, axis) for verdict in verdicts]
     has_weathers, has_weights = bool(several_weathers(axis)), is_weighted(axis)
-    rows = [
-        [
-            axis.run_ids[index],
-            *([axis.weathers[index]] if has_weathers else []),
-            *([percent(float(axis.weight[index]))] if has_weights else []),
-            number(axis.last_brake_time_s[index]),
-            *(
-                outcome(run_outcome(verdict, axis, int(index)), float(margin[index]))
-                for verdict, margin in zip(verdicts, margins, strict=True)
-            ),
+    rows = []
+    for index in np.argsort(margins[0], kind="stable").tolist():
+        weather = [axis.weathers[index]] if has_weathers else []
+        weight = [percent(float(axis.weight[index]))] if has_weights else []
+        ends = [
+            outcome(run_outcome(verdict, axis, index), float(margin[index]))
+            for verdict, margin in zip(verdicts, margins, strict=True)
         ]
-        for index in np.argsort(margins[0], kind="stable")
-    ]
-    columns = [
-        "run",
-        *(["weather"] if has_weathers else []),
-        *(["weight"] if has_weights else []),
-        "last moment (s)",
-        *evaluations,
-        "VUT",
-    ]
+        last = number(axis.last_brake_time_s[index])
+        rows.append([axis.run_ids[index], *weather, *weight, last, *ends])
+    own = [*(["weather"] if has_weathers else []), *(["weight"] if has_weights else [])]
+    columns = ["run", *own, "last moment (s)", *evaluations, "VUT"]
     n_hit = int((~subject.headline.is_avoided).sum())
     hits = f", {n_hit} of them hit" if n_hit else ""
     return Table(

@@ -149,10 +149,8 @@ def _failures(result: Result, subject: Evaluation) -> list[str]:
             f"the others {'still avoid every run' if is_all else f'reach at least {percent(apr)}'}"
         )
 
-    of_unit, of_site = (
-        result.evaluation.apr_without_worst_unit,
-        result.evaluation.apr_without_worst_site,
-    )
+    of_unit = result.evaluation.apr_without_worst_unit
+    of_site = result.evaluation.apr_without_worst_site
     failed = []
     if of_unit is not None and len(subject.units) == 1:
         failed.append("If this one unit fails, only the car itself is left")

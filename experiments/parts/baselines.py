@@ -185,10 +185,9 @@ def _random(layouts: RandomLayouts) -> RandomBaseline:
     by_world = layouts.mean_by_world
     in_worlds = None
     if len(by_world) > 1:
-        estimate = estimate_mean(np.clip(by_world, 0.0, 1.0))
-        in_worlds = RandomInWorlds(
-            worlds=len(by_world), mean=estimate.mean, low=estimate.low, high=estimate.high
-        )
+        found = estimate_mean(np.clip(by_world, 0.0, 1.0))
+        ends = {"low": found.low, "high": found.high}
+        in_worlds = RandomInWorlds(worlds=len(by_world), mean=found.mean, **ends)
     return RandomBaseline(
         layouts=len(layouts.apr),
         units=layouts.n_units,

@@ -181,15 +181,11 @@ def difference_matrix(names: Sequence[str], differences: Sequence[Difference]) -
 
 def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
     """The runs themselves: a row for each layout that avoids any that another does not."""
-    return [
-        [ours, theirs, count_runs(len(runs)), ", ".join(runs)]
-        for pair in differences
-        for ours, theirs, runs in (
-            (pair.first, pair.second, pair.only_first),
-            (pair.second, pair.first, pair.only_second),
-        )
-        if runs
-    ]
+    rows = []
+    for pair in differences:
+        rows.append((pair.first, pair.second, pair.only_first))
+        rows.append((pair.second, pair.first, pair.only_second))
+    return [[a, b, count_runs(len(runs)), ", ".join(runs)] for a, b, runs in rows if runs]
 
 
 def significance_table(sampled: SampledRecord) -> Table:

@@ -32,13 +32,8 @@ _DARK_BELOW = 0.34  # from there white and black letters stand out alike
 _SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
 _BORDER_M = 8.0
 _MIN_HALF_SIZE_M = 30.0
-_UNIT_STYLE: Style = {
-    "markersize": 7.0,
-    "markerfacecolor": "#CC0000",
-    "markeredgecolor": "white",
-    "markeredgewidth": 0.6,
-    "linestyle": "none",
-}
+_RED: Style = {"markerfacecolor": "#CC0000", "markeredgecolor": "white", "markeredgewidth": 0.6}
+_UNIT_STYLE: Style = _RED | {"markersize": 7.0, "linestyle": "none"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -305,15 +305,12 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
 
 
 def _move(move: Move) -> MoveRecord:
-    is_same = move.is_same_place
+    names = ("turn_deg", "tilt_deg", "lift_m", "zoom_deg")
     return MoveRecord(
         was=None if move.before is None else move.before.id,
         is_=None if move.after is None else move.after.id,
-        is_same_place=is_same,
-        turn_deg=move.turn_deg if is_same else None,
-        tilt_deg=move.tilt_deg if is_same else None,
-        lift_m=move.lift_m if is_same else None,
-        zoom_deg=move.zoom_deg if is_same else None,
+        is_same_place=move.is_same_place,
+        **{name: getattr(move, name) if move.is_same_place else None for name in names},
     )
 
 

@@ -69,10 +69,8 @@ def build_first_screen(
 def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
     """What the layout prevents, and what cars prevent by themselves."""
     axis = subject.axis
-    share, own, together = (
-        percent(weight_share(mask, axis.weight))
-        for mask in (avoided, subject.vut.is_avoided, subject.vut_and_rsus.is_avoided)
-    )
+    masks = (avoided, subject.vut.is_avoided, subject.vut_and_rsus.is_avoided)
+    share, own, together = (percent(weight_share(mask, axis.weight)) for mask in masks)
     n_poles = len({unit.site_id or unit.id for unit in subject.layout.units})
     units = _spelled(count_sensors(subject.layout))
     mounted = f"{_capital(units)} on {_spelled(several(n_poles, 'pole', 'poles'))}"
@@ -126,10 +124,9 @@ def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
 
 def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
-    if len(subject.units) == 1 and result.cars < 1.0:
-        words = "there is but one: if it fails, only the car itself is left"
-        return Card("If a sensor fails", NOTHING, words)
     words = "are prevented even if the sensor that is needed most is out of order"
+    if len(subject.units) == 1 and result.cars < 1.0:
+        left, words = None, "there is but one: if it fails, only the car itself is left"
     return Card("If a sensor fails", percent(left), words)
 
 
@@ -168,9 +165,8 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
     dangers = result.dangers
     if not dangers.not_avoided:
         return ["Of the collisions that were tried, none is left."]
-    titles = {
-        run.case.name: run.case.title.replace("VUT", "car") or run.case.name for run in setting.runs
-    }
+    cases = {run.case.name: run.case for run in setting.runs}
+    titles = {name: case.title.replace("VUT", "car") or name for name, case in cases.items()}
     worst = [group for group in dangers.by_case[:_MOST_DANGERS] if group.not_avoided]
     found = [f"{_capital(titles.get(one.name, one.name))}: {_left(one)}." for one in worst]
     where = [group for group in dangers.by_position[:2] if group.not_avoided]

@@ -49,29 +49,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
-_HEADS = {
-    "apr": "APR",
-    "apr_one_failed": "one fails",
-    "smallest_margin_s": "least",
-    "mean_margin_s": "mean",
-    "cost_eur": "EUR",
-}
+_HEADS = {"apr": "APR", "apr_one_failed": "one fails", "smallest_margin_s": "least"}
+_HEADS |= {"mean_margin_s": "mean", "cost_eur": "EUR"}
 _ALLOWED = {"units": "number of units", "cost": "sum of money"}
 _SETTLED = "#ececec"
 _LEAST_EUR = "; each EUR is the least that buys this"
 # Told apart by marker and dashes as well as by colour.
+_SOLID: Style = {"color": BLUE, "marker": "o", "linestyle": "-"}
+_DASHED: Style = {"color": VERMILION, "marker": "s", "linestyle": (0, (4, 2))}
 _CURVES: dict[str, Style] = {
-    "apr": {"label": "APR", "color": BLUE, "marker": "o", "linestyle": "-"},
-    "apr_one_failed": {
-        "label": "APR when the most needed unit fails",
-        "color": VERMILION,
-        "marker": "s",
-        "linestyle": (0, (4, 2)),
-    },
+    "apr": {"label": "APR"} | _SOLID,
+    "apr_one_failed": {"label": "APR when the most needed unit fails"} | _DASHED,
 }
 _TIMES: dict[str, Style] = {
-    "smallest_margin_s": {"label": "smallest", "color": BLUE, "marker": "o", "linestyle": "-"},
-    "mean_margin_s": {"label": "mean", "color": VERMILION, "marker": "s", "linestyle": (0, (4, 2))},
+    "smallest_margin_s": {"label": "smallest"} | _SOLID,
+    "mean_margin_s": {"label": "mean"} | _DASHED,
 }
 
 

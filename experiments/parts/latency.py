@@ -96,10 +96,8 @@ def run_latency(
     evaluation = evaluate_layout(layout, setting, compute=compute)
     shown_s = max(chosen.worst_s, _LEAST_SHOWN_S) if max_latency_s is None else max_latency_s
     latencies_s = tuple(STEP_S * step for step in range(int(shown_s / STEP_S + 1.0e-6) + 1))
-    ends_s = (chosen.best_s, chosen.mean_s, chosen.worst_s)
-    found = apr_by_latency(
-        evaluation, setting.rule, [*ends_s, *latencies_s], vut_latency_s=vut_latency_s
-    )
+    asked_s = [chosen.best_s, chosen.mean_s, chosen.worst_s, *latencies_s]
+    found = apr_by_latency(evaluation, setting.rule, asked_s, vut_latency_s=vut_latency_s)
     parties = {
         name: PartyLatency(at_best=best, at_mean=mean, at_worst=worst, apr=tuple(apr))
         for name, (best, mean, worst, *apr) in ((key, apr.tolist()) for key, apr in found.items())
@@ -122,10 +120,8 @@ def run_latency(
 
         by_party = {name: party.apr for name, party in done.parties.items()}
         table = pd.DataFrame({"latency_s": latencies_s, **by_party})
-        return {
-            CSV_NAME: csv_text(table),
-            PNG_NAME: to_png(plot_latency(latencies_s, done.parties, chosen)),
-        }
+        png = to_png(plot_latency(latencies_s, done.parties, chosen))
+        return {CSV_NAME: csv_text(table), PNG_NAME: png}
 
     return save_files(result, out, progress, files)
 

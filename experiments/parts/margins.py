@@ -151,11 +151,6 @@ class MarginSummary:
     worst_late_s: float  # of those not avoided in which braking sets in
     worst_late_m: float
 
-    @property
-    def n_not_avoided(self) -> int:
-        """Runs that are not avoided."""
-        return self.n_runs - self.n_avoided
-
 
 def summarise_margins(
     verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None
@@ -216,14 +211,15 @@ def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 
 
 def _cells(summary: MarginSummary) -> list[str]:
+    n_missed, n_unseen = summary.n_runs - summary.n_avoided, summary.n_never + summary.n_lost
     return [
         str(summary.n_runs),
         number(summary.smallest_s * _MS, 0),
         number(summary.smallest_m, 1),
         number(summary.median_s * _MS, 0),
         number(summary.median_m, 1),
-        str(summary.n_not_avoided),
-        str(summary.n_never + summary.n_lost) if summary.n_not_avoided else NOTHING,
+        str(n_missed),
+        str(n_unseen) if n_missed else NOTHING,
         number(summary.worst_late_s * _MS, 0),
         number(summary.worst_late_m, 1),
     ]

@@ -29,13 +29,8 @@ DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = "shown above", "not avoided", "avoided"
 _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
-_PARTY_NAMES = {
-    "vut": "VUT",
-    "rsu_all": "all RSUs",
-    "vut_and_rsus": "VUT and RSUs",
-    "vam": "VAM",
-    "all_sources": "all sources",
-}
+_PARTY_NAMES = {"vut": "VUT", "rsu_all": "all RSUs", "vut_and_rsus": "VUT and RSUs"}
+_PARTY_NAMES |= {"vam": "VAM", "all_sources": "all sources"}
 _MAX_HALF_M = 120.0  # farther things are never in the player's window
 _LEAST_HALF_M = 30.0
 _TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out

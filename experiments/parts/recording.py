@@ -149,10 +149,7 @@ def _build_result(
     """The units of a recording, or some of them; "seconds" is empty."""
     axis = evaluation.axis
     evaluated = _build_apr(evaluation, rule)
-
-    def share(verdict: Verdict) -> float:
-        return detected_share(verdict, axis)
-
+    shares = _of_parties(lambda verdict: detected_share(verdict, axis), evaluation)
     return RecordedResult(
         name=recording.folder.name,
         recording=str(recording.folder),
@@ -168,7 +165,7 @@ def _build_result(
         gap=None,
         apr_without_worst_unit=evaluated.apr_without_worst_unit,
         evaluation=evaluated,
-        detected_share=DetectedShareRecord(**_of_parties(share, evaluation)),
+        detected_share=DetectedShareRecord(**shares),
         drives=tuple(
             RecordedDriveRecord(
                 run=axis.run_ids[index],

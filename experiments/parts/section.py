@@ -4,7 +4,7 @@ import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -129,7 +129,7 @@ def build_picture(
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
-    words = {"title": title, "caption": caption, "alt": alt}
+    words: dict[str, Any] = {"title": title, "caption": caption, "alt": alt}
     return Picture(
         **words,
         png=base64.b64encode(png).decode(),

@@ -175,27 +175,19 @@ def private_ground_section(
     }
     seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
     shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
-    rows = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
+    told = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
     caption = "Share of each private area that a unit sees"
     if len(shown) < len(units):
         caption += f"; of {len(units)} units the {len(shown)} that matter most"
-    if len(rows) < len(areas):
-        caption += f"; of {len(areas)} areas the {len(rows)} that matter most"
+    if len(told) < len(areas):
+        caption += f"; of {len(areas)} areas the {len(told)} that matter most"
     heads = ["area", "size (m\N{SUPERSCRIPT TWO})", "most, by one unit"]
-    table = Table(
-        caption=caption,
-        columns=[*heads, *(labels.get(unit_id, unit_id) for unit_id in shown)],
-        rows=[
-            [
-                area.name,
-                f"{area.area_m2:.0f}",
-                percent(most_seen[area.name]),
-                *(percent(units[unit_id][area.name]) for unit_id in shown),
-            ]
-            for area in rows
-        ],
-        numeric=range(1, 3 + len(shown)),
-    )
+    columns = [*heads, *(labels.get(unit_id, unit_id) for unit_id in shown)]
+    rows = []
+    for area in told:
+        shares = (most_seen[area.name], *(units[unit_id][area.name] for unit_id in shown))
+        rows.append([area.name, f"{area.area_m2:.0f}", *map(percent, shares)])
+    table = Table(caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown)))
     note = (
         "Seen is what lies in a camera's picture with nothing in between, at the height of "
         "people's eyes. LiDARs take no pictures."
