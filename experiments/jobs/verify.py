@@ -58,7 +58,6 @@ from ..results.tables import ALL, plain_cell
 if TYPE_CHECKING:
     import pandas as pd
 
-_ONE_FAILED = Objective.APR_ONE_FAILED
 _TOLERANCE = 1.0e-9
 _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
@@ -351,7 +350,9 @@ def _check_summary(
     for failing in get_args(Failing):
         key, limits = f"apr_without_worst_{failing}", replace(problem.limits, failing=failing)
         if "apr" in values and summary.get(key) is not None:
-            (left,) = stage_values(replace(problem, limits=limits), _ONE_FAILED, chosen)
+            (left,) = stage_values(
+                replace(problem, limits=limits), Objective.APR_ONE_FAILED, chosen
+            )
             expected[key] = float(left)
     # What a summary tells of units beyond the layout file, such as where they are in words.
     keys = [set(unit) for unit in stored.units]
