@@ -21,7 +21,6 @@ ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 
 PALETTE = (BLUE, VERMILION, GREEN, ORANGE, PINK, SKY)
 UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
-
 WIDTH_IN = 6.8
 NARROW_IN = 4.0
 """Width of figures whose letters can be read on a phone without moving the figure."""

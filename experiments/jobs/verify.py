@@ -348,11 +348,10 @@ def _check_summary(
             expected[key] = getattr(values[stage], what)
     chosen = np.array([stored.pose_index])
     for failing in get_args(Failing):
-        key, limits = f"apr_without_worst_{failing}", replace(problem.limits, failing=failing)
+        key = f"apr_without_worst_{failing}"
+        asked = replace(problem, limits=replace(problem.limits, failing=failing))
         if "apr" in values and summary.get(key) is not None:
-            (left,) = stage_values(
-                replace(problem, limits=limits), Objective.APR_ONE_FAILED, chosen
-            )
+            (left,) = stage_values(asked, Objective.APR_ONE_FAILED, chosen)
             expected[key] = float(left)
     # What a summary tells of units beyond the layout file, such as where they are in words.
     keys = [set(unit) for unit in stored.units]
