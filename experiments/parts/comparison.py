@@ -153,7 +153,7 @@ def side_by_side_table(
     columns = [
         *("layout", "units", "cost of the units (EUR)", "APR", "runs avoided"),
         *("APR if the most needed unit fails", "smallest time to spare (s)"),
-        *("mean speed at contact (km/h)",),
+        "mean speed at contact (km/h)",
         *([] if levels is None else [f"score ({levels.score})"]),
     ]
     return Table(
