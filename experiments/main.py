@@ -33,8 +33,6 @@ from .scene.command import scene
 if TYPE_CHECKING:
     from placement.question import Question
 
-    from .scene.run import SceneResult
-
 _EXIT_BAD_INPUT = 2
 _EXIT_UNEXPECTED = 70  # EX_SOFTWARE of BSD's sysexits.h
 _SHELLS = ("bash", "zsh", "fish")
@@ -59,32 +57,14 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 
 for _command in (
-    *(
-        certify,
-        city,
-        compare,
-        completion,
-        dataset,
-        detector,
-        doctor,
-        evaluate,
-        export,
-        latency,
-        pareto,
-        plan,
-        render,
-        retrofit,
-    ),
-    *(scenarios, scene, sheet, solve, verify),
+    *(certify, city, compare, completion, dataset, detector, doctor, evaluate, export, latency),
+    *(pareto, plan, render, retrofit, scenarios, scene, sheet, solve, verify),
 ):
     cli.add_command(_command)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line; every problem that the user can mend is one line and exit code 2.
-
-    What nobody foresaw is one line, too, with exit code 70: it names a file with the whole text.
-    """
+    """Run the command line: what users can mend is a line and exit code 2, all else code 70."""
     os.environ["MPLBACKEND"] = "agg"  # no window is opened, whatever a user prefers elsewhere
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = Session(_import_map)
@@ -106,10 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         if progress.signum:  # libraries make errors of their own of what ends their loading
             code, message = 128 + progress.signum, progress.interruption()
         elif _is_out_of_memory(error):
-            message = (
-                f"place-rsus: memory: got too little in stage '{progress.stage}'; "
-                f"{progress.kept}; expected more of it, or less to compute"
-            )
+            got = f"got too little in stage '{progress.stage}'; {progress.kept}"
+            message = f"place-rsus: memory: {got}; expected more of it, or less to compute"
             code = _EXIT_BAD_INPUT
         else:
             code, message = _EXIT_UNEXPECTED, _unexpected(error, progress)
@@ -125,21 +103,15 @@ def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
     from .scene.run import import_into_cache
 
     folder, found = import_into_cache(question, **options)
-    return folder, _imported_text(found, folder)
-
-
-def _imported_text(summary: "SceneResult", folder: str) -> str:
-    """Arms, sites and buildings that were imported, and where the scene lies."""
-    (junction,) = summary.junctions
-    side = "left" if summary.keeps_left else "right"
-    buildings = several(summary.buildings, "building", "buildings")
-    return "\n".join(
-        sentences(
-            f"Imported {junction.name}: {several(junction.arms, 'arm', 'arms')}, "
-            f"{several(summary.sites, 'site', 'sites')}, {buildings}; traffic "
-            f"keeps {side}. The scene is in {folder}."
-        )
+    (junction,) = found.junctions
+    arms, sites = several(junction.arms, "arm", "arms"), several(found.sites, "site", "sites")
+    buildings = several(found.buildings, "building", "buildings")
+    side = "left" if found.keeps_left else "right"
+    text = (
+        f"Imported {junction.name}: {arms}, {sites}, {buildings}; traffic keeps {side}. The scene "
+        f"is in {folder}."
     )
+    return folder, "\n".join(sentences(text))
 
 
 def _unexpected(error: Exception, progress: StageProgress) -> str:
@@ -170,10 +142,8 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
 
 def _is_out_of_memory(error: Exception) -> bool:
     """Memory or address space ran out, also while a library was loaded."""
-    text = str(error).lower()
-    is_unloaded = isinstance(error, ImportError) and (
-        "failed to map segment" in text or "cannot allocate memory" in text
-    )
+    said = ("failed to map segment", "cannot allocate memory")
+    is_unloaded = isinstance(error, ImportError) and any(one in str(error).lower() for one in said)
     return isinstance(error, MemoryError) or is_unloaded
 
 

@@ -73,8 +73,7 @@ class Interrupted(BaseException):
 class StageProgress:
     """Shows which stage runs and how far it is, and keeps the time of each.
 
-    A bar on a terminal; elsewhere a line per stage, and in long ones one each half minute; nothing
-    before :meth:`start` or with ``quiet``.
+    A bar on a terminal; elsewhere a line per stage; nothing before :meth:`start` or with ``quiet``.
     """
 
     def __init__(self) -> None:
@@ -123,25 +122,13 @@ class StageProgress:
         if not sys.stderr.isatty():
             self._prints_lines = True
             return
+        from rich import progress as bars
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            SpinnerColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
 
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("[dim]left"),
-            TimeRemainingColumn(),
+        self._bar = bars.Progress(
+            *(bars.SpinnerColumn(), bars.TextColumn("{task.description}", markup=False)),
+            *(bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeElapsedColumn()),
+            *(bars.TextColumn("[dim]left"), bars.TimeRemainingColumn()),
             console=Console(stderr=True),
             transient=True,
             # What others print must stay where it belongs: stdout is not rich's to move.
@@ -162,10 +149,8 @@ class StageProgress:
     def finish(self) -> dict[str, float]:
         """End the last stage; seconds of every stage and of all together."""
         self._end_stage()
-        total_s = sum(self.seconds.values())
-        return {
-            name: round(value, 3) for name, value in (*self.seconds.items(), ("total", total_s))
-        }
+        seconds = self.seconds | {"total": sum(self.seconds.values())}
+        return {name: round(value, 3) for name, value in seconds.items()}
 
     def interruption(self) -> str:
         """What to say when the program ends before its time."""

@@ -20,6 +20,7 @@ from .progress import follow_parent
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 _NO_WARNING = "ignore:resource_tracker:UserWarning"
+_received: dict[int, object] = {}  # in the second process
 
 
 class Task(Generic[_T]):
@@ -95,9 +96,6 @@ class _Shared:
     key: int
 
 
-_received: dict[int, object] = {}  # in the second process
-
-
 def _receive(key: int, value: object) -> None:
     _received[key] = value
 
@@ -121,10 +119,7 @@ def _get_ready(modules: Sequence[str], prepare: str) -> None:
 def side_process(
     is_wanted: bool, *, modules: Sequence[str] = (), prepare: str = ""
 ) -> Iterator[SideProcess]:
-    """A second process, which ends with the block, or none where none is wanted.
-
-    While there is nothing to make, it loads `modules` and calls `prepare`, as "module:function".
-    """
+    """A second process for the block, if wanted; idle, it loads modules and calls "module:f"."""
     if not is_wanted:
         yield SideProcess()
         return

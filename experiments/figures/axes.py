@@ -19,6 +19,8 @@ from scenarios.runs import FrameAxis
 BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
 ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
 
+PALETTE = (BLUE, VERMILION, GREEN, ORANGE, PINK, SKY)
+UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
 WIDTH_IN = 6.8
 NARROW_IN = 4.0
 """Width of figures whose letters can be read on a phone without moving the figure."""
@@ -31,11 +33,7 @@ _MAX_LABEL_LENGTH = 8
 
 
 def new_figure(width_in: float, height_in: float, *, dpi: float | None = None) -> Figure:
-    """An empty figure, drawn by Agg; sizes in inches.
-
-    By default a narrow figure has as many pixels as one of the usual width: fine enough for a
-    phone's screen.
-    """
+    """An empty figure, drawn by Agg, in inches; a narrow one has as many pixels as a usual one."""
     if dpi is None:
         dpi = WIDTH_IN * _DPI / width_in if width_in == NARROW_IN else _DPI
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
@@ -123,10 +121,7 @@ def literal(name: str) -> str:
 
 
 def unit_labels(layout: Layout) -> dict[str, str]:
-    """Short labels of a layout's units, by id and in its order.
-
-    They are the ids if all are short; else "#1", "#2" and so on.
-    """
+    """Short labels of a layout's units by id: the ids if all are short, else "#1", "#2" .."""
     ids = [unit.id for unit in layout.units]
     if all(len(unit_id) <= _MAX_LABEL_LENGTH for unit_id in ids):
         return {unit_id: unit_id for unit_id in ids}

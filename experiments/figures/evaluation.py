@@ -10,11 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from geometry.arrays import BoolArray
-from placement.evaluation import (
-    Evaluation,
-    Verdict,
-    run_outcome,
-)
+from placement.evaluation import Evaluation, Verdict, run_outcome
 
 from .axes import (
     BLUE,
@@ -29,6 +25,12 @@ from .axes import (
 
 MAX_HEATMAP_UNITS = 24
 """Rows of a heatmap that units have: of more, those that confirm first."""
+_TIME_LABEL = "time before the impact without braking (s)"
+_RED = "#CC0000"
+_LAST_MOMENT: Style = {"color": _RED, "linestyle": (0, (3.0, 1.5)), "linewidth": 1.8}
+_DIAMOND: Style = {"marker": "D", "markersize": 5.0, "linestyle": "none"}
+_CONFIRMATION: Style = _DIAMOND | {"markerfacecolor": "white", "markeredgecolor": "black"}
+_DETECTED, _MISSED = BLUE, "#e6e6e6"
 
 
 def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list[str]:
@@ -37,25 +39,16 @@ def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list
     All, in the layout's order; or, of more than ``MAX_HEATMAP_UNITS``, so many: those that confirm
     first in any of the runs, and then those that detect in the most frames.
     """
-    units = evaluation.units
+    units, axis = evaluation.units, evaluation.axis
     if len(units) <= MAX_HEATMAP_UNITS:
         return list(units)
 
     def rank(unit_id: str) -> tuple[float, int]:
         verdict = units[unit_id]
-        frames = [verdict.detected[evaluation.axis.frames_of(index)] for index in run_indices]
-        return (
-            float(min(verdict.confirmation_time_s[index] for index in run_indices)),
-            -sum(int(detected.sum()) for detected in frames),
-        )
+        n_detected = sum(int(verdict.detected[axis.frames_of(run)].sum()) for run in run_indices)
+        return float(min(verdict.confirmation_time_s[run] for run in run_indices)), -n_detected
 
     return sorted(units, key=rank)[:MAX_HEATMAP_UNITS]
-
-
-_TIME_LABEL = "time before the impact without braking (s)"
-_RED = "#CC0000"
-_DETECTED, _MISSED = BLUE, "#e6e6e6"
-_DASHES = (0, (3.0, 1.5))
 
 
 def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = None) -> Axes:
@@ -80,27 +73,16 @@ def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Ax
     for axes, run_index in zip(panels, run_indices, strict=True):
         _draw_heatmap(axes, evaluation, rows, run_index)
     panels[-1].set_xlabel(_TIME_LABEL, fontsize=9)
-    figure.legend(
-        handles=_heatmap_legend(),
-        loc="outside lower center",
-        ncols=4,
-        fontsize=8,
-        frameon=False,
-    )
+    below: Style = {"loc": "outside lower center", "ncols": 4, "frameon": False}
+    figure.legend(handles=_legend(), fontsize=8, **below)
     return list(panels)
 
 
 def heatmap_rows(evaluation: Evaluation, run_indices: Sequence[int]) -> dict[str, Verdict]:
     """Who has a row in a heatmap of runs, by what it is called."""
-    labels = unit_labels(evaluation.layout)
-    return {
-        "VUT": evaluation.vut,
-        **{
-            labels[unit_id]: evaluation.units[unit_id]
-            for unit_id in units_in_heatmap(evaluation, run_indices)
-        },
-        "all RSUs": evaluation.rsu_all,
-    }
+    labels, shown = unit_labels(evaluation.layout), units_in_heatmap(evaluation, run_indices)
+    rows = {"VUT": evaluation.vut, **{labels[one]: evaluation.units[one] for one in shown}}
+    return rows | {"all RSUs": evaluation.rsu_all}
 
 
 def _draw_heatmap(
@@ -109,7 +91,7 @@ def _draw_heatmap(
     axis = evaluation.axis
     frames = axis.frames_of(run_index)
     times = axis.time_s[frames]
-    step = float(times[1] - times[0]) if len(times) > 1 else 0.1
+    half = 0.5 * (float(times[1] - times[0]) if len(times) > 1 else 0.1)
     detected: BoolArray = np.array([verdict.detected[frames] for verdict in rows.values()])
     axes.imshow(
         detected.astype(np.uint8),
@@ -118,34 +100,30 @@ def _draw_heatmap(
         vmax=1,
         aspect="auto",
         interpolation="nearest",
-        extent=(times[0] - 0.5 * step, times[-1] + 0.5 * step, len(rows) - 0.5, -0.5),
+        extent=(times[0] - half, times[-1] + half, len(rows) - 0.5, -0.5),
     )
-    axes.hlines(
-        np.arange(len(rows) - 1) + 0.5, *axes.get_xlim(), colors="white", linewidth=2.0, zorder=2
-    )
+    between = np.arange(len(rows) - 1) + 0.5
+    axes.hlines(between, *axes.get_xlim(), colors="white", linewidth=2.0, zorder=2)
     axes.set_yticks(range(len(rows)), [literal(row) for row in rows], fontsize=8)
     n_units, n_shown = len(evaluation.units), len(rows) - 2
     if n_shown < n_units:
         axes.set_ylabel(f"{n_shown} of {n_units} units: those that confirm first", fontsize=8)
     axes.tick_params(axis="both", length=0, labelsize=8)
     axes.spines[:].set_visible(False)
-    confirmations = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]
-    axes.plot(confirmations, range(len(rows)), zorder=5, clip_on=False, **_CONFIRMATION_STYLE)
+    confirmed = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]
+    axes.plot(confirmed, range(len(rows)), zorder=5, clip_on=False, **_CONFIRMATION)
+    ends = [run_outcome(verdict, axis, run_index) for verdict in rows.values()]
     outcomes = axes.secondary_yaxis("right")
-    outcomes.set_yticks(
-        range(len(rows)),
-        [run_outcome(verdict, axis, run_index) for verdict in rows.values()],
-        fontsize=8,
-    )
+    outcomes.set_yticks(range(len(rows)), ends, fontsize=8)
     outcomes.tick_params(axis="y", length=0)
     outcomes.spines[:].set_visible(False)
-    _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]), len(rows))
+    _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]))
     avoided = "avoided" if evaluation.rsu_all.is_avoided[run_index] else "not avoided"
-    title = f"{describe_run(axis, run_index)}: {avoided} by all RSUs together"
-    axes.set_title(literal(title), fontsize=9, fontweight="bold", loc="left", pad=18.0)
+    title = literal(f"{describe_run(axis, run_index)}: {avoided} by all RSUs together")
+    axes.set_title(title, fontsize=9, fontweight="bold", loc="left", pad=18.0)
 
 
-def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
+def _draw_last_moment(axes: Axes, last_brake_s: float) -> None:
     first_s, last_s = axes.get_xlim()
     if last_brake_s < first_s:
         words = "no braking in this run comes early enough"
@@ -154,9 +132,7 @@ def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
         return
     # White below the gaps between the dashes: it stands out from dark cells without colour, too.
     axes.axvline(last_brake_s, color="white", linewidth=3.2, zorder=4)
-    axes.axvline(
-        last_brake_s, color=_RED, linestyle=_DASHES, linewidth=1.8, zorder=4, gid="last brake time"
-    )
+    axes.axvline(last_brake_s, zorder=4, gid="last brake time", **_LAST_MOMENT)
     is_right = last_brake_s > 0.5 * (first_s + last_s)
     words = f"last moment to brake: {last_brake_s:.2f} s".replace("-", "\N{MINUS SIGN}")
     away, ha = (-4.0, "right") if is_right else (4.0, "left")
@@ -164,19 +140,10 @@ def _draw_last_moment(axes: Axes, last_brake_s: float, n_rows: int) -> None:
     write_beside(axes, words, (last_brake_s, -0.5), **style)
 
 
-_CONFIRMATION_STYLE: Style = {
-    "marker": "D",
-    "markersize": 5.0,
-    "markerfacecolor": "white",
-    "markeredgecolor": "black",
-    "linestyle": "none",
-}
-
-
-def _heatmap_legend() -> list[Any]:
+def _legend() -> list[Any]:
     return [
         Patch(facecolor=_DETECTED, label="detected"),
         Patch(facecolor=_MISSED, label="not detected"),
-        Line2D([], [], label="confirmed", **_CONFIRMATION_STYLE),
-        Line2D([], [], color=_RED, linestyle=_DASHES, linewidth=1.8, label="last moment"),
+        Line2D([], [], label="confirmed", **_CONFIRMATION),
+        Line2D([], [], label="last moment", **_LAST_MOMENT),
     ]

@@ -1,6 +1,5 @@
 """A run from above: film strip or animation, with what the VUT has in sight of the VRU."""
 
-from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
@@ -28,17 +28,7 @@ from placement.visibility.casting import build_static_mesh
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from .axes import (
-    BLUE,
-    SKY,
-    VERMILION,
-    Style,
-    drawing_any_name,
-    literal,
-    new_figure,
-    root_figure,
-    show_square,
-)
+from .axes import BLUE, SKY, VERMILION, Style, drawing_any_name, literal, new_figure, show_square
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
@@ -53,13 +43,18 @@ _LOOKS_UP = np.linspace(0.08, 0.97, 10)  # parts of the VRU that are looked for,
 _LOOKS_ASIDE = (-0.35, 0.0, 0.35)  # of its width and length
 _END_M = 0.02
 _FAR_M = 500.0
+_VUT: Style = {"facecolor": BLUE, "edgecolor": "black"}
+_VRU: Style = {"facecolor": VERMILION, "edgecolor": "black", "hatch": "xxxx"}
+_BAR: Style = {"marker": "|", "markersize": 11.0, "markeredgewidth": 2.4}
+_BRAKE_STYLE: Style = _BAR | {"color": "#CC0000", "linestyle": "none"}
+_FREE_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": "-"}
+_BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1, 2))}
 
 
 def plot_film(scene: Scene, run: Run) -> list[Axes]:
-    """Film strip of a run in which nobody brakes: six plan views from its begin to the impact.
+    """Film strip of a run in which nobody brakes: six plan views, in metres, north up.
 
-    In metres, north up. The fourth shows the last frame in which braking still helps, the last one
-    the impact.
+    The fourth shows the last frame in which braking still helps, the last one the impact.
     """
     figure = new_figure(_COLUMNS * _PANEL_IN, _ROWS * (_PANEL_IN + 0.3) + 1.0, dpi=_DPI)
     figure.suptitle(_title(run), fontsize=11)
@@ -68,9 +63,7 @@ def plot_film(scene: Scene, run: Run) -> list[Axes]:
     panels = [figure.add_subplot(_ROWS, _COLUMNS, number + 1) for number in range(len(instants))]
     for axes, frame in zip(panels, instants, strict=True):
         stage.draw(axes, frame)
-    figure.legend(
-        handles=_legend(run), loc="outside lower center", ncols=4, fontsize=8, frameon=False
-    )
+    _draw_legend(figure, run, ncols=4, fontsize=8)
     return panels
 
 
@@ -87,13 +80,13 @@ def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent
         buffer = BytesIO()
         metadata = {"Software": None} if suffix == ".png" else {}
         with drawing_any_name():
-            figure = root_figure(plot_film(scene, run)[0])
+            figure = plot_film(scene, run)[0].get_figure(root=True)
+            assert figure is not None  # it was made for these axes
             figure.savefig(buffer, format=suffix[1:], metadata=metadata)
         data = buffer.getvalue()
     else:
-        raise InputError(
-            "--out", str(path), "a name that ends in " + ", ".join((*STILLS, ANIMATION))
-        )
+        expected = ", ".join((*STILLS, ANIMATION))
+        raise InputError("--out", str(path), f"a name that ends in {expected}")
     write_atomically(path, data)
 
 
@@ -101,9 +94,7 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
     frames = [frame for frame in range(len(run.time_s)) if run.time_s[frame] >= _first_s(run)]
     figure = new_figure(5.6, 6.6, dpi=100)
     figure.suptitle(_title(run), fontsize=9)
-    figure.legend(
-        handles=_legend(run), loc="outside lower center", ncols=2, fontsize=7, frameon=False
-    )
+    _draw_legend(figure, run, ncols=2, fontsize=7)
     axes = figure.add_subplot()
     stage = _Stage(scene, run, frames)
 
@@ -116,11 +107,8 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
     with TemporaryDirectory() as folder, drawing_any_name():  # the library writes to names only
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
-        animation.save(
-            name,
-            writer=PillowWriter(fps=rate_hz),
-            progress_callback=lambda done, total: progress("draw", done, total),
-        )
+        tell = partial(progress, "draw")
+        animation.save(name, writer=PillowWriter(fps=rate_hz), progress_callback=tell)
         return read_bytes(name)
 
 
@@ -152,163 +140,101 @@ def _instants(run: Run) -> list[int]:
     return [*before.tolist(), after, final]
 
 
-class _Sightlines:
-    """Lines from the VUT's camera to points of the VRU, and what stands in between."""
-
-    def __init__(self, scene: Scene, run: Run) -> None:
-        self.run = run
-        self.origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-        vertices, triangles = build_static_mesh(scene, run.obstruction, self.origin)
-        self.caster: RayCaster = build_caster(vertices, triangles, library="embree")
-        self.vut_camera = load_vut_camera()
-        self.lens = self.vut_camera.pose_on(run.encounter.vut).position_m
-
-    def eye(self, frame: int) -> FloatArray:
-        pose = _pose(self.run, self.run.vut_position_m[frame], self.run.vut_yaw_deg[frame])
-        (eye,) = to_world(self.lens[None], pose)
-        return np.asarray(eye)
-
-    def free(self, frame: int) -> BoolArray:
-        """Mask of the points that are in the image with a free line to them."""
-        vru = self.run.encounter.vru
-        points = np.array(
-            [
-                [aside * vru.length_m, across * vru.width_m, up * vru.height_m]
-                for up in _LOOKS_UP
-                for aside in _LOOKS_ASIDE
-                for across in _LOOKS_ASIDE
-            ]
-        )
-        pose = _pose(self.run, self.run.vru_position_m[frame], self.run.vru_yaw_deg[frame])
-        targets = to_world(points, pose) - self.origin
-        eye = self.eye(frame) - self.origin
-        vectors = targets - eye
-        length = np.linalg.norm(vectors, axis=1, keepdims=True)
-        vectors *= 1.0 - _END_M / length
-        origins = np.repeat(eye[None], len(vectors), axis=0).astype(np.float32)
-        is_free = ~self.caster.is_blocked(origins, vectors.astype(np.float32))
-        return is_free & self._is_in_image(vectors, float(self.run.vut_yaw_deg[frame]))
-
-    def _is_in_image(self, vectors_m: FloatArray, vut_yaw_deg: float) -> BoolArray:
-        """Mask of the points that lie inside the image of the level camera."""
-        camera = self.vut_camera.camera
-        ahead, left, up = (vectors_m @ body_rotation(vut_yaw_deg)).T
-        is_inside: BoolArray = ahead > 0.0
-        is_inside &= np.abs(left) * camera.focal_length_px <= 0.5 * camera.width_px * ahead
-        is_inside &= np.abs(up) * camera.focal_length_px <= 0.5 * camera.height_px * ahead
-        return is_inside
-
-
-@dataclass(frozen=True, slots=True)
-class _Window:
-    """A square part of the plan."""
-
-    middle_m: FloatArray
-    half_size_m: float
-
-
 class _Stage:
     """Draws one instant of a run after the other, all in the same window."""
 
     def __init__(self, scene: Scene, run: Run, frames: list[int]) -> None:
         self.scene, self.run = scene, run
-        self.sightlines = _Sightlines(scene, run)
-        self.window = _window(run, frames)
-        last_s = run.last_brake_time_s
-        motion = run.encounter.vut_motion
+        self.middle_m, self.half_size_m = _window(run, frames)
+        last_s, motion = run.last_brake_time_s, run.encounter.vut_motion
         self.brake_m = motion.path.at(motion.distance_m(last_s))[0] if np.isfinite(last_s) else None
+        self.origin = np.append(scene.outline_m.mean(axis=0), 0.0)
+        vertices, triangles = build_static_mesh(scene, run.obstruction, self.origin)
+        self.caster: RayCaster = build_caster(vertices, triangles, library="embree")
+        vut_camera = load_vut_camera()
+        self.camera = vut_camera.camera
+        self.lens = vut_camera.pose_on(run.encounter.vut).position_m
 
     def draw(self, axes: Axes, frame: int) -> None:
         """Everything at one instant."""
-        run, window = self.run, self.window
+        run = self.run
         draw_scene(axes, self.scene)
         draw_parked(axes, run.obstruction)
-        for positions, style in ((run.vut_position_m, "-"), (run.vru_position_m, (0, (3, 1.5)))):
-            axes.plot(*positions.T, color="#777777", linewidth=0.8, linestyle=style, zorder=3)
-            axes.plot(
-                *positions[: frame + 1].T, color="black", linewidth=1.8, linestyle=style, zorder=3.1
-            )
+        for positions, dashes in ((run.vut_position_m, "-"), (run.vru_position_m, (0, (3, 1.5)))):
+            way: Style = {"linestyle": dashes}
+            axes.plot(*positions.T, color="#777777", linewidth=0.8, zorder=3, **way)
+            axes.plot(*positions[: frame + 1].T, color="black", linewidth=1.8, zorder=3.1, **way)
         if self.brake_m is not None:
             axes.plot(*self.brake_m, zorder=6.8, **_BRAKE_STYLE)
         share = self._draw_sight(axes, frame)
-        _draw_body(
-            axes, run.encounter.vut, run.vut_position_m[frame], run.vut_yaw_deg[frame], BLUE, ""
-        )
-        _draw_body(
-            axes,
-            run.encounter.vru,
-            run.vru_position_m[frame],
-            run.vru_yaw_deg[frame],
-            VERMILION,
-            "xxxx",
-        )
-        show_square(axes, window.middle_m, window.half_size_m)
+        vut, vru = run.encounter.vut, run.encounter.vru
+        _draw_body(axes, vut, run.vut_position_m[frame], run.vut_yaw_deg[frame], **_VUT)
+        _draw_body(axes, vru, run.vru_position_m[frame], run.vru_yaw_deg[frame], **_VRU)
+        show_square(axes, self.middle_m, self.half_size_m)
         axes.tick_params(labelsize=7)
-        axes.set_title(self._caption(frame, share), fontsize=9)
+        time_s = run.time_s[frame]
+        when = f"{time_s:.1f} s".replace("-", "\N{MINUS SIGN}") if time_s < 0.0 else "impact"
+        seen = f"{100.0 * share:.0f} % of the VRU in the VUT's sight"
+        axes.set_title(f"{when}: {seen}", fontsize=9)
         self._point_at_vut(axes, frame)
 
-    def _caption(self, frame: int, share: float) -> str:
-        time_s = self.run.time_s[frame]
-        when = f"{time_s:.1f} s".replace("-", "\N{MINUS SIGN}") if time_s < 0.0 else "impact"
-        return f"{when}: {100.0 * share:.0f} % of the VRU in the VUT's sight"
-
     def _draw_sight(self, axes: Axes, frame: int) -> float:
-        free = self.sightlines.free(frame)
-        eye = self.sightlines.eye(frame)[:2]
-        target = self.run.vru_position_m[frame]
-        camera = self.sightlines.vut_camera.camera
-        yaw = np.radians(self.run.vut_yaw_deg[frame])
-        half = np.radians(0.5 * camera.horizontal_fov_deg)
-        edges = eye + _FAR_M * np.array(
-            [[np.cos(yaw + side), np.sin(yaw + side)] for side in (half, -half)]
-        )
-        axes.add_patch(Polygon([eye, *edges], facecolor=SKY, alpha=0.18, zorder=2.4))
-        is_free = bool(free.any())
-        axes.plot(
-            *np.stack([eye, target]).T,
-            zorder=6.9,
-            **(_FREE_STYLE if is_free else _BLOCKED_STYLE),
-        )
+        """Draw what the VUT looks at; returns the share of the VRU that it has in sight."""
+        run, yaw_deg = self.run, float(self.run.vut_yaw_deg[frame])
+        pose = _pose(run, run.vut_position_m[frame], yaw_deg)
+        (eye,) = np.asarray(to_world(self.lens[None], pose))
+        free = self._in_sight(eye, frame)
+        half_deg = 0.5 * self.camera.horizontal_fov_deg
+        sides = np.radians([yaw_deg + half_deg, yaw_deg - half_deg])
+        edges = eye[:2] + _FAR_M * np.stack([np.cos(sides), np.sin(sides)], axis=1)
+        axes.add_patch(Polygon([eye[:2], *edges], facecolor=SKY, alpha=0.18, zorder=2.4))
+        style = _FREE_STYLE if free.any() else _BLOCKED_STYLE
+        axes.plot(*np.stack([eye[:2], run.vru_position_m[frame]]).T, zorder=6.9, **style)
         return float(free.mean())
+
+    def _in_sight(self, eye: FloatArray, frame: int) -> BoolArray:
+        """Mask of points of the VRU that are in the level image, with a free line to them."""
+        run, vru, camera = self.run, self.run.encounter.vru, self.camera
+        size_m = (vru.length_m, vru.width_m, vru.height_m)
+        looks = np.stack(np.meshgrid(_LOOKS_UP, _LOOKS_ASIDE, _LOOKS_ASIDE, indexing="ij"), axis=-1)
+        points = looks.reshape(-1, 3)[:, [1, 2, 0]] * size_m
+        pose = _pose(run, run.vru_position_m[frame], run.vru_yaw_deg[frame])
+        vectors = to_world(points, pose) - eye
+        vectors *= 1.0 - _END_M / np.linalg.norm(vectors, axis=1, keepdims=True)
+        origins = np.repeat((eye - self.origin)[None], len(vectors), axis=0)
+        is_free = ~self.caster.is_blocked(origins.astype(np.float32), vectors.astype(np.float32))
+        ahead, left, up = (vectors @ body_rotation(float(run.vut_yaw_deg[frame]))).T
+        is_free &= ahead > 0.0
+        is_free &= np.abs(left) * camera.focal_length_px <= 0.5 * camera.width_px * ahead
+        is_free &= np.abs(up) * camera.focal_length_px <= 0.5 * camera.height_px * ahead
+        return is_free
 
     def _point_at_vut(self, axes: Axes, frame: int) -> None:
         """An arrow at the edge where the VUT is outside of the window."""
-        offset = self.run.vut_position_m[frame] - self.window.middle_m
-        reach = np.abs(offset).max() / self.window.half_size_m
+        vut_m = self.run.vut_position_m[frame]
+        offset = vut_m - self.middle_m
+        reach = np.abs(offset).max() / self.half_size_m
         if reach <= 1.0:
             return
-        edge = self.window.middle_m + 0.97 * offset / reach
-        inside = self.window.middle_m + 0.80 * offset / reach
-        distance_m = np.hypot(*(self.run.vut_position_m[frame] - self.run.vru_position_m[frame]))
-        axes.annotate(
-            f"VUT, {distance_m:.0f} m",
-            xy=tuple(edge),
-            xytext=tuple(inside),
-            ha="center",
-            va="center",
-            fontsize=8,
-            arrowprops={"arrowstyle": "-|>", "facecolor": "black"},
-            zorder=9,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
-        )
+        east_m, north_m = self.middle_m + 0.97 * offset / reach
+        inside = self.middle_m + 0.80 * offset / reach
+        distance_m = np.hypot(*(vut_m - self.run.vru_position_m[frame]))
+        style: Style = {"ha": "center", "va": "center", "fontsize": 8, "zorder": 9}
+        style["bbox"] = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+        style["arrowprops"] = {"arrowstyle": "-|>", "facecolor": "black"}
+        words = f"VUT, {distance_m:.0f} m"
+        axes.annotate(words, xy=(east_m, north_m), xytext=tuple(inside), **style)
 
 
 def _draw_body(
-    axes: Axes, actor: Actor, position_m: FloatArray, yaw_deg: float, colour: str, hatch: str
+    axes: Axes, actor: Actor, position_m: FloatArray, yaw_deg: float, **colours: Any
 ) -> None:
     corners = footprint_corners(position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m)
-    axes.add_patch(
-        Polygon(
-            corners, facecolor=colour, edgecolor="black", linewidth=0.9, hatch=hatch, zorder=7.5
-        )
-    )
+    axes.add_patch(Polygon(corners, linewidth=0.9, zorder=7.5, **colours))
     # A white wedge from the middle of the flanks to the nose says where it is heading.
     front_left, rear_left, rear_right, front_right = corners
-    wedge = [
-        0.5 * (front_left + front_right),
-        0.5 * (front_left + rear_left),
-        0.5 * (front_right + rear_right),
-    ]
+    flanks = (front_left + rear_left, front_right + rear_right)
+    wedge = [0.5 * ends for ends in (front_left + front_right, *flanks)]
     axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="black", linewidth=0.6, zorder=7.6))
 
 
@@ -316,8 +242,8 @@ def _pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
     return Pose(position_m=on_ground(position_m, run.terrain), yaw_deg=float(yaw_deg))
 
 
-def _window(run: Run, frames: list[int]) -> _Window:
-    """Around the VRU's way and the impact, and the VUT where it must brake."""
+def _window(run: Run, frames: list[int]) -> tuple[FloatArray, float]:
+    """Middle and half the size of a square around the VRU's way, the impact and the braking VUT."""
     shown = [run.vru_position_m[frames], run.vut_position_m[-1:]]
     shown += [body.pose.position_m[None, :2] for body in run.obstruction[:2]]
     if np.isfinite(run.last_brake_time_s):
@@ -325,25 +251,14 @@ def _window(run: Run, frames: list[int]) -> _Window:
         shown.append(motion.path.at(motion.distance_m([run.last_brake_time_s]))[0])
     points = np.concatenate(shown)
     low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
-    return _Window(0.5 * (low + high), max(0.5 * float((high - low).max()), 0.5 * _LEAST_SIZE_M))
+    return 0.5 * (low + high), max(0.5 * float((high - low).max()), 0.5 * _LEAST_SIZE_M)
 
 
-_BRAKE_STYLE: Style = {
-    "marker": "|",
-    "markersize": 11.0,
-    "markeredgewidth": 2.4,
-    "color": "#CC0000",
-    "linestyle": "none",
-}
-_FREE_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": "-"}
-_BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1, 2))}
-
-
-def _legend(run: Run) -> list[Any]:
+def _draw_legend(figure: Figure, run: Run, **options: Any) -> None:
     line = partial(Line2D, [], [])
-    handles = [
-        Patch(facecolor=BLUE, edgecolor="black", label="car under test (VUT)"),
-        Patch(facecolor=VERMILION, edgecolor="black", hatch="xxxx", label=run.case.vru.class_name),
+    handles: list[Any] = [
+        Patch(label="car under test (VUT)", **_VUT),
+        Patch(label=run.case.vru.class_name, **_VRU),
         line(color="black", linewidth=1.8, label="way so far, thin: to come"),
         line(label="middle of the VUT where it must brake", **_BRAKE_STYLE),
         Patch(facecolor=SKY, alpha=0.3, label="what the VUT's camera looks at"),
@@ -352,4 +267,4 @@ def _legend(run: Run) -> list[Any]:
     ]
     if run.obstruction:
         handles.append(Patch(label="parked body or wall of this case", **PARKED_STYLE))
-    return handles
+    figure.legend(handles=handles, loc="outside lower center", frameon=False, **options)

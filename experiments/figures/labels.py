@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import shapely
@@ -21,7 +20,7 @@ from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from .axes import Style, literal, root_figure, unit_labels
+from .axes import Style, literal, root_figure, unit_labels, write_beside
 
 HALO = withStroke(linewidth=3.0, foreground="white")
 _POINTS_PER_INCH = 72.0
@@ -29,6 +28,13 @@ _LETTER, _LINE = 0.64, 1.3  # width and height of a letter, in font sizes
 _APART = 1.5  # points around a label
 _TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 _MORE_POINTS = (0.0, 7.0, 15.0, 26.0)
+MAX_LABELLED_UNITS = 40
+"""Of more units, the plan tells how many there are at each place."""
+_NAMES_AT = 0.8  # of the way to the frame
+_NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
+ARROW_POINTS = 13.0
+"""From a pole to the tip of its unit's arrow."""
+_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,18 +87,10 @@ def draw_labels(
             continue
         taken.append(boxes[best])
         away = middles[best] - point
-        style: dict[str, Any] = {"path_effects": [HALO], "zorder": 9} | (label.style or {})
-        axes.annotate(
-            literal(label.text),
-            xy=label.point_m,
-            xytext=(float(away[0]), float(away[1])),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=label.size,
-            annotation_clip=True,
-            **style,
-        )
+        style: Style = {"path_effects": [HALO], "zorder": 9, "annotation_clip": True}
+        style |= {"ha": "center", "fontsize": label.size} | (label.style or {})
+        at_pt = (float(away[0]), float(away[1]))
+        write_beside(axes, literal(label.text), label.point_m, away_pt=at_pt, **style)
 
 
 def _shift(label: Label, half: FloatArray, more: float, turn_deg: float) -> FloatArray:
@@ -108,20 +106,8 @@ def _overlap(one: FloatArray, other: FloatArray) -> float:
     return float(np.prod(np.clip(sides, 0.0, None)))
 
 
-# ---------- names on a plan
-
-
-MAX_LABELLED_UNITS = 40
-"""Of more units, the plan tells how many there are at each place."""
-
-_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
-
-
 def unit_names(layout: Layout, scene: Scene) -> list[Label]:
-    """Short names of units, beyond the tips of their arrows; of many, how many are at a place.
-
-    Those that look the same way from one pole share a label.
-    """
+    """Short names of units that look one way from one pole; of many, how many are at a place."""
     if len(layout.units) > MAX_LABELLED_UNITS:
         places = Counter(tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units)
         return [
@@ -135,24 +121,22 @@ def unit_names(layout: Layout, scene: Scene) -> list[Label]:
         ]
     labels = unit_labels(layout)
     doubts = assumed_sites(scene.notes)
-    groups: list[list[CandidatePose]] = []
+    groups: list[tuple[CandidatePose, list[str]]] = []
     for unit in layout.units:
-        found = next((group for group in groups if looks_alike(unit, group[0])), None)
+        found = next((names for first, names in groups if looks_alike(unit, first)), None)
         if found is None:
-            groups.append([unit])
-        else:
-            found.append(unit)
+            groups.append((unit, found := []))
+        found.append(labels[unit.id])
     return [
         Label(
-            text=", ".join(labels[unit.id] for unit in group)
-            + " (assumed)" * (group[0].site_id in doubts),
-            point_m=(float(group[0].pose.position_m[0]), float(group[0].pose.position_m[1])),
-            toward_deg=group[0].pose.yaw_deg,
-            gap=ARROW_POINTS * len(group),
+            text=", ".join(names) + " (assumed)" * (first.site_id in doubts),
+            point_m=(float(first.pose.position_m[0]), float(first.pose.position_m[1])),
+            toward_deg=first.pose.yaw_deg,
+            gap=ARROW_POINTS * len(names),
             size=9.0,
             style={"fontweight": "bold"},
         )
-        for group in groups
+        for first, names in groups
     ]
 
 
@@ -189,12 +173,6 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
             )
         )
     return labels
-
-
-_NAMES_AT = 0.8  # of the way to the frame
-_NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
-ARROW_POINTS = 13.0
-"""From a pole to the tip of its unit's arrow."""
 
 
 def position_names(runs: Sequence[Run]) -> list[Label]:

@@ -116,26 +116,16 @@ class GroundViews:
         import shapely
 
         eye_m = unit.pose.position_m
-        edges_m = np.concatenate(
-            [
-                np.arange(0.0, _FINE_UP_TO_M, _FINE_M),
-                np.arange(_FINE_UP_TO_M, MAX_RANGE_M + _COARSE_M, _COARSE_M),
-            ]
-        )
+        fine_m = np.arange(0.0, _FINE_UP_TO_M, _FINE_M)
+        coarse_m = np.arange(_FINE_UP_TO_M, MAX_RANGE_M + _COARSE_M, _COARSE_M)
+        edges_m = np.concatenate([fine_m, coarse_m])
         bearings = np.radians(np.arange(_N_BEARINGS) * (360.0 / _N_BEARINGS))
-        middles = _polar(
-            0.5 * (edges_m[1:] + edges_m[:-1])[None, :],
-            (bearings + 0.5 * bearings[1])[:, None],
-        )
-        places_m = on_ground(
-            eye_m[:2] + middles.reshape(-1, 2), terrain_of(self._setting.scene)
-        ) + [0.0, 0.0, LOOK_AT_M]
-        is_open = is_in_sight(
-            self._caster,
-            eye_m - self._origin_m,
-            places_m - self._origin_m,
-            near_m=unit.sensor.near_m,
-        ).reshape(_N_BEARINGS, -1)
+        between = (bearings + 0.5 * bearings[1])[:, None]
+        middles = _polar(0.5 * (edges_m[1:] + edges_m[:-1])[None, :], between)
+        ground_m = on_ground(eye_m[:2] + middles.reshape(-1, 2), terrain_of(self._setting.scene))
+        eye, places = eye_m - self._origin_m, ground_m + [0.0, 0.0, LOOK_AT_M] - self._origin_m
+        is_open = is_in_sight(self._caster, eye, places, near_m=unit.sensor.near_m)
+        is_open = is_open.reshape(_N_BEARINGS, -1)
         is_open[:, 0] = True  # rays do not begin nearer
         is_open |= np.roll(is_open, 1, axis=0) & np.roll(is_open, -1, axis=0)
         change = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
@@ -143,15 +133,8 @@ class GroundViews:
         last = np.nonzero(change == -1)[1]
         low_m, high_m = edges_m[first], edges_m[last]
         left, right = bearings[row], bearings[row] + bearings[1]
-        corners = np.stack(
-            [
-                _polar(low_m, left),
-                _polar(high_m, left),
-                _polar(high_m, right),
-                _polar(low_m, right),
-            ],
-            axis=1,
-        )
+        ends = ((low_m, left), (high_m, left), (high_m, right), (low_m, right))
+        corners = np.stack([_polar(radius_m, bearing) for radius_m, bearing in ends], axis=1)
         sectors = shapely.polygons(eye_m[:2] + corners)
         # The innermost sectors are one star; to join it with the few others is quick.
         is_inner = first == 0

@@ -1,13 +1,13 @@
 """Placements, evaluations and comparisons: from a question to a folder of results."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from msgspec.structs import replace as replace_fields
 
@@ -19,7 +19,6 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
-from placement.explain.tolerances import Standing
 from placement.ground import PrivateGround, load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser import apr as apr_on_table
@@ -34,23 +33,16 @@ from placement.sampling.out_of_sample import (
     look_at_fresh_worlds,
     out_of_sample_layouts,
 )
-from placement.sampling.uncertainty import Uncertainty, load_drawn
+from placement.sampling.uncertainty import load_drawn
 from placement.setting import Setting, build_setting
 from placement.wishes import assumed_prices
 
-from ..parts.alternatives import (
-    begin_standing,
-    find_front_runners,
-    find_other_weights,
-    leading_layouts,
-)
+from ..parts import alternatives
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
-from ..parts.explanation import build_explained_record
+from ..parts.explanation import build_explained_record, build_refinement_record
 from ..parts.front import FrontRecord, describe_front
-from ..parts.ground import PrivateGroundRecord, build_private_ground_record
-from ..parts.refinement import build_refinement_record
 from ..parts.result import (
     ComparisonResult,
     EvaluationResult,
@@ -61,7 +53,7 @@ from ..parts.result import (
 )
 from ..parts.sampled_worlds import SampledRecord, build_sampled_record
 from ..parts.study_cases import StudyCases, on_study_cases
-from ..parts.units import build_plans
+from ..parts.units import PrivateGroundRecord, build_plans, build_private_ground_record
 from ..progress import StageProgress
 from ..results.folders import check_result_folder, left_as_it_was
 from ..side_process import SideProcess, Task, side_process
@@ -77,6 +69,7 @@ MIN_FRESH_WORLDS = 60
 _LARGE_RUNS = 100
 """With fewer, it takes longer to start a second process than to answer and draw."""
 _WORLDS_TOGETHER = 10
+_R = TypeVar("_R", EvaluationResult, ComparisonResult)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,10 +83,6 @@ class _Job:
     progress: StageProgress
     side: SideProcess
 
-    def on_wait(self, stage: str) -> Callable[[], None]:
-        """Shows the stage that is waited for."""
-        return partial(self.progress, stage, 0, 0)
-
 
 @contextmanager
 def _begin_job(
@@ -104,17 +93,18 @@ def _begin_job(
     compute: Compute,
     progress: StageProgress,
     side: SideProcess | None = None,
-    is_written: bool = True,
+    out: Path | None,
 ) -> Iterator[_Job]:
-    """Begin a second process unless `side` has one, if there is much to do."""
+    """Make the setting, if not known; begin a second process unless `side` has one, if it pays."""
     if setting is None:
+        _check_out(out, progress)
         progress("setting", 0, 0)
         setting = build_setting(question, scene, compute=compute)
     setting = with_sight(setting, compute=compute)
     is_large = compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
-    has_process = side is not None and side.exists
-    with side_process(is_written and is_large and not has_process, **READY) as begun:
-        chosen = side if side is not None and has_process else begun
+    begun = side if side is not None and side.exists else None
+    with side_process(out is not None and is_large and begun is None, **READY) as new:
+        chosen = begun or new
         chosen.share(setting)
         yield _Job(
             question=question,
@@ -140,14 +130,6 @@ class _Found:
     poses: Sequence[CandidatePose]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Begun:
-    """Tasks that either process computes, while the main one goes on."""
-
-    standing: Task[Standing] | None
-    fresh: list[Task[FreshWorlds]] = field(default_factory=list)
-
-
 def run_placement(
     question: Question,
     *,
@@ -165,59 +147,62 @@ def run_placement(
     _check_out(out, progress)
     scene = load_scene(question.scene)
     plan = assemble(question, scene=scene, compute=compute)
-    with _begin_job(
-        question, scene, setting=plan.setting, compute=compute, progress=progress, side=side
-    ) as job:
+    job_of = partial(_begin_job, setting=plan.setting, compute=compute, progress=progress)
+    with job_of(question, scene, side=side, out=out) as job:
         found = _find(job, plan)
+        placement, layout, setting = found.placement, found.placement.layout, job.setting
         study = find_baseline(scene)
-        proposed = compare_placement(found.placement, found.poses, job.setting, seed=compute.seed)
-        layouts = _named_layouts(found.placement, proposed.expert, study)
-        begun = _begin(job, found, [*layouts.values()])
+        proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
+        layouts = _named_layouts(placement, proposed.expert, study)
+        # What depends on the layouts alone is begun, the longest first.
+        standing = alternatives.begin_standing(job.side, setting, layout, question, compute)
+        fresh = _begin_fresh_worlds(job, plan, [*layouts.values()])
         progress("explain", 0, 0)
-        explained = build_explained_record(
-            found.placement, job.setting, found.poses, compute=job.compute
-        )
-        _begin_pictures(job, found.placement.layout, study)
+        explained = build_explained_record(placement, setting, found.poses, compute=compute)
+        others = [] if study is None else [study]
+        job.side.begin("plans", build_plans, setting, {layout.name: layout}, others)
         front = _front_below(job, found)
-        by_runs = find_other_weights(
+        by_runs = alternatives.find_other_weights(
             found.on_grid, question, plan, compute=compute, progress=progress
         )
-        leading = leading_layouts(found.on_grid, found.placement)
-        evaluations, among = _evaluate(job, found.placement, layouts, leading)
-        study_cases = _on_study_cases(job, evaluations)
-        front_runners, mounting, recommended = find_front_runners(
-            among, begun.standing, job.setting, question, compute=compute, progress=progress
+        evaluations, leading = _evaluate(job, found, layouts)
+        study_cases = _on_study_cases(job, evaluations)  # while the other process goes on
+        front_runners, mounting, recommended = alternatives.find_front_runners(
+            leading, standing, setting, question, compute=compute, progress=progress
         )
-        bill = build_bill(
-            found.placement.layout,
-            scene,
-            site_cost_eur=question.site_cost_eur,
-            kept_ids=plan.wishes.existing,
-        )
-        result = _result(
-            job,
-            found,
-            evaluations,
-            begun,
-            bill,
-            study=study,
+        existing, prices = plan.wishes.existing, plan.wishes.prices
+        site_eur = question.site_cost_eur
+        bill = build_bill(layout, scene, site_cost_eur=site_eur, kept_ids=existing)
+        result = build_placement_result(
+            placement,
+            setting,
+            found=evaluations[layout.name],
+            greedy=evaluations[GREEDY],
+            highest=evaluations.get(HIGHEST),
+            baseline=None if study is None else evaluations[study.name],
+            compute=compute,
+            next_unit=placement.next_unit,
+            private_ground=_private_ground(layout, scene, plan.private_ground),
+            refinement=found.refinement and build_refinement_record(found.refinement),
+            sites_eur=bill.sites_eur,
+            assumed_prices=bill.assumed if prices is None else assumed_prices(prices, scene.sites),
             explained=explained,
             front=front,
             by_runs=by_runs,
             front_runners=front_runners,
             mounting=mounting,
             study_cases=study_cases,
-            baselines=build_baselines(proposed, evaluations.get(EXPERT), job.setting),
+            baselines=build_baselines(proposed, evaluations.get(EXPERT), setting),
+            sampled=_in_fresh_worlds(job, found, evaluations, fresh) if fresh else None,
         )
-        result = _in_fresh_worlds(job, found, result, evaluations, begun.fresh)
         return write_results(
             out,
             result,
-            job.setting,
+            setting,
             evaluations,
             command=command,
             progress=progress,
-            placement=found.placement,
+            placement=placement,
             candidates=found.poses,
             recommended=recommended,
             bill=bill,
@@ -234,42 +219,6 @@ def _named_layouts(
         layouts[HIGHEST] = placement.highest.layout
     layouts |= {} if expert is None else {EXPERT: expert}
     return layouts | ({} if study is None else {study.name: study})
-
-
-def _result(
-    job: _Job,
-    found: _Found,
-    evaluations: Mapping[str, Evaluation],
-    begun: _Begun,
-    bill: BillOfMaterials,
-    *,
-    study: Layout | None,
-    **parts: Any,
-) -> PlacementResult:
-    """All of the result, with what either process has computed meanwhile; `parts` by name."""
-    placement, layout = found.placement, found.placement.layout
-    prices = found.plan.wishes.prices
-    return build_placement_result(
-        placement,
-        job.setting,
-        found=evaluations[layout.name],
-        greedy=evaluations[GREEDY],
-        highest=evaluations.get(HIGHEST),
-        baseline=None if study is None else evaluations[study.name],
-        compute=job.compute,
-        next_unit=placement.next_unit,
-        private_ground=_private_ground(layout, job.scene, found.plan.private_ground),
-        refinement=found.refinement and build_refinement_record(found.refinement),
-        sites_eur=bill.sites_eur,
-        assumed_prices=bill.assumed if prices is None else assumed_prices(prices, job.scene.sites),
-        **parts,
-    )
-
-
-def _begin_pictures(job: _Job, layout: Layout, study: Layout | None) -> None:
-    """Begin the pictures of the report that need nothing but the layout."""
-    others = [] if study is None else [study]
-    job.side.begin("plans", build_plans, job.setting, {layout.name: layout}, others)
 
 
 def _find(job: _Job, plan: Assembly) -> _Found:
@@ -298,59 +247,48 @@ def _find(job: _Job, plan: Assembly) -> _Found:
     )
 
 
-def _begin(job: _Job, found: _Found, layouts: Sequence[Layout]) -> _Begun:
-    """Begin what depends on the layout alone: the longest comes first."""
-    question, setting, compute, plan = job.question, job.setting, job.compute, found.plan
-    layout = found.placement.layout
-    standing = begin_standing(job.side, setting, layout, question, compute)
-    n_worlds = max(question.samples, MIN_FRESH_WORLDS) if question.samples else 0
-    uncertainty = plan.uncertainty
+def _begin_fresh_worlds(
+    job: _Job, plan: Assembly, layouts: Sequence[Layout]
+) -> list[Task[FreshWorlds]]:
+    """Look at layouts in fresh sampled worlds, if asked for, in either process."""
+    n_samples, uncertainty = job.question.samples, plan.uncertainty
+    n_worlds = max(n_samples, MIN_FRESH_WORLDS) if n_samples else 0
     assert uncertainty is not None  # assemble reads it with every question
-    fresh = [
+    return [
         job.side.begin(
             f"fresh worlds from {first}",
             look_at_fresh_worlds,
-            setting,
+            job.setting,
             layouts,
             uncertainty,
             n_worlds=min(_WORLDS_TOGETHER, n_worlds - first),
             first=first,
-            fusion=question.fusion,
-            compute=replace(compute, progress=silent),
+            fusion=job.question.fusion,
+            compute=replace(job.compute, progress=silent),
         )
         for first in range(0, n_worlds, _WORLDS_TOGETHER)
     ]
-    return _Begun(standing=standing, fresh=fresh)
 
 
 def _evaluate(
-    job: _Job, placement: Placement, layouts: Mapping[str, Layout], leading: Sequence[Layout]
+    job: _Job, found: _Found, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
-    """Layouts by display name as the evaluator sees them; and those that lead, the one found first.
-
-    Together, for what is seen is the same for all.
-    """
-    further = [layout for layout in leading if layout is not placement.greedy]
+    """Layouts by display name, and those that lead, the one found first, by the evaluator."""
+    leading = alternatives.leading_layouts(found.on_grid, found.placement)
+    further = [layout for layout in leading if layout is not found.placement.greedy]
     judged = evaluate_layouts([*layouts.values(), *further], job.setting, compute=job.compute)
-    evaluations = dict(zip(layouts, judged[: len(layouts)], strict=True))
     by_name = {item.layout.name: item for item in judged}
-    found = evaluations[placement.layout.name]
-    return evaluations, [found, *(by_name[layout.name] for layout in leading)]
+    evaluations = dict(zip(layouts, judged[: len(layouts)], strict=True))
+    return evaluations, [judged[0], *(by_name[layout.name] for layout in leading)]
 
 
 def _in_fresh_worlds(
     job: _Job,
     found: _Found,
-    result: PlacementResult,
     evaluations: Mapping[str, Evaluation],
     fresh: Sequence[Task[FreshWorlds]],
-) -> PlacementResult:
-    """The result with the layouts in fresh sampled worlds, if asked for.
-
-    The second process begins with the first worlds, this one with the last.
-    """
-    if not fresh:
-        return result
+) -> SampledRecord:
+    """Layouts in fresh worlds: the other process begins with the first ones, this one last."""
     looked: list[FreshWorlds] = []
     for done, task in enumerate(reversed(fresh)):
         job.progress(OUT_OF_SAMPLE, done, len(fresh))
@@ -358,26 +296,17 @@ def _in_fresh_worlds(
     placement, uncertainty = found.placement, found.plan.uncertainty
     assert uncertainty is not None  # what the fresh worlds are drawn from
     layouts = [item.layout for item in evaluations.values()]
-    judged = judge_layouts(job.setting, layouts, uncertainty, looked)
-    sampled = build_sampled_record(
-        judged,
+    # Over all worlds, whatever was asked for: the least cost, the worst share, what is left.
+    chosen_apr = apr_on_table(replace(placement.problem, tail=1.0), placement.pose_index)
+    return build_sampled_record(
+        judge_layouts(job.setting, layouts, uncertainty, looked),
         uncertainty,
         tail=found.plan.wishes.tail,
         seed=job.compute.seed,
-        planned_apr=_planned_apr(evaluations.values()),
-        # Over all worlds, whatever was asked for: the least cost, the worst share, what is left.
-        chosen_apr={
-            placement.layout.name: apr_on_table(
-                replace(placement.problem, tail=1.0), placement.pose_index
-            )
-        },
+        planned_apr={item.layout.name: headline_apr(item) for item in evaluations.values()},
+        chosen_apr={placement.layout.name: chosen_apr},
         chosen_in=job.question.samples,
     )
-    return replace_fields(result, sampled=sampled)
-
-
-def _planned_apr(evaluations: Iterable[Evaluation]) -> dict[str, float]:
-    return {item.layout.name: headline_apr(item) for item in evaluations}
 
 
 def _private_ground(
@@ -440,26 +369,19 @@ def run_evaluation(
     command: str,
     progress: StageProgress,
 ) -> EvaluationResult:
-    """Evaluate a layout, and write a report if asked to.
-
-    Raises InputError if a unit is mounted underground or inside something, or `out` cannot be
-    written.
-    """
+    """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written."""
     scene = load_scene(question.scene)
-    _check_out(out, progress)
-    with _begin_job(
-        question, scene, compute=compute, progress=progress, is_written=out is not None
-    ) as job:
+    with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         (layout,) = _with_distinct_names([layout])
-        check_layout(layout, job.setting.scene)
-        private = load_private_ground(Path(no_look), job.setting.scene) if no_look else None
+        check_layout(layout, scene)
+        private = load_private_ground(Path(no_look), scene) if no_look else None
         (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
         bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
         evaluations = {layout.name: evaluation}
         result = build_evaluation_result(
             job.setting,
             evaluation,
-            private_ground=_private_ground(layout, job.setting.scene, private),
+            private_ground=_private_ground(layout, scene, private),
             sites_eur=bill.sites_eur,
             assumed_prices=bill.assumed,
             study_cases=None if out is None else _on_study_cases(job, evaluations),
@@ -481,21 +403,17 @@ def run_comparison(
 ) -> ComparisonResult:
     """Compare two layouts or more on the same runs; write a report if asked to.
 
-    With samples, they are compared in so many sampled worlds, too: the same ones for all, so that
-    differences have an interval. Raises InputError as :func:`run_evaluation`.
+    With samples also in so many sampled worlds. Raises InputError as :func:`run_evaluation`.
     """
     scene = load_scene(question.scene)
     drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
     check_worlds_of_cars(replace(question, samples=samples))
-    _check_out(out, progress)
-    with _begin_job(
-        question, scene, compute=compute, progress=progress, is_written=out is not None
-    ) as job:
+    with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         setting = job.setting
         layouts = _with_distinct_names(layouts)
         for layout in layouts:
-            check_layout(layout, setting.scene)
-        private = load_private_ground(Path(no_look), setting.scene) if no_look else None
+            check_layout(layout, scene)
+        private = load_private_ground(Path(no_look), scene) if no_look else None
         proposed = compare_layout(layouts[0], setting, compute=compute)
         everyone = layouts
         if proposed is not None and proposed.expert is not None:
@@ -505,9 +423,15 @@ def run_comparison(
         evaluations = dict(zip([*names, EXPERT], judged, strict=False))
         sampled = None
         if samples:
-            sampled = _in_worlds(job, everyone, judged, drawn, samples)
+            sampled = build_sampled_record(
+                out_of_sample_layouts(setting, everyone, drawn, n_samples=samples, compute=compute),
+                drawn,
+                tail=1.0,
+                seed=compute.seed,
+                planned_apr={item.layout.name: headline_apr(item) for item in judged},
+            )
         bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
-        seen = [_private_ground(layout, setting.scene, private) for layout in layouts]
+        seen = [_private_ground(layout, scene, private) for layout in layouts]
         result = build_comparison_result(
             setting,
             judged[0],
@@ -521,9 +445,6 @@ def run_comparison(
             sampled=sampled,
         )
         return _finish(job, result, evaluations, bill, out=out, command=command)
-
-
-_R = TypeVar("_R", EvaluationResult, ComparisonResult)
 
 
 def _check_out(out: Path | None, progress: StageProgress) -> None:
@@ -553,22 +474,6 @@ def _finish(
         progress=job.progress,
         bill=bill,
         side=job.side,
-    )
-
-
-def _in_worlds(
-    job: _Job,
-    layouts: Sequence[Layout],
-    judged: Sequence[Evaluation],
-    drawn: Uncertainty,
-    samples: int,
-) -> SampledRecord:
-    """Layouts in the same sampled worlds; `judged` are they as planned."""
-    found = out_of_sample_layouts(
-        job.setting, layouts, drawn, n_samples=samples, compute=job.compute
-    )
-    return build_sampled_record(
-        found, drawn, tail=1.0, seed=job.compute.seed, planned_apr=_planned_apr(judged)
     )
 
 

@@ -10,14 +10,7 @@ import numpy as np
 from geometry.errors import InputError
 from geometry.files import open_file
 from placement.covering import load_instance, save_instance, solve_covering
-from placement.optimiser import (
-    Effort,
-    Floor,
-    PlacementProblem,
-    apr,
-    cost_eur,
-    solve_placement,
-)
+from placement.optimiser import Effort, Floor, PlacementProblem, apr, cost_eur, solve_placement
 from placement.optimiser.steering import SolverName
 from placement.verification.instances import load_problem
 
@@ -25,6 +18,7 @@ from ..progress import WRITING, StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
 HIGHS = "HIGHS"
+_SEARCHES = ("auto", "exact", "relax", "greedy")
 
 
 class CoveringResult(Record, frozen=True, kw_only=True):
@@ -97,9 +91,8 @@ def run_solve(
 ) -> CoveringResult:
     """Read a covering instance and solve it; it is written to `out` as OR-Library's if asked to.
 
-    With a budget it is a maximal covering problem, else `target` is the share of the rows to
-    cover: None for all that can be covered. Raises InputError if the file holds no instance or the
-    question has no answer, OSError if `out` cannot be written.
+    With a budget it is a maximal covering problem, else `target` is the share of the rows to cover:
+    None for all. Raises InputError if there is no instance or answer, OSError if `out` fails.
     """
     if solver.upper() not in ("AUTO", HIGHS):
         raise InputError("--solver", solver, f"auto or {HIGHS} for covering problems")
@@ -110,13 +103,9 @@ def run_solve(
         save_instance(out, instance)
         progress.kept = f"{out} was written"
     progress("solve", 0, 0)
+    asked = {"budget_cost": budget_cost, "target": target}
     solution = solve_covering(
-        instance,
-        budget_units=budget_units,
-        budget_cost=budget_cost,
-        target=target,
-        time_limit_s=time_limit_s,
-        gap=gap,
+        instance, budget_units=budget_units, time_limit_s=time_limit_s, gap=gap, **asked
     )
     has_budget = budget_units is not None or budget_cost is not None
     return CoveringResult(
@@ -141,9 +130,6 @@ def run_solve(
     )
 
 
-_SEARCHES = ("auto", "exact", "relax", "greedy")
-
-
 def run_solve_windows(
     path: Path,
     *,
@@ -158,9 +144,8 @@ def run_solve_windows(
 ) -> PlacementSolution:
     """Read a placement problem, ``instance.npz`` of a result folder, and solve it.
 
-    Budgets, target (infinity: all that can be avoided, with the fewest units) and memory of tracks
-    are in place of the file's own. Raises InputError if the file is damaged, or the question has no
-    answer.
+    Budgets, target (infinity: all that can be avoided) and memory of tracks are in place of the
+    file's own. Raises InputError if the file is damaged, or the question has no answer.
     """
     progress("read", 0, 0)
     problem = load_problem(path)

@@ -7,8 +7,10 @@ says it, too. What cannot be compared with anything is named.
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -50,17 +52,20 @@ from ..results.folders import (
     changed_files,
     read_manifest,
 )
-from ..results.record import Record, to_plain
+from ..results.record import Record, StageRecord, to_plain
 from ..results.tables import ALL, plain_cell
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_ONE_FAILED = Objective.APR_ONE_FAILED
 _TOLERANCE = 1.0e-9
 _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
+_GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
+_HEADLINE = "headline"
+_MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
+"""Parties whose ratios are those of two others by the share of cars that see."""
 
 
 class CheckRecord(Record, frozen=True, kw_only=True):
@@ -122,11 +127,12 @@ def run_verification(
         return _verify_certified(folder, progress)
     stored = load_certificate(folder / CERTIFICATE_FILE)
     problem, mounts = load_stored_problem(folder / INSTANCE_FILE)
-    summary = _load_summary(folder / MARKER)
-    layout = _load_layout(folder, summary)
+    summary, layout = _load_summary(folder / MARKER), None
+    if (folder / LAYOUT_FILE).exists() or summary is None or "recording" not in summary:
+        layout = load_layout(folder / LAYOUT_FILE)
     # A recording's units have no poses: they stand in its summary alone.
-    shown = layout_records(layout) if layout is not None else _recorded_units(summary)
-    found = verify_certificate(
+    shown = _recorded_units(summary) if layout is None else layout_records(layout)
+    proof = verify_certificate(
         problem,
         stored,
         shown,
@@ -135,17 +141,14 @@ def run_verification(
         on_stage=lambda stage: progress(stage, 0, 0),
     )
     progress("compare files", 0, 0)
-    checks = FolderChecks()
-    known = _check_scene(scene, mounts, layout, problem.table.pose_ids, checks)
-    files = check_folder_files(folder, stored, problem, layout, summary, known)
-    proofs = {proof.name: proof._asdict() for proof in found.proofs}
+    found = FolderChecks()
+    known = _check_scene(scene, mounts, layout, problem.table.pose_ids, found)
+    _check_files(folder, stored, problem, layout, summary, known, found)
+    proofs = {one.name: one._asdict() for one in proof.proofs}
     return VerificationResult(
         folder=str(folder),
-        is_verified=found.passed and all(check.passed for check in (*checks.checks, *files.checks)),
-        checks=(
-            *(CheckRecord(**check._asdict()) for check in found.checks),
-            *(*checks.checks, *files.checks),
-        ),
+        is_verified=proof.passed and all(check.passed for check in found.checks),
+        checks=(*(CheckRecord(**check._asdict()) for check in proof.checks), *found.checks),
         stages=tuple(
             VerifiedStageRecord(
                 objective=stage.objective,
@@ -160,22 +163,14 @@ def run_verification(
             "whether the detection table is right: the evaluator's disagreement with it is in "
             "the report",
             *(
-                f"that no layout is better in {proof.name}: this rests on {stored.solver}"
-                for proof in found.proofs
-                if proof.claims_optimum and proof.reason == stored.solver
+                f"that no layout is better in {one.name}: this rests on {stored.solver}"
+                for one in proof.proofs
+                if one.claims_optimum and one.reason == stored.solver
             ),
-            *(*checks.not_checked, *files.not_checked),
+            *found.not_checked,
         ),
         seconds=progress.finish(),
     )
-
-
-def _load_layout(folder: Path, summary: Mapping[str, Any] | None) -> Layout | None:
-    """The layout file; None of a recording, whose units have no poses."""
-    path = folder / LAYOUT_FILE
-    if not path.exists() and summary is not None and "recording" in summary:
-        return None
-    return load_layout(path)
 
 
 def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResult:
@@ -188,6 +183,7 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
         "numbers": certified.recompute(stored),
         "layout file": [] if sites == stored.units else ["it shows units at other sites"],
     }
+    unknown = "bounds of the blocks, and APRs by world: certify computes them again, with the seed"
     return VerificationResult(
         folder=str(folder),
         is_verified=not any(wrong.values()),
@@ -197,19 +193,15 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
         ),
         stages=(),
         solver="",
-        not_checked=(
-            "bounds of the blocks, and APRs by world: certify computes them again, with the seed",
-        ),
+        not_checked=(unknown,),
         seconds=progress.finish(),
     )
 
 
 def _load_summary(path: Path) -> Mapping[str, Any] | None:
     """The summary as plain values; None if there is none."""
-    if not path.exists():
-        return None
-    summary = _load_object(path)
-    if "recording" not in summary:
+    summary = _load_object(path) if path.exists() else None
+    if summary is not None and "recording" not in summary:
         check_schema(summary, str(path))
     return summary
 
@@ -244,17 +236,12 @@ def _check_scene(
                 f"{INSTANCE_FILE} does not say what its poses are"
             )
         return None
-    shown = "" if layout is None else layout.scene_name
-    same_name = shown == mounts.scene_name
-    found.add(
-        "scene",
-        "" if same_name else f"{LAYOUT_FILE} says {shown or 'nothing'}, not {mounts.scene_name}",
-        mounts.scene_name,
-    )
-    if not source and mounts.scene_name != STUDY:
+    name, shown = mounts.scene_name, "" if layout is None else layout.scene_name
+    wrong = "" if shown == name else f"{LAYOUT_FILE} says {shown or 'nothing'}, not {name}"
+    found.add("scene", wrong, name)
+    if not source and name != STUDY:
         found.not_checked.append(
-            f"whether {mounts.scene_name} is the scene that it is said to be: --scene tells where "
-            "it is"
+            f"whether {name} is the scene that it is said to be: --scene tells where it is"
         )
         return None
     scene = load_scene(source) if source else load_study_scene()
@@ -263,34 +250,36 @@ def _check_scene(
         text = f"SHA-256 {digest[:16]}.., not {mounts.scene_sha256[:16]}..; it may have changed"
         found.add("scene as it stands", text if source else f"{text} with the version", "")
         return None
-    feet = {site.id: site.position_m for site in scene.sites}
-    astray = mounts.misnamed(pose_ids, feet)
+    astray = mounts.misnamed(pose_ids, {site.id: site.position_m for site in scene.sites})
     found.add("scene as it stands", astray, f"SHA-256 {digest[:16]}.., and poses are at its sites")
     return scene
 
 
-def check_folder_files(
+def _check_files(
     folder: Path,
     stored: StoredCertificate,
     problem: PlacementProblem,
     layout: Layout | None,
     summary: Mapping[str, Any] | None,
     scene: Scene | None,
-) -> FolderChecks:
-    """Compare all files of a folder: every check, and what there is nothing to compare with.
+    found: FolderChecks,
+) -> None:
+    """Compare all files of a folder, as far as there is something to compare them with.
 
     A recording has no layout; the scene is None unless it is known to be the one. Raises InputError
     if ``SHA256SUMS`` is no such list, or a file cannot be read.
     """
-    found = FolderChecks()
     others = _check_manifest(folder, found)
     if summary is None:
         found.not_checked.append(f"what the optimisation said: there is no {MARKER}")
     else:
         _check_summary(summary, stored, problem, layout, found)
     if layout is not None:
-        result = _load(folder, found)
-        if result is not None:
+        try:
+            result = load_result(folder)
+        except InputError as error:
+            found.add("tables", str(error).replace(f"{folder}/", ""), "")
+        else:
             _check_runs(result.runs, problem, found)
             _check_ratios(result, found)
         missing = [name for name in _EXPECTED if name not in others]
@@ -304,25 +293,19 @@ def check_folder_files(
         f"who has made the folder: whoever changes files together with {MANIFEST} and all that "
         "agrees with them is not found out"
     )
-    return found
 
 
 def _check_manifest(folder: Path, found: FolderChecks) -> set[str]:
     """Every file against its hash; returns the names of the files that are there."""
-    listed = read_manifest(folder)
-    changes = changed_files(folder)
-    names = {name for name in (listed or changes) if changes.get(name) != "missing"}
+    listed, changes = read_manifest(folder), changed_files(folder)
     if not (folder / MANIFEST).exists():
         found.not_checked.append(f"whether files were changed or lost: there is no {MANIFEST}")
-        return names
-    for name, change in changes.items():
-        found.add(f"file {name}", f"{change}, says {MANIFEST}", "")
-    if not changes:
+    elif not changes:
         found.add("files", "", f"{len(listed)} files, each as {MANIFEST} lists it")
-    return names | set(changes) - {name for name, change in changes.items() if change == "missing"}
-
-
-# ---------- summary.json
+    else:
+        for name, change in changes.items():
+            found.add(f"file {name}", f"{change}, says {MANIFEST}", "")
+    return {name for name in {*listed, *changes} if changes.get(name) != "missing"}
 
 
 def _check_summary(
@@ -343,13 +326,7 @@ def _check_summary(
         "solver": stored.solver,
         "versions": dict(stored.versions),
         "stages": [
-            {
-                "name": stage.name,
-                "objective": stage.objective,
-                "bound": stage.bound,
-                "gap": stage.gap if math.isfinite(stage.gap) else None,
-                "seconds": stage.seconds,
-            }
+            {name: getattr(stage, name) for name in StageRecord.__struct_fields__}
             for stage in stored.stages
         ],
     }
@@ -363,19 +340,18 @@ def _check_summary(
             "cost_eur": sum(unit.sensor.price_eur for unit in layout.units),
             "presolve": str(PresolveStatistics(**stored.presolve)),
         }
-    for key, stage, what in (
-        ("apr", "apr", "objective"),
-        ("bound", "apr", "bound"),
-        ("gap", "apr", "gap"),
-        ("spent_eur", "cost_eur", "objective"),
+    for stage, what, key in (
+        *(("apr", "objective", "apr"), ("apr", "bound", "bound"), ("apr", "gap", "gap")),
+        ("cost_eur", "objective", "spent_eur"),
     ):
         if stage in values and summary.get(key) is not None:
             expected[key] = getattr(values[stage], what)
     chosen = np.array([stored.pose_index])
     for failing in get_args(Failing):
-        key, limits = f"apr_without_worst_{failing}", replace(problem.limits, failing=failing)
+        key = f"apr_without_worst_{failing}"
+        asked = replace(problem, limits=replace(problem.limits, failing=failing))
         if "apr" in values and summary.get(key) is not None:
-            (left,) = stage_values(replace(problem, limits=limits), _ONE_FAILED, chosen)
+            (left,) = stage_values(asked, Objective.APR_ONE_FAILED, chosen)
             expected[key] = float(left)
     # What a summary tells of units beyond the layout file, such as where they are in words.
     keys = [set(unit) for unit in stored.units]
@@ -387,10 +363,10 @@ def _check_summary(
         ]
     wrong = [key for key, value in expected.items() if not _agree(told.get(key), value)]
     for key in wrong:
-        got = summary.get(key, Unquoted("nothing"))
-        words = "another" if isinstance(expected[key], list | dict) else f"{got}, not"
-        known = "" if isinstance(expected[key], list | dict) else f" {expected[key]}"
-        found.add(f"{MARKER}: {key}", f"{words}{known} as the certificate has it", "")
+        words = f"{summary.get(key, Unquoted('nothing'))}, not {expected[key]}"
+        if isinstance(expected[key], list | dict):
+            words = "another"
+        found.add(f"{MARKER}: {key}", f"{words} as the certificate has it", "")
     if not wrong:
         found.add(MARKER, "", f"{', '.join(expected)}: as the certificate has them")
     found.not_checked.append(
@@ -406,9 +382,8 @@ def _check_summary(
 def _agree(got: object, expected: object) -> bool:
     """Two plain values are equal; numbers up to rounding, an infinite one is None."""
     if isinstance(expected, Mapping):
-        if not isinstance(got, Mapping):
-            return False
-        return got.keys() == expected.keys() and all(_agree(got[k], expected[k]) for k in expected)
+        is_alike = isinstance(got, Mapping) and got.keys() == expected.keys()
+        return is_alike and all(_agree(got[key], expected[key]) for key in expected)  # type: ignore[index]
     if isinstance(expected, list):
         if not isinstance(got, list) or len(got) != len(expected):
             return False
@@ -421,17 +396,6 @@ def _agree(got: object, expected: object) -> bool:
     return type(got) is type(expected) and got == expected
 
 
-# ---------- tables
-
-
-def _load(folder: Path, found: FolderChecks) -> StoredResult | None:
-    try:
-        return load_result(folder)
-    except InputError as error:
-        found.add("tables", str(error).replace(f"{folder}/", ""), "")
-        return None
-
-
 def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderChecks) -> None:
     """Runs of the evaluator are those of the problem."""
     if problem.sample_index is not None:
@@ -441,29 +405,20 @@ def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderCh
     row_of = {name: row for row, name in enumerate(axis.run_ids)}
     unknown = [name for name in runs["run"].unique() if name not in row_of]
     if unknown or len(row_of) != runs["run"].nunique():
-        found.add(
-            RUNS_FILE, f"{unknown[0] if unknown else 'a run'} is not one of the problem's", ""
-        )
+        words = f"{unknown[0] if unknown else 'a run'} is not one of the problem's"
+        found.add(RUNS_FILE, words, "")
         return
     rows = runs["run"].map(row_of).to_numpy()
     last_s = np.where(np.isfinite(axis.last_brake_time_s), axis.last_brake_time_s, np.nan)
-    columns: dict[str, Any] = {
-        "case": axis.cases,
-        "approach": axis.approaches,
-        "position": axis.positions,
-        "weather": axis.weathers,
-        "vut_speed_kmh": axis.vut_speed_kmh,
-        "weight": axis.weight,
-        "last_brake_time_s": last_s,
-    }
-    wrong = []
-    for name, values in columns.items():
-        got, expected = runs[name].to_numpy(), np.asarray(values)[rows]
-        if expected.dtype.kind == "f":
-            same = np.isclose(got.astype(float), expected, rtol=0.0, atol=1e-12, equal_nan=True)
-        else:
-            same = got == expected
-        wrong += [] if same.all() else [name]
+    texts = {"case": axis.cases, "approach": axis.approaches}
+    texts |= {"position": axis.positions, "weather": axis.weathers}
+    numbers = {"vut_speed_kmh": axis.vut_speed_kmh, "weight": axis.weight}
+    numbers |= {"last_brake_time_s": last_s}
+    close = partial(np.allclose, rtol=0.0, atol=1e-12, equal_nan=True)
+    wrong = [name for name in texts if (runs[name].to_numpy() != np.array(texts[name])[rows]).any()]
+    wrong += [
+        name for name in numbers if not close(runs[name].to_numpy(dtype=float), numbers[name][rows])
+    ]
     text = f"another {', '.join(wrong)} than the problem has" if wrong else ""
     found.add(RUNS_FILE, text, f"{axis.n_runs} runs and their weights, as in the problem")
     found.not_checked.append(
@@ -489,42 +444,41 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
             break
     found.add(APR_FILE, wrong, f"{len(result.apr)} ratios follow from {RUNS_FILE}")
     summary = to_plain(result.summary)
-    told = {summary["name"]: summary["evaluation"]}
-    told |= {other["name"]: other["evaluation"] for other in summary.get("compared") or ()}
-    if summary.get("baseline"):
-        told[summary["baseline"]["name"]] = summary["baseline"]["evaluation"]
+    layouts = [summary, *(summary.get("compared") or ()), summary.get("baseline")]
+    told = {one["name"]: one["evaluation"] for one in layouts if one}
     if summary.get("greedy"):
         told[GREEDY] = summary["greedy"]["evaluation"]
-    wrong = ""
-    for name, evaluation in told.items():
-        parties = {
-            key: evaluation[key]
-            for key in ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources", _HEADLINE)
-            if evaluation.get(key)
-        } | evaluation["units"]
-        for party, ratios in parties.items():
-            of_party = [outcomes.get((name, one)) for one in _MIXED.get(party, (party,))]
-            if None in of_party:
-                wrong = wrong or f"{name}, {party}: no runs of it in {RUNS_FILE}"
-                continue
-            groups = {("case", ALL): ratios["all"]}
-            for key in ("case", "position"):
-                told_by = ratios.get(f"by_{key}") or {}
-                groups |= {(key, word): ratio for word, ratio in told_by.items()}
-            for (key, word), ratio in groups.items():
-                group = [word if column == key else ALL for column in _GROUPS]
-                expected, *seeing = (one.in_group(group)[0] for one in of_party if one is not None)
-                if seeing and expected is not None and seeing[0] is not None:
-                    expected = mix(expected, seeing[0], summary["cars"])
-                if not _agree(ratio, expected):
-                    wrong = wrong or f"{name}, {party}, {word}: {ratio}, not {expected}"
-    found.add(f"{MARKER}: ratios", wrong, f"of {', '.join(told)}: they follow from {RUNS_FILE}")
+    wrongs = [
+        words
+        for name, evaluation in told.items()
+        for words in _wrong_ratios(name, evaluation, outcomes, summary["cars"])
+    ]
+    right = f"of {', '.join(told)}: they follow from {RUNS_FILE}"
+    found.add(f"{MARKER}: ratios", wrongs[0] if wrongs else "", right)
 
 
-_GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
-_HEADLINE = "headline"
-_MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
-"""Parties whose ratios are those of two others by the share of cars that see."""
+def _wrong_ratios(
+    name: str, evaluation: Mapping[str, Any], outcomes: Mapping[Any, "_Outcomes"], cars: float
+) -> Iterator[str]:
+    """Ratios of a layout's parties in a summary that do not follow from the runs, in words."""
+    together = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources", _HEADLINE)
+    known = {key: evaluation[key] for key in together if evaluation.get(key)}
+    for party, ratios in (known | evaluation["units"]).items():
+        of_party = [outcomes.get((name, one)) for one in _MIXED.get(party, (party,))]
+        if None in of_party:
+            yield f"{name}, {party}: no runs of it in {RUNS_FILE}"
+            continue
+        groups = {("case", ALL): ratios["all"]}
+        for key in ("case", "position"):
+            told_by = ratios.get(f"by_{key}") or {}
+            groups |= {(key, word): ratio for word, ratio in told_by.items()}
+        for (key, word), ratio in groups.items():
+            group = [word if column == key else ALL for column in _GROUPS]
+            expected, *seeing = (one.in_group(group)[0] for one in of_party if one is not None)
+            if seeing and expected is not None and seeing[0] is not None:
+                expected = mix(expected, seeing[0], cars)
+            if not _agree(ratio, expected):
+                yield f"{name}, {party}, {word}: {ratio}, not {expected}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -557,28 +511,20 @@ class _Outcomes:
         return ratio, int(mask.sum()), int(avoided.sum())
 
 
-# ---------- the layout in other formats
-
-
 def _check_exports(
     folder: Path, layout: Layout, scene: Scene | None, names: set[str], found: FolderChecks
 ) -> set[str]:
     """Other files with the layout say what ``layout.json`` says; returns those compared."""
-    compared = set()
-    if _CSV in names:
-        text = read_bytes(folder / _CSV).decode(errors="replace")
-        if scene is not None:
-            wrong = "" if text == to_csv(layout, scene) else f"another layout than {LAYOUT_FILE}"
-        else:
+    expected = {} if scene is None else {_CSV: to_csv(layout, scene)}
+    if scene is not None and scene.crs:
+        expected[_GEOJSON] = to_geojson(layout, scene.crs, scene)
+    compared = names & ({_CSV} | set(expected))
+    for name in sorted(compared):
+        text = read_bytes(folder / name).decode(errors="replace")
+        wrong = "" if text == expected.get(name) else f"another layout than {LAYOUT_FILE}"
+        if name not in expected:
             wrong = _csv_difference(text, layout)
-        found.add(_CSV, wrong, f"the units of {LAYOUT_FILE}")
-        compared.add(_CSV)
-    if _GEOJSON in names and scene is not None and scene.crs:
-        text = read_bytes(folder / _GEOJSON).decode(errors="replace")
-        same = text == to_geojson(layout, scene.crs, scene)
-        wrong = "" if same else f"another layout than {LAYOUT_FILE}"
-        found.add(_GEOJSON, wrong, f"the units of {LAYOUT_FILE}")
-        compared.add(_GEOJSON)
+        found.add(name, wrong, f"the units of {LAYOUT_FILE}")
     return compared
 
 
@@ -593,10 +539,8 @@ def _csv_difference(text: str, layout: Layout) -> str:
             got = plain_cell(row.get(key, ""))
             same = got == value
             if isinstance(value, float):
-                try:
+                with suppress(TypeError, ValueError):
                     same = abs(float(got) - value) <= _TOLERANCE
-                except (TypeError, ValueError):
-                    same = False
             if not same:
                 return f"{record['id']}: {key} {got}, not {value}"
     return ""

@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import msgspec
 
-from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation
@@ -34,6 +33,7 @@ from ..results.folders import (
     RECOMMENDED_FILE,
     RUNS_FILE,
     new_result_folder,
+    unwritable,
 )
 from ..results.tables import apr_table, csv_text, runs_table
 from ..side_process import SideProcess
@@ -57,10 +57,9 @@ def write_results(
 ) -> _R:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
-    `folder` is replaced as a whole, or left as it was. The first of the evaluations, by display
-    name, is the subject. Where a placement found it, its certificate is written, too: `candidates`
-    are the rows of its table. `recommended` is what the evaluator prefers to the subject, `bill`
-    knows more of its costs than the scene, and `command` makes the result again. Raises InputError
+    `folder` is replaced as a whole, or left as it was. The first evaluation is the subject;
+    `candidates` are the rows of the placement's table, `recommended` is what the evaluator prefers,
+    `bill` knows more of costs than the scene, `command` makes the result again. Raises InputError
     if something cannot be written: it names the folder where the answer is all the same.
     """
     progress(WRITING, 0, 0)
@@ -85,46 +84,27 @@ def write_results(
             geojson = to_geojson(layout, setting.scene.crs, setting.scene)
             write_atomically(new / "layout.geojson", geojson)
         if placement is not None:
-            _write_certificate(new, placement, candidates, layout, setting, result)
+            mounts = build_mounts(setting.scene, candidates)
+            document = build_certificate(
+                placement.problem,
+                placement.certificate,
+                pose_index=placement.pose_index,
+                units=layout_records(layout),
+                presolve=placement.presolve,
+                seconds=placement.seconds,
+                versions=result.versions,
+                mounts=mounts,
+            )
+            save_certificate(new, document, placement.problem, mounts)
         bill = bill or build_bill(layout, setting.scene)
         write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         write_atomically(new / APR_FILE, csv_text(apr_table(evaluations)))
         write_atomically(new / RUNS_FILE, runs_table(evaluations).to_parquet())
-        write_report(
-            new,
-            result,
-            setting,
-            evaluations,
-            command=command,
-            bill=bill,
-            side=side,
-        )
+        write_report(new, result, setting, evaluations, command=command, bill=bill, side=side)
         result = msgspec.structs.replace(result, seconds=progress.finish())
         write_atomically(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"
     return result
-
-
-def _write_certificate(
-    folder: Path,
-    placement: Placement,
-    candidates: Sequence[CandidatePose],
-    layout: Layout,
-    setting: Setting,
-    result: Result,
-) -> None:
-    mounts = build_mounts(setting.scene, candidates)
-    document = build_certificate(
-        placement.problem,
-        placement.certificate,
-        pose_index=placement.pose_index,
-        units=layout_records(layout),
-        presolve=placement.presolve,
-        seconds=placement.seconds,
-        versions=result.versions,
-        mounts=mounts,
-    )
-    save_certificate(folder, document, placement.problem, mounts)
 
 
 @contextmanager
@@ -136,8 +116,4 @@ def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
         kept = Path(tempfile.mkdtemp(prefix="place-rsus-kept-"))
         for name, text in answer.items():
             write_atomically(kept / name, text)
-        raise InputError(
-            "--out",
-            Unquoted(f"{folder}: {error.strerror or error}"),
-            f"a folder that can be written to; layout and numbers are kept in {kept}",
-        ) from error
+        raise unwritable(folder, error, f"; layout and numbers are kept in {kept}") from error

@@ -1,18 +1,27 @@
-"""Accidents prevented: APR of every sensing party, and of each unit alone."""
+"""Accidents prevented: APR of every party and unit, what is driven, and how every run ends."""
 
+import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from geometry.catalogue import sensor_kind
-from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share
+from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share, run_outcome
 from placement.layout import Layout
+from placement.setting import Setting
+from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
 from ..figures.axes import unit_labels
-from ..results.numbers import percent, several
-from ..results.tables import groups_by_direction, groups_by_position, groups_by_speed
-from .section import Block, Section, Table
+from ..results.drives import describe_left_out, describe_limits, describe_places, lacking_room
+from ..results.numbers import count_runs, number, percent, several
+from ..results.tables import groups_by, margin_s
+from .section import Block, Box, Bullets, Section, Subheading, Table
+
+MAX_UNIT_COLUMNS = 24
+"""Of more units, each is a row of the table of units by themselves."""
+_MAX_FLAT_ROWS = 40  # a longer table is to unfold
 
 
 def is_weighted(axis: FrameAxis) -> bool:
@@ -28,9 +37,6 @@ def count_sensors(layout: Layout) -> str:
         for kind, one, many in (("camera", "camera", "cameras"), ("lidar", "LiDAR", "LiDARs"))
         if kind in kinds
     )
-
-
-# ---------- sections of the report
 
 
 def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
@@ -54,77 +60,61 @@ def alone_section(detailed: Mapping[str, Evaluation]) -> Section:
     return Section("alone", "What each unit achieves alone", tables)
 
 
-# ---------- tables
-
-
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     """APR of every sensing party; evaluations on the same runs, the first one is the subject.
 
-    A row for all runs, for each case, and for each weather where there are several. A column per
-    layout, for the car alone, for the car with each layout; where road users announce themselves,
-    for them alone and for all sources with each layout.
+    A row for all runs, each case, and each weather where there are several. A column per layout,
+    for the car alone and with each layout; and where road users announce themselves.
     """
     axis = next(iter(evaluations.values())).axis
-    verdicts = _parties(evaluations)
+    parties = _parties(evaluations)
     return Table(
         caption=f"Accident prevention ratio by {_groups(axis, 'and')}",
-        columns=[_groups(axis, "or"), *(name for name, _, _ in verdicts)],
-        rows=_apr_rows([(item, verdict) for _, item, verdict in verdicts]),
-        numeric=range(1, 1 + len(verdicts)),
+        columns=[_groups(axis, "or"), *parties],
+        rows=_apr_rows([*parties.values()], axis),
+        numeric=range(1, 1 + len(parties)),
     )
 
 
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """APR of the parties of :func:`apr_table` by speed, by where the car comes from, by position.
-
-    None where all runs have the same one.
-    """
-    verdicts = _parties(evaluations)
-    axis = verdicts[0][1].axis
-    along = groups_by_position(axis)
+    """APR of these parties by speed, direction and position, where there are several."""
+    axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
+    along = groups_by(axis, "position")
     groupings = [
-        ("speed of the car", "speed (km/h)", groups_by_speed(axis)),
-        ("direction from which the car comes", "from", groups_by_direction(axis)),
+        ("speed of the car", "speed (km/h)", groups_by(axis, "speed")),
+        ("direction from which the car comes", "from", groups_by(axis, "direction")),
         ("place along the arms, in metres before (-) or behind (+) the junction", "at", along),
     ]
     return [
         Table(
             caption=f"Accident prevention ratio by {words}",
-            columns=[head, *(name for name, _, _ in verdicts)],
+            columns=[head, *parties],
             rows=[
-                [
-                    group,
-                    *(percent(apr(verdict, item.axis, mask)) for _, item, verdict in verdicts),
-                ]
+                [group, *(percent(apr(verdict, axis, mask)) for verdict in parties.values())]
                 for group, mask in groups
             ],
-            numeric=range(1, 1 + len(verdicts)),
+            numeric=range(1, 1 + len(parties)),
         )
         for words, head, groups in groupings
         if len(groups) > 1
     ]
 
 
-def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Evaluation, Verdict]]:
-    """Columns of a table of APR: head, evaluation, verdict."""
+def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
+    """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
-    parties = [
-        *(
-            (f"{name}: {count_sensors(item.layout)}", item, item.rsu_all)
-            for name, item in evaluations.items()
-        ),
-        ("car (VUT) alone", subject, subject.vut),
-        *((f"car (VUT) and {name}", item, item.vut_and_rsus) for name, item in evaluations.items()),
-    ]
+    layouts = evaluations.items()
+    parties = {f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts}
+    parties |= {"car (VUT) alone": subject.vut}
+    parties |= {f"car (VUT) and {name}": item.vut_and_rsus for name, item in layouts}
     # Who announces themselves does not depend on the layout.
     if "vam" in subject.others:
-        parties.append(("road users' messages (VAM) alone", subject, subject.others["vam"]))
-    parties += [
-        (f"car (VUT), {name} and VAM", item, item.others["all_sources"])
-        for name, item in evaluations.items()
+        parties["road users' messages (VAM) alone"] = subject.others["vam"]
+    return parties | {
+        f"car (VUT), {name} and VAM": item.others["all_sources"]
+        for name, item in layouts
         if "all_sources" in item.others
-    ]
-    return parties
+    }
 
 
 def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
@@ -133,21 +123,20 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     The last row: in what share of the frames the unit detects. Of more than ``MAX_UNIT_COLUMNS``
     units each is a row instead, the best first; a long table is to unfold.
     """
-    labels = unit_labels(evaluation.layout)
-    units = evaluation.units.items()
-    detected = [percent(detected_share(verdict, evaluation.axis)) for _, verdict in units]
-    columns = [_groups(evaluation.axis, "or"), *(labels[unit_id] for unit_id, _ in units)]
+    labels, axis = unit_labels(evaluation.layout), evaluation.axis
+    units, verdicts = evaluation.units.items(), [*evaluation.units.values()]
+    detected = [percent(detected_share(verdict, axis)) for verdict in verdicts]
+    columns = [_groups(axis, "or"), *(labels[unit_id] for unit_id, _ in units)]
     caption = f"APR of each unit of {name} by itself"
-    rows = [
-        *_apr_rows([(evaluation, verdict) for _, verdict in units]),
-        ["frames in which it detects", *detected],
-    ]
+    rows = [*_apr_rows(verdicts, axis), ["frames in which it detects", *detected]]
     if len(labels) > MAX_UNIT_COLUMNS:
         caption += ", best first"
         columns = ["unit", *(row[0] for row in rows)]
         of_units = zip(units, zip(*(row[1:] for row in rows), strict=True), strict=True)
         best_first = sorted(  # stable: as in the layout where two are alike
-            of_units, key=lambda pair: _rank(pair[0][1], evaluation.axis), reverse=True
+            of_units,
+            key=lambda pair: (apr(pair[0][1], axis), detected_share(pair[0][1], axis)),
+            reverse=True,
         )
         rows = [[labels[unit_id], *cells] for (unit_id, _), cells in best_first]
     return Table(
@@ -157,15 +146,6 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
         numeric=range(1, len(columns)),
         summary=caption if len(rows) > _MAX_FLAT_ROWS else "",
     )
-
-
-MAX_UNIT_COLUMNS = 24
-"""Of more units, each is a row of the table of units by themselves."""
-_MAX_FLAT_ROWS = 40  # a longer table is to unfold
-
-
-def _rank(verdict: Verdict, axis: FrameAxis) -> tuple[float, float]:
-    return apr(verdict, axis), detected_share(verdict, axis)
 
 
 def _groups(axis: FrameAxis, conjunction: str) -> str:
@@ -178,24 +158,146 @@ def several_weathers(axis: FrameAxis) -> list[str]:
     return weathers if len(weathers) > 1 else []
 
 
-def _apr_rows(verdicts: Sequence[tuple[Evaluation, Verdict]]) -> list[list[str]]:
-    axis = verdicts[0][0].axis
+def _apr_rows(verdicts: Sequence[Verdict], axis: FrameAxis) -> list[list[str]]:
     of_weather = np.array(axis.weathers)
-    by_case = [apr_by_case(verdict, item.axis) for item, verdict in verdicts]
-    return [
-        ["all runs", *(percent(apr(verdict, item.axis)) for item, verdict in verdicts)],
-        *(
-            [case, *(percent(shares[case]) for shares in by_case)]
-            for case in dict.fromkeys(axis.cases)
-        ),
-        *(
-            [
-                f"weather: {weather}",
-                *(
-                    percent(apr(verdict, item.axis, of_weather == weather))
-                    for item, verdict in verdicts
-                ),
-            ]
-            for weather in several_weathers(axis)
-        ),
+    by_case = [apr_by_case(verdict, axis) for verdict in verdicts]
+    rows = [["all runs", *(percent(apr(verdict, axis)) for verdict in verdicts)]]
+    for case in dict.fromkeys(axis.cases):
+        rows.append([case, *(percent(shares[case]) for shares in by_case)])
+    for weather in several_weathers(axis):
+        shares = (apr(verdict, axis, of_weather == weather) for verdict in verdicts)
+        rows.append([f"weather: {weather}", *map(percent, shares)])
+    return rows
+
+
+def cases_section(setting: Setting) -> Section:
+    """Cases that are driven, and those that cannot be."""
+    note = [
+        "Last moment: the latest time at which braking still avoids the impact, which would be at "
+        "0; of each case's runs the earliest and the latest.",
+        *describe_hopeless(setting),
     ]
+    blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
+    refusals = describe_refusals(setting)
+    if refusals:
+        blocks += [Subheading("Not driven"), Bullets(refusals)]
+    return Section("cases", "What is driven", blocks)
+
+
+def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
+    """How every run ends."""
+    note = (
+        "Avoided, with the time to spare between the onset of braking and the last moment; or hit, "
+        "with the time by which braking comes too late. Lost again: confirmed early enough, but "
+        "not known any more at the last moment."
+    )
+    return Section("runs", "Every run", [note, run_table(evaluations)])
+
+
+def case_table(setting: Setting) -> Table:
+    """The cases driven: what, how fast, from where, how late to brake; and their weights."""
+    has_weights = is_weighted(setting.axis)
+    refused = [refusal.approach for refusal in setting.refusals]
+    every = dict.fromkeys([*(run.approach for run in setting.runs), *refused])
+    rows = []
+    for name, indices in runs_by_case(setting).items():
+        runs = [setting.runs[index] for index in indices]
+        case = runs[0].case
+        vru_speeds_kmh = sorted({run.case.vru_speed_kmh for run in runs})
+        approaches = dict.fromkeys(run.approach for run in runs)
+        last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
+        met = f"{case.vru.name}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h"
+        speeds = _steps(sorted({run.vut_speed_kmh for run in runs}))
+        arms = "all" if len(approaches) == len(every) > 1 else ", ".join(approaches)
+        weight = [percent(float(setting.axis.weight[indices].sum()))] if has_weights else []
+        moments = [number(pick(last_s, default=None)) for pick in (min, max)]
+        rows.append([name, case.title, met, speeds, arms, str(len(runs)), *weight, *moments])
+    columns = [
+        *("case", "what happens", "road user", "car (km/h)", "from", "runs"),
+        *(["weight"] if has_weights else []),
+        *("last moment, earliest (s)", "latest (s)"),
+    ]
+    return Table(
+        caption="Cases" + (f"; from all: {', '.join(every)}" if len(every) > 1 else ""),
+        columns=columns,
+        rows=rows,
+        numeric=range(5, len(columns)),
+    )
+
+
+def _steps(values: Sequence[float]) -> str:
+    """Ascending values: as a range where the steps between them are equal, else each."""
+    steps = np.diff(values)
+    if len(values) > 2 and np.allclose(steps, steps[0]):
+        return f"{values[0]:g} to {values[-1]:g} by {steps[0]:g}"
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def describe_hopeless(setting: Setting) -> list[str]:
+    """Which cases have runs that no braking avoids, in sentences."""
+    hopeless = [run for run in setting.runs if not math.isfinite(run.last_brake_time_s)]
+    n_runs = Counter(run.case.name for run in hopeless)
+    names = [name for name in runs_by_case(setting) if n_runs[name]]
+    words = "no braking avoids the impact."
+    return [f"In {count_runs(n_runs[name])} of {name} {words}" for name in names]
+
+
+def describe_refusals(setting: Setting) -> list[str]:
+    """What cannot be driven, and why; speeds are told at the junction alone."""
+    places: dict[tuple[str, str, str], dict[str, list[str]]] = {}
+    for refusal in lacking_room(setting):
+        speeds = refusal.speeds_text if refusal.position == AT_ZERO.name else ""
+        of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
+        of_reason.setdefault(refusal.approach, []).append(refusal.position)
+    sentences = [
+        f"{case} from the {describe_places(positions)}"
+        + (f" at {speeds} km/h" if speeds else "")
+        + f": {reason.removesuffix('.')}."
+        for (case, speeds, reason), positions in places.items()
+    ]
+    return [*sentences, *describe_limits(setting), *describe_left_out(setting)]
+
+
+def runs_by_case(setting: Setting) -> dict[str, list[int]]:
+    """Indices of the runs of each case, in the order in which the cases first appear."""
+    masks = groups_by(setting.axis, "case")
+    return {name: np.flatnonzero(mask).tolist() for name, mask in masks}
+
+
+def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
+    """A row per run, the least time to spare first; the first evaluation is the subject."""
+    subject = next(iter(evaluations.values()))
+    axis = subject.axis
+    verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
+    margins = [margin_s(verdict, axis) for verdict in verdicts]
+    has_weathers, has_weights = bool(several_weathers(axis)), is_weighted(axis)
+    rows = []
+    for index in np.argsort(margins[0], kind="stable").tolist():
+        weather = [axis.weathers[index]] if has_weathers else []
+        weight = [percent(float(axis.weight[index]))] if has_weights else []
+        ends = [
+            outcome(run_outcome(verdict, axis, index), float(margin[index]))
+            for verdict, margin in zip(verdicts, margins, strict=True)
+        ]
+        last = number(axis.last_brake_time_s[index])
+        rows.append([axis.run_ids[index], *weather, *weight, last, *ends])
+    own = [*(["weather"] if has_weathers else []), *(["weight"] if has_weights else [])]
+    columns = ["run", *own, "last moment (s)", *evaluations, "VUT"]
+    n_hit = int((~subject.headline.is_avoided).sum())
+    hits = f", {n_hit} of them hit" if n_hit else ""
+    return Table(
+        caption="Runs: case / from / speed in km/h" + (" / weather" if has_weathers else ""),
+        columns=columns,
+        rows=rows,
+        numeric=range(1, len(columns)),
+        summary=f"{len(rows)} runs{hits}: those with the least time to spare first",
+    )
+
+
+def outcome(words: str, margin_s: float) -> str:
+    """How a run ends, with the time to spare or the time by which braking comes too late."""
+    if words == "avoided":
+        return f"avoided, {number(margin_s)} s"
+    if words == "lost again":
+        return "HIT, lost again"
+    return f"HIT, {number(-margin_s)} s late" if math.isfinite(margin_s) else "HIT, not confirmed"

@@ -1,6 +1,5 @@
 """What units add to cars: the VUT by itself, with the units, the difference, and unit by unit."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -15,7 +14,7 @@ from scenarios.weights import weight_share
 
 from ..results.numbers import number, percent
 from ..results.record import says
-from ..results.tables import groups_by_case, groups_by_position
+from ..results.tables import groups_by
 from .dangers import position_words
 from .section import Section, Table
 
@@ -39,9 +38,7 @@ class AddedGroup:
 
     kind: Annotated[str, says('"all", "case", "position" or "road user".')]
     name: Annotated[str, says("Of the group.")]
-    vut: Annotated[
-        float | None, says("APR of the VUT by itself. None: no run of the group has weight. 0..1.")
-    ]
+    vut: Annotated[float | None, says("APR of the VUT alone, 0..1; null: no run has weight.")]
     with_units: Annotated[float | None, says("APR of the VUT with all units.")]
     gain: Annotated[float | None, says("What the units add: the difference.")]
 
@@ -50,19 +47,12 @@ class AddedGroup:
 class Added:
     """What the units of a layout add to a VUT that sees, by the evaluator."""
 
-    groups: Annotated[
-        tuple[AddedGroup, ...],
-        says(
-            "All runs first, then each case, position along the arms and road user, where "
-            "there are several."
-        ),
-    ]
+    groups: Annotated[tuple[AddedGroup, ...], says("All runs, then each case, place, road user.")]
     units: Annotated[
         tuple[AddedUnit, ...],
         says(
-            "In the order of greedy choice: the one first that adds most. A run counts here "
-            "as avoided where braking sets in before its last moment. Empty where there are "
-            "too many."
+            "The one first that adds most; empty where there are too many. A run counts here as "
+            "avoided where braking sets in before its last moment."
         ),
     ]
 
@@ -77,20 +67,18 @@ def build_added(setting: Setting, evaluation: Evaluation, *, fusion: str = "any"
     met = np.array([run.road_user for run in setting.runs])
     groups: list[tuple[str, str, BoolArray]] = [("all", "all runs", np.ones(len(met), dtype=bool))]
     for kind, found in (
-        ("case", groups_by_case(axis)),
-        ("position", groups_by_position(axis)),
+        ("case", groups_by(axis, "case")),
+        ("position", groups_by(axis, "position")),
         ("road user", [(name, met == name) for name in ROAD_USER_GROUPS if name in met]),
     ):
         groups += [(kind, name, mask) for name, mask in found if len(found) > 1]
 
     def group(kind: str, name: str, mask: BoolArray) -> AddedGroup:
-        weight = axis.weight * mask
-        if not weight.any():
-            return AddedGroup(kind=kind, name=name, vut=None, with_units=None, gain=None)
-        alone, with_units = weight_share(own, weight), weight_share(together, weight)
-        return AddedGroup(
-            kind=kind, name=name, vut=alone, with_units=with_units, gain=with_units - alone
-        )
+        weight, alone, both, gain = axis.weight * mask, None, None, None
+        if weight.any():
+            alone, both = weight_share(own, weight), weight_share(together, weight)
+            gain = both - alone
+        return AddedGroup(kind=kind, name=name, vut=alone, with_units=both, gain=gain)
 
     return Added(
         groups=tuple(group(*one) for one in groups), units=_one_by_one(setting, evaluation, fusion)
@@ -126,9 +114,6 @@ def _one_by_one(setting: Setting, evaluation: Evaluation, fusion: str) -> tuple[
     return tuple(found)
 
 
-# ---------- words, tables, section
-
-
 def words(record: Added | None) -> list[str]:
     """The VUT alone, with the units, and what they add, in one sentence; an answer begins so."""
     if record is None or record.groups[0].gain is None:
@@ -150,34 +135,25 @@ def _points(gain: float | None) -> str:
     return number(None if gain is None else 100.0 * gain, 1)
 
 
-def tables(record: Added) -> list[Table]:
-    """A row per unit in the order of what they add; a row per group of runs."""
+def section(record: Added | None) -> Section | None:
+    """What the units add, one after the other and by group; None where that is not known."""
+    if record is None:
+        return None
     of_units = Table(
         caption="One unit after the other next to a car that sees, the one first that adds most",
         columns=["unit", "APR with it", "adds (points)"],
         rows=[[unit.unit, percent(unit.apr), _points(unit.gain)] for unit in record.units],
         numeric=(1, 2),
     )
+    rows = []
+    for one in record.groups:
+        name = position_words(one.name) if one.kind == "position" else one.name
+        rows.append([name, percent(one.vut), percent(one.with_units), _points(one.gain)])
     of_groups = Table(
         caption="What all units together add, by the evaluator",
         columns=["runs", "car (VUT) alone", "car (VUT) and units", "added (points)"],
-        rows=[
-            [
-                position_words(group.name) if group.kind == "position" else group.name,
-                percent(group.vut),
-                percent(group.with_units),
-                _points(group.gain),
-            ]
-            for group in record.groups
-        ],
+        rows=rows,
         numeric=(1, 2, 3),
     )
-    return [of_units, of_groups] if record.units else [of_groups]
-
-
-def section(record: Added | None) -> Section | None:
-    """What the units add; None where that is not known."""
-    if record is None:
-        return None
-    blocks: Sequence[str | Table] = [*words(record), *tables(record)]
-    return Section("added", "What the units add", [*blocks])
+    tables = [of_units, of_groups] if record.units else [of_groups]
+    return Section("added", "What the units add", [*words(record), *tables])

@@ -1,9 +1,10 @@
-"""Doubts about a placement: heavy runs, other priorities, the evaluator, mounting errors."""
+"""Doubts about a placement: heavy runs, other priorities, the evaluator, mounting, failures."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -18,26 +19,29 @@ from placement.explain.alternatives import (
     find_by_runs,
     recommend,
 )
+from placement.explain.contributions import MAX_PAIR_UNITS, Failure, Failures, find_failures
 from placement.explain.tolerances import MAX_UNITS, TOLERANCES, Standing, find_standing
 from placement.layout import Layout
 from placement.optimiser import is_feasible
 from placement.pipeline import Assembly, Placement
 from placement.question import Question
 from placement.setting import Setting
+from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 from scenarios.scores import AVOIDED
 
 from ..progress import StageProgress
 from ..results.folders import RECOMMENDED_FILE
-from ..results.numbers import count_runs, first_of, percent
+from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
 from ..results.record import UnitRecord, build_unit_records, says
 from ..side_process import SideProcess, Task
+from .section import Section, Table, tabulate
 
 HEAVY_SHARE = 0.02
 """A run that counts more is named."""
-_MAX_HEAVY = 8
-
-# ---------- values
+MAX_ROWS = 12
+"""Rows of a table of failures: beyond, only the worst are shown."""
+_MAX_HEAVY, _MAX_RUNS = 8, 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,30 +58,18 @@ class LeadingLayout:
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
-    apr: Annotated[
-        float, says("APR, and that when the unit that is needed most fails; 0 for a single unit.")
-    ]
-    apr_one_failed: Annotated[
-        float, says("APR, and that when the unit that is needed most fails; 0 for a single unit.")
-    ]
-    mounting: Annotated[
-        Standing | None, says("What errors of mounting cost; null: not asked for.")
-    ] = None
+    apr: Annotated[float, says("By the evaluator.")]
+    apr_one_failed: Annotated[float, says("APR when the most needed unit fails; of one unit: 0.")]
+    mounting: Annotated[Standing | None, says("Cost of mounting errors; null: not asked.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontRunners:
     """The layout found and others that lead, judged by the evaluator."""
 
-    recommended: Annotated[
-        str, says("Name of one of them; recommended.json has it if it is not the layout found.")
-    ]
-    decided_by: Annotated[
-        Deciding, says("Why the layout found was passed over; order: it is the one recommended.")
-    ]
-    equal_within: Annotated[float, says("Shares that differ by no more count as equal.")] = (
-        EQUAL_APR
-    )
+    recommended: Annotated[str, says("One of them; if another one, it is in recommended.json.")]
+    decided_by: Annotated[Deciding, says("What speaks for another layout; order: nothing does.")]
+    equal_within: Annotated[float, says("Shares that differ by no more are equal.")] = EQUAL_APR
     layouts: Annotated[tuple[LeadingLayout, ...], says("The layout found comes first.")]
 
 
@@ -100,16 +92,12 @@ def find_other_weights(
     compute: Compute,
     progress: StageProgress,
 ) -> ByRuns | None:
-    """The layout that is best if all runs count the same; None where that is not asked.
-
-    Weights that the user gave are meant: runs that count the same are not compared with them.
-    """
-    problem, chosen = placement.problem, placement.pose_index
+    """The layout that is best if all runs count the same; None if weights were asked for."""
     progress(STAGE, 0, 0)
-    effort, cache = plan.effort, compute.cache_folder
     if question.weights not in ("", "case") or question.score != AVOIDED:
         return None
-    return find_by_runs(problem, chosen, effort=effort, cache_folder=cache)
+    chosen, cache = placement.pose_index, compute.cache_folder
+    return find_by_runs(placement.problem, chosen, effort=plan.effort, cache_folder=cache)
 
 
 def begin_standing(
@@ -118,22 +106,15 @@ def begin_standing(
     """Begin to find what errors of mounting cost a layout; None where it has too many units."""
     if len(layout.units) > MAX_UNITS:
         return None
-    return side.begin(
-        TOLERANCES,
-        find_standing,
-        setting,
-        layout.units,
-        fusion=question.fusion,
-        compute=compute,
-    )
+    fusion, units = question.fusion, layout.units
+    return side.begin(TOLERANCES, find_standing, setting, units, fusion=fusion, compute=compute)
 
 
 def leading_layouts(on_grid: Placement, placement: Placement) -> list[Layout]:
     """Layouts that lead on the table behind the one found: the greedy one.
 
-    None where it is not the highest APR that was asked for, worlds were sampled, or runs have
-    levels of a score: the evaluator's APR is that of the runs as planned. `on_grid` is the
-    placement before it was refined.
+    None where something else than the highest APR was asked for, or the evaluator's is another
+    measure: of sampled worlds, of a score. `on_grid` is the placement before it was refined.
     """
     problem = placement.problem
     if problem.goal != "best" or problem.survive or placement.nominal is not problem:
@@ -160,17 +141,16 @@ def find_front_runners(
     """
     runners = [build_front_runner(one, setting.rule, fusion=question.fusion) for one in evaluations]
     first = None if standing is None else standing.result(partial(progress, TOLERANCES, 0, 0))
-    known: list[Standing | None] = [first, *[None] * (len(runners) - 1)]
+    known: dict[int, Standing] = {} if first is None else {0: first}
 
     def mounted_wrongly(number: int) -> float:
         if first is None:
             return 0.0
-        found = known[number]
-        if found is None:
+        if number not in known:
             units = runners[number].layout.units
             found = find_standing(setting, units, fusion=question.fusion, compute=compute)
             known[number] = found
-        return found.worst.apr
+        return known[number].worst.apr
 
     number, decided_by = recommend(runners, mounted_wrongly)
     if len(runners) == 1:
@@ -184,15 +164,12 @@ def find_front_runners(
                 layout=build_unit_records(one.layout),
                 apr=one.apr,
                 apr_one_failed=one.apr_one_failed,
-                mounting=mounting,
+                mounting=known.get(order),
             )
-            for one, mounting in zip(runners, known, strict=True)
+            for order, one in enumerate(runners)
         ),
     )
     return found, first, runners[number].layout if number else None
-
-
-# ---------- words
 
 
 def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> list[str]:
@@ -209,12 +186,9 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
     elif found.decided_by == "apr_one_failed":
         why = f"the same APR, {percent(first.apr)}, and {left} if any one unit fails"
     else:
-        assert best.mounting
-        assert first.mounting
-        why = (
-            "the same APR, and a unit mounted 1 degree or 5 cm off leaves "
-            f"{percent(best.mounting.worst.apr)} against {percent(first.mounting.worst.apr)}"
-        )
+        worst = [percent(one.mounting.worst.apr) for one in (best, first) if one.mounting]
+        leaves = " against ".join(worst)
+        why = f"the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}"
     proof = "is proven best on the detection table" if is_proven else "is the best found"
     return [
         f"Recommended: {best.name}, in {RECOMMENDED_FILE}. The evaluator prefers it to "
@@ -231,71 +205,178 @@ def doubt_sentences(
 ) -> list[str]:
     """Sentences about what would change the answer; nothing where nobody looked."""
     return [
-        *_heavy(heavy_runs),
+        *([_heavy(heavy_runs)] if heavy_runs else []),
         *([_by_runs(by_runs, n_runs)] if by_runs else []),
         *([_mounting(mounting)] if mounting else []),
     ]
 
 
-def _heavy(runs: Sequence[HeavyRun]) -> list[str]:
-    if not runs:
-        return []
+def _heavy(runs: Sequence[HeavyRun]) -> str:
     low, high = percent(runs[-1].share), percent(runs[0].share)
     shares = high if low == high else f"{low} to {high}"
     names = first_of([one.run for one in runs], _MAX_HEAVY)
     if len(runs) == 1:
-        return [f"One run alone counts {shares} of the APR: {names}."]
-    return [f"{len(runs)} runs count {shares} of the APR each: {names}."]
+        return f"One run alone counts {shares} of the APR: {names}."
+    return f"{len(runs)} runs count {shares} of the APR each: {names}."
 
 
 def _by_runs(found: ByRuns, n_runs: int) -> str:
-    if found.runs_avoided == found.runs_avoided_here:
-        if found.is_proven:
-            return "If every run counted the same, no layout would be better than this one."
+    if found.runs_avoided > found.runs_avoided_here:
+        best = "best" if found.is_proven else "better"
         return (
-            "If every run counted the same, no better layout was found in the time for it; that "
-            "there is none is not proven."
+            f"If every run counted the same (--weights run), another layout would be {best}: it "
+            f"avoids {found.runs_avoided} of {count_runs(n_runs)}, this one "
+            f"{found.runs_avoided_here} (on the detection table)."
         )
-    best = "best" if found.is_proven else "better"
+    if found.is_proven:
+        return "If every run counted the same, no layout would be better than this one."
     return (
-        f"If every run counted the same (--weights run), another layout would be {best}: it avoids "
-        f"{found.runs_avoided} of {count_runs(n_runs)}, this one {found.runs_avoided_here} (on the "
-        "detection table)."
+        "If every run counted the same, no better layout was found in the time for it; that "
+        "there is none is not proven."
     )
 
 
 def _mounting(found: Standing) -> str:
     aim = f"{found.aim_deg:g} {'degree' if found.aim_deg == 1.0 else 'degrees'}"
-    if found.aim_deg and found.height_m:
-        text = f"A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost."
-    elif found.aim_deg:
-        text = (
-            f"A unit may be {aim} off its aim and no run is lost; 5 cm too high or low already "
-            "loses one."
-        )
-    elif found.height_m:
-        text = (
-            "Mount exactly: half a degree off the aim of a unit already loses a run; 5 cm too high "
-            "or low loses none."
-        )
-    else:
-        text = (
-            "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or low, already "
-            "loses a run."
-        )
+    exactly = "Mount exactly: half a degree off the aim of a unit"
+    text = {
+        (
+            True,
+            True,
+        ): f"A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost.",
+        (True, False): f"A unit may be {aim} off its aim and no run is lost; 5 cm too high or low "
+        "already loses one.",
+        (False, True): f"{exactly} already loses a run; 5 cm too high or low loses none.",
+        (False, False): f"{exactly}, or 5 cm too high or low, already loses a run.",
+    }[bool(found.aim_deg), bool(found.height_m)]
     worst = found.worst
     if not worst.lost_run_ids:
         return text
-    size = f"{abs(worst.step):g} degree"
+    size, is_more = f"{abs(worst.step):g} degree", worst.step > 0.0
     off = {
-        ("yaw", True): f"turned {size} to the left",
-        ("yaw", False): f"turned {size} to the right",
-        ("pitch", True): f"tilted {size} up",
-        ("pitch", False): f"tilted {size} down",
-        ("height", True): "5 cm too high",
-        ("height", False): "5 cm too low",
-    }[worst.kind, worst.step > 0.0]
+        "yaw": f"turned {size} to the {'left' if is_more else 'right'}",
+        "pitch": f"tilted {size} {'up' if is_more else 'down'}",
+        "height": f"5 cm too {'high' if is_more else 'low'}",
+    }[worst.kind]
     return (
         f"{text} At worst, 1 degree or 5 cm cost {count_runs(len(worst.lost_run_ids))}: with "
         f"{worst.unit_id} {off} the APR is {percent(worst.apr)}."
     )
+
+
+def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
+    """APR that remains if one unit, two, or a pole fail; `labels` are names by id."""
+    whole, n_units = failures.none_failed, len(failures.one_failed)
+    if n_units == 1:
+        return [
+            f"There is one unit. If it fails, nothing is left of the {percent(whole.apr)} that it "
+            "prevents but what the car prevents by itself."
+        ]
+    return [
+        f"All {n_units} units together prevent {percent(whole.apr)}.",
+        _if_one_fails(failures, labels),
+        _if_two_fail(failures, labels),
+        *([_if_a_pole_fails(failures, labels)] if failures.site_failed else []),
+    ]
+
+
+def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
+    worst, n_units = failures.one_failed[0], len(failures.one_failed)
+    n_harmless = sum(not item.lost_run_ids for item in failures.one_failed)
+    if n_harmless == n_units:
+        text = "Whichever one fails, the others avoid every run that all avoid together"
+        least_s = min(item.smallest_margin_s for item in failures.one_failed)
+        if math.isnan(least_s):  # there is no such run
+            return f"{text}."
+        return f"{text}; the least time to spare is then {milliseconds(least_s)}."
+    text = (
+        f"If {_names(worst, labels)} fails, the others still prevent {percent(worst.apr)}; "
+        f"{_runs_are(worst)} lost. No single failure leaves less."
+    )
+    if n_harmless:
+        text += f" {n_harmless} of the {n_units} units can fail by themselves and no run is lost."
+    return text
+
+
+def _if_two_fail(failures: Failures, labels: Mapping[str, str]) -> str:
+    n_units, pairs = len(failures.one_failed), failures.two_failed
+    n_harmless = sum(not item.lost_run_ids for item in pairs)
+    if not pairs:
+        return f"Pairs are looked at for up to {MAX_PAIR_UNITS} units; there are {n_units}."
+    if n_units == 2:
+        return "If both fail, only the car itself is left."
+    if n_harmless == len(pairs):
+        return "Any two may fail at once, and no run is lost."
+    return (
+        f"Of two that fail at once, {_names(pairs[0], labels)} matter most: "
+        f"{percent(pairs[0].apr)} are left. {n_harmless} of the {len(pairs)} pairs can fail and no "
+        "run is lost."
+    )
+
+
+def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
+    worst = failures.site_failed[0]
+    if all(len(item.unit_ids) == 1 for item in failures.site_failed):
+        return "No two units share a pole: a pole that fails takes one unit with it."
+    text = "A pole fails with all its units (power, a crash). "
+    if not worst.lost_run_ids:
+        return f"{text}Whichever one does, no run is lost."
+    return (
+        f"{text}If that of {_names(worst, labels)} does, {percent(worst.apr)} are left and "
+        f"{_runs_are(worst)} lost; no other pole leaves less."
+    )
+
+
+def failure_table(
+    failures: Sequence[Failure], labels: Mapping[str, str], *, of: Literal["unit", "pair", "pole"]
+) -> Table:
+    """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
+    what, many, head = {
+        "unit": ("one unit fails", " units", "fails"),
+        "pair": ("two units fail", " pairs", "fail"),
+        "pole": ("one pole fails", "", "its units"),
+    }[of]
+    caption = f"If {what}"
+    if len(failures) > MAX_ROWS:
+        caption += f": the {MAX_ROWS} worst of {len(failures)}{many}"
+    pole: dict[str, Callable[[Failure], str]] = {"pole": lambda item: item.site_id}
+    columns: dict[str, Callable[[Failure], str]] = (pole if of == "pole" else {}) | {
+        head: lambda item: _names(item, labels),
+        "APR of the rest": lambda item: percent(item.apr),
+        "smallest margin of the rest (ms)": lambda item: number(1000.0 * item.smallest_margin_s, 0),
+        "runs lost": lambda item: str(len(item.lost_run_ids)),
+        "which": lambda item: first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
+    }
+    numeric = range(len(columns) - 4, len(columns) - 1)
+    return tabulate(caption, failures[:MAX_ROWS], columns, numeric=numeric)
+
+
+def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]) -> Section:
+    """What remains if a unit fails, or two, or a pole; `labels` are short names of units by id."""
+    failures = find_failures(evaluation, rule)
+    tables = [failure_table(failures.one_failed, labels, of="unit")]
+    if len(failures.two_failed) > 1:
+        tables.append(failure_table(failures.two_failed, labels, of="pair"))
+    if any(len(item.unit_ids) > 1 for item in failures.site_failed):
+        tables.append(failure_table(failures.site_failed, labels, of="pole"))
+    whose = (
+        "What the evaluator sees with each unit, and with the car's own sensors, which never fail."
+        if evaluation.cars == 1.0
+        else "Roadside units only, from what the evaluator sees with each; what the car sees by "
+        "itself comes on top."
+    )
+    note = (
+        f"{whose} A run is lost if all units together avoid it and those that are left do "
+        "not; the fastest ones are named first."
+    )
+    sentences = " ".join(failure_sentences(failures, labels))
+    return Section("failures", "If a unit or a pole fails", [sentences, *tables, note])
+
+
+def _names(failure: Failure, labels: Mapping[str, str]) -> str:
+    return " and ".join(labels.get(unit_id, unit_id) for unit_id in failure.unit_ids)
+
+
+def _runs_are(failure: Failure) -> str:
+    n_lost = len(failure.lost_run_ids)
+    return f"{count_runs(n_lost)} {'is' if n_lost == 1 else 'are'}"

@@ -14,11 +14,11 @@ from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
-from .ground import private_ground_sentences
+from .explanation import refinement_sentences
 from .next_unit import next_unit_sentence
-from .refinement import refinement_sentences
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, uncertainty_sentences
+from .units import private_ground_sentences
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
@@ -88,12 +88,7 @@ def doubts(result: Result) -> list[str]:
     """Sentences about what would change the answer."""
     if not isinstance(result, PlacementResult):
         return doubt_sentences(result.heavy_runs, n_runs=result.runs)
-    return doubt_sentences(
-        result.heavy_runs,
-        result.by_runs,
-        result.mounting,
-        n_runs=result.runs,
-    )
+    return doubt_sentences(result.heavy_runs, result.by_runs, result.mounting, n_runs=result.runs)
 
 
 def private_ground(result: Result) -> list[str]:
@@ -147,26 +142,23 @@ def _of_car(subject: Evaluation) -> str:
 
 def _failures(result: Result, subject: Evaluation) -> list[str]:
     """APR that remains when a unit or a pole fails."""
-    left, of_site = (
-        result.evaluation.apr_without_worst_unit,
-        result.evaluation.apr_without_worst_site,
-    )
-    failed = [] if left is None else [_one_failed(left, subject)]
+
+    def left(apr: float) -> str:
+        is_all = apr > 1.0 - 1.0e-9
+        return (
+            f"the others {'still avoid every run' if is_all else f'reach at least {percent(apr)}'}"
+        )
+
+    of_unit = result.evaluation.apr_without_worst_unit
+    of_site = result.evaluation.apr_without_worst_site
+    failed = []
+    if of_unit is not None and len(subject.units) == 1:
+        failed.append("If this one unit fails, only the car itself is left")
+    elif of_unit is not None:
+        failed.append(f"If any one unit fails, {left(of_unit)}")
     if of_site is not None:
-        failed.append(f"If any one pole fails with all its units, {_reach(of_site, 'the others')}")
+        failed.append(f"If any one pole fails with all its units, {left(of_site)}")
     return failed
-
-
-def _one_failed(left: float, subject: Evaluation) -> str:
-    if len(subject.units) == 1:
-        return "If this one unit fails, only the car itself is left"
-    return f"If any one unit fails, {_reach(left, 'the others')}"
-
-
-def _reach(left: float, who: str) -> str:
-    if left > 1.0 - 1.0e-9:
-        return f"{who} still avoid every run"
-    return f"{who} reach at least {percent(left)}"
 
 
 def _score(is_avoided: BoolArray, evaluation: Evaluation, apr: float | None = None) -> str:

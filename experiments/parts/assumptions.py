@@ -10,27 +10,33 @@ from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
-from ..results.numbers import count_runs, joined, percent, several
+from ..results.numbers import count_runs, first_of, joined, percent, several
 from .accidents import is_weighted
 from .result import EvaluationResult, PlacementResult, Result
 from .sampled_worlds import moving_sentence
-from .section import Block, Box, Code, Section, Table, Terms
+from .section import Box, Code, Section, Table, Terms
+
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_MAX_NAMES = 3
+_MOVING = (
+    "In each sampled world, runs of one case, approach and position see the same traffic, with the "
+    "impact at the same moment. Vehicles more than 100 m from the middle of the junction are cut. "
+    "Who would touch what is parked, or come nearer to car or road user than the clearance, is "
+    "left out of that run. Where SUMO drives, its vehicles react to the car, which minds no lights."
+)
+_FUSIONS = {
+    "any": "A frame counts if any unit detects the road user in it.",
+    "single": "One unit must confirm the road user by itself.",
+}
 
 
 def assumption_sentences(result: Result) -> list[str]:
-    """Assumptions where the map of the junction is silent, the most important first.
-
-    Sites of which the same is assumed share a sentence.
-    """
+    """What the map leaves open, the most important first; sites alike share a sentence."""
     groups: dict[tuple[str, ...], list[Note]] = {}
     for index, one in enumerate(result.assumptions):
         key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)
         groups.setdefault(key, []).append(one)
     return [_together(group) for group in groups.values()]
-
-
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
-_MAX_NAMES = 3
 
 
 def _together(group: Sequence[Note]) -> str:
@@ -39,15 +45,11 @@ def _together(group: Sequence[Note]) -> str:
     if len(group) == 1:
         return f"{first.what}: {first.why}."
     numbers = [[float(word) for word in _NUMBER.findall(one.why)] for one in group]
-    ranges = [
-        f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        for low, high in ((min(column), max(column)) for column in zip(*numbers, strict=True))
-    ]
-    why = _NUMBER.sub(lambda _match: ranges.pop(0), first.why)
+    lows_highs = [(min(column), max(column)) for column in zip(*numbers, strict=True)]
+    ranges = iter(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in lows_highs)
+    why = _NUMBER.sub(lambda _match: next(ranges), first.why)
     names = [site_id for one in group for site_id in one.site_ids]
-    listed = ", ".join(names[:_MAX_NAMES])
-    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-    return f"{len(names)} sites ({listed}{more}): {why}."
+    return f"{len(names)} sites ({first_of(names, _MAX_NAMES)}): {why}."
 
 
 def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
@@ -58,25 +60,14 @@ def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, 
 
 def again_section(result: Result, command: str) -> Section:
     """The command line, how long it took, and with which programs."""
-    tables: list[Block] = []
-    if result.seconds:
-        seconds = [(stage, f"{value:.1f}") for stage, value in result.seconds.items()]
-        tables.append(
-            Table(caption="Time taken", columns=["stage", "seconds"], rows=seconds, numeric=[1])
-        )
-    if result.versions:
-        versions = [*result.versions.items()]
-        tables.append(Table(caption="Versions", columns=["what", "version"], rows=versions))
-    columns = Box("beside tables", [Box("", [table]) for table in tables])
+    seconds = [(stage, f"{value:.1f}") for stage, value in result.seconds.items()]
+    versions = [*result.versions.items()]
+    tables = [
+        Table(caption="Time taken", columns=["stage", "seconds"], rows=seconds, numeric=[1]),
+        Table(caption="Versions", columns=["what", "version"], rows=versions),
+    ]
+    columns = Box("beside tables", [Box("", [table]) for table in tables if table.rows])
     return Section("again", "To make it again", [Code(command), columns])
-
-
-def _cars(setting: Setting) -> str:
-    """Whether layouts are judged together with the car's own sensors."""
-    if not setting.cars:
-        return ""
-    who = "every car" if setting.cars == 1.0 else f"{percent(setting.cars)} of the cars"
-    return f" That is one more unit of {who}, which costs nothing and never fails."
 
 
 def assumptions(
@@ -84,49 +75,45 @@ def assumptions(
 ) -> list[tuple[str, str]]:
     """Assumptions behind the numbers, as term and text; layouts by display name."""
     rule, axis = setting.rule, setting.axis
-    frame_s = 1.0 / rule.frame_rate_hz
-    terms = [
-        (
-            "Runs",
-            f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every run "
-            "ends in an impact unless the car brakes. One frame falls on the moment of the impact.",
-        ),
-        ("Weights", _weights(setting)),
-        (
-            "Detection",
-            f"{setting.detector.description}{_figures(setting)} The car itself looks with: "
-            f"{' and '.join(setting.vut_sensors)}.{_cars(setting)}",
-        ),
-        (
-            "Confirmation",
-            f"{rule.n_confirmations} detected frames in a row, {frame_s:g} s apart.",
-        ),
-        ("Tracks", _tracks(rule)),
-        ("Latency", _latency(rule, layouts)),
-        (
-            "Braking",
-            f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {_onset(rule.build_up_s)}, along "
-            "the car's path. The road user keeps going.",
-        ),
-        ("Avoided", "The outlines of car and road user on the road never touch."),
-        ("Weather", _weather(setting)),
-    ]
+    cars = ""
+    if setting.cars:
+        who = "every car" if setting.cars == 1.0 else f"{percent(setting.cars)} of the cars"
+        cars = f" That is one more unit of {who}, which costs nothing and never fails."
+    onset = f"reached linearly {rule.build_up_s:g} s after the onset"
+    if rule.build_up_s == 0.0:
+        onset = "constant from the onset"
+    weathers = list(dict.fromkeys(run.weather for run in setting.runs))
+    dims = " It takes contrast from cameras and pulses from LiDARs."
+    terms = {
+        "Runs": f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every "
+        "run ends in an impact unless the car brakes. One frame falls on the moment of the impact.",
+        "Weights": _weights(setting),
+        "Detection": f"{setting.detector.description}{_figures(setting)} The car itself looks "
+        f"with: {' and '.join(setting.vut_sensors)}.{cars}",
+        "Confirmation": f"{rule.n_confirmations} detected frames in a row, "
+        f"{1.0 / rule.frame_rate_hz:g} s apart.",
+        "Tracks": _tracks(rule),
+        "Latency": _latency(rule, layouts),
+        "Braking": f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {onset}, along the car's "
+        "path. The road user keeps going.",
+        "Avoided": "The outlines of car and road user on the road never touch.",
+        "Weather": f"{', '.join(weathers)}.{'' if weathers == ['day'] else dims}",
+    }
     if setting.radio != Radio():
-        terms.append(("Radio", _radio(setting.radio)))
+        terms["Radio"] = _radio(setting.radio)
     sampled = None if isinstance(result, EvaluationResult) else result.sampled
     if sampled is not None and sampled.moving:
-        terms.append(("Traffic", f"{moving_sentence(sampled)}. {_MOVING}"))
-    terms.append(("Units together", _FUSIONS[result.fusion]))
+        terms["Traffic"] = f"{moving_sentence(sampled)}. {_MOVING}"
+    terms["Units together"] = _FUSIONS[result.fusion]
     if isinstance(result, PlacementResult) and result.budget is not None:
-        terms.append(("Budget", several(result.budget, "unit", "units") + "."))
-    return terms
+        terms["Budget"] = several(result.budget, "unit", "units") + "."
+    return [*terms.items()]
 
 
 def _figures(setting: Setting) -> str:
     """How many figures of response tables are measured; that of the table where it is another."""
     tables = {one.name: one for one in (setting.detector, setting.table_detector)}.values()
-    words = [one.figures_words for one in tables if isinstance(one, ResponseDetector)]
-    return "".join(f" {one}" for one in words)
+    return "".join(f" {one.figures_words}" for one in tables if isinstance(one, ResponseDetector))
 
 
 def _tracks(rule: AebRule) -> str:
@@ -152,22 +139,11 @@ def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
             if unit.latency(rule) != rule.latency_s:
                 unit_ids.setdefault(unit.latency(rule), []).append(unit.id)
         of = f" of {name}" if len(layouts) > 1 else ""
-        own += [
-            f"{_all_or(ids, len(layout.units))}{of} {1000.0 * latency_s:g} ms"
-            for latency_s, ids in sorted(unit_ids.items())
-        ]
+        for latency_s, ids in sorted(unit_ids.items()):
+            who = "every unit" if len(ids) == len(layout.units) > 1 else joined(ids)
+            own.append(f"{who}{of} {1000.0 * latency_s:g} ms")
     text = f"{1000.0 * rule.latency_s:g} ms for processing and communication"
     return f"{text}; units with a latency of their own: {'; '.join(own)}." if own else f"{text}."
-
-
-def _all_or(unit_ids: Sequence[str], n_units: int) -> str:
-    return "every unit" if len(unit_ids) == n_units > 1 else joined(unit_ids)
-
-
-def _onset(build_up_s: float) -> str:
-    if build_up_s == 0.0:
-        return "constant from the onset"
-    return f"reached linearly {build_up_s:g} s after the onset"
 
 
 def _weights(setting: Setting) -> str:
@@ -184,14 +160,6 @@ def _weights(setting: Setting) -> str:
     return text
 
 
-def _weather(setting: Setting) -> str:
-    weathers = list(dict.fromkeys(run.weather for run in setting.runs))
-    text = f"{', '.join(weathers)}."
-    if weathers == ["day"]:
-        return text
-    return f"{text} It takes contrast from cameras and pulses from LiDARs."
-
-
 def _radio(links: Radio) -> str:
     lost = f"{percent(links.packet_loss)} of all messages are lost, frame by frame."
     if links.vam_rate == 0.0:
@@ -200,16 +168,3 @@ def _radio(links: Radio) -> str:
         f"{lost} {percent(links.vam_rate)} of the road users announce themselves (VRU awareness "
         "messages), and the car trusts the position that they send."
     )
-
-
-_MOVING = (
-    "In each sampled world, runs of one case, approach and position see the same traffic, with the "
-    "impact at the same moment. Vehicles more than 100 m from the middle of the junction are cut. "
-    "Who would touch what is parked, or come nearer to car or road user than the clearance, is "
-    "left out of that run. Where SUMO drives, its vehicles react to the car, which minds no lights."
-)
-
-_FUSIONS = {
-    "any": "A frame counts if any unit detects the road user in it.",
-    "single": "One unit must confirm the road user by itself.",
-}

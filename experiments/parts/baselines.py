@@ -6,8 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from placement.baselines import Baselines as JudgedProposals
-from placement.baselines import RandomLayouts, judge_proposals, propose
+from placement.baselines import Proposals, RandomLayouts, judge_proposals, propose
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.evaluation import (
@@ -19,6 +18,7 @@ from placement.evaluation import (
     apr_one_failed,
 )
 from placement.layout import Layout
+from placement.optimiser import PlacementProblem
 from placement.optimiser import apr as table_apr
 from placement.pipeline import Assembly, Placement, pick_layout
 from placement.sampling.out_of_sample import estimate_mean
@@ -30,8 +30,10 @@ from ..results.numbers import percent
 from ..results.record import UnitRecord, build_unit_records, mixed, says
 
 STAGE = "baselines"
-
-# ---------- values
+_OverWorlds = Annotated[float, says("Mean APR over these worlds, and ends of its 95 % interval.")]
+_OverLayouts = Annotated[
+    float, says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower than `high`.")
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,14 +44,8 @@ class Score:
     units: Annotated[int, says("How many units it has; 0: the vehicle by itself.")]
     runs_avoided: Annotated[int, says("How many.")]
     all: Annotated[float | None, says("APR over all runs, by weight.")]
-    by_case: Annotated[
-        dict[str, float | None],
-        says("APR of each case, by its name; null where no run of it has weight."),
-    ]
-    by_position: Annotated[
-        dict[str, float | None],
-        says("APR of each position along the arms; null where no run there has weight."),
-    ]
+    by_case: Annotated[dict[str, float | None], says("APR of each case; null: no run has weight.")]
+    by_position: Annotated[dict[str, float | None], says("The same by position along the arms.")]
 
 
 def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -> Score:
@@ -62,15 +58,6 @@ def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -
         by_case={**apr_by_case(verdict, axis)},
         by_position={**apr_by_position(verdict, axis)},
     )
-
-
-_OverWorlds = Annotated[
-    float, says("Mean APR of all random layouts over these worlds, and ends of its 95 % interval.")
-]
-_OverLayouts = Annotated[
-    float,
-    says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower one than `high`."),
-]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,14 +74,12 @@ class RandomInWorlds:
 class RandomBaseline:
     """Layouts of candidate poses drawn at random within the limits, on the detection table."""
 
-    layouts: Annotated[int, says("How many were drawn, and units of each.")]
-    units: Annotated[int, says("How many were drawn, and units of each.")]
+    layouts: Annotated[int, says("How many were drawn.")]
+    units: Annotated[int, says("Of each.")]
     mean: _OverLayouts
     low: _OverLayouts
     high: _OverLayouts
-    in_worlds: Annotated[
-        RandomInWorlds | None, says("The mean over worlds; only with --samples.")
-    ] = None
+    in_worlds: Annotated[RandomInWorlds | None, says("Over worlds; only with --samples.")] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,31 +88,19 @@ class ExpertBaseline:
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("The units.")]
-    corners: Annotated[
-        tuple[str, ...],
-        says("Corners that have a camera, by the arms next to them, in the order of choice."),
-    ]
-    cost_eur: Annotated[
-        float, says("Price of the units by the catalogue, without poles or mounting, in EUR.")
-    ]
+    corners: Annotated[tuple[str, ...], says("Those with a camera, by arms, in order of choice.")]
+    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.")]
     on_table: Annotated[float, says("APR on the detection table.")]
     score: Annotated[Score, says("By the evaluator.")]
-    apr_without_worst_unit: Annotated[
-        float | None, says("APR by the evaluator if the unit that is needed most fails.")
-    ]
+    apr_without_worst_unit: Annotated[float | None, says("APR without the most needed unit.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Baselines:
     """Layouts that need no optimiser, within the same limits."""
 
-    random: Annotated[
-        RandomBaseline | None, says("Drawn at random; null: none is within the limits.")
-    ]
-    expert: Annotated[
-        ExpertBaseline | None,
-        says("By rule of thumb; null: that is not within the limits, or there are no corners."),
-    ]
+    random: Annotated[RandomBaseline | None, says("Drawn; null: none is within the limits.")]
+    expert: Annotated[ExpertBaseline | None, says("By rule of thumb; null: it is not possible.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,80 +117,67 @@ def compare_placement(
     placement: Placement, candidates: Sequence[CandidatePose], setting: Setting, *, seed: int
 ) -> Proposed:
     """Baselines of as many units as a layout found, within its limits, on its detection table."""
-    problem = placement.problem
-    proposals = propose(
-        problem.limits,
-        candidates,
-        setting.scene,
-        n_units=len(placement.pose_index),
-        rng=np.random.default_rng(seed),
-    )
-    found = judge_proposals(problem, proposals)
-    on_table = table_apr(problem, found.expert) if found.expert else 0.0
-    return _proposed(found, candidates, on_table)
+    problem, n_units = placement.problem, len(placement.pose_index)
+    rng, scene = np.random.default_rng(seed), setting.scene
+    proposals = propose(problem.limits, candidates, scene, n_units=n_units, rng=rng)
+    return _judge(problem, proposals, candidates)
 
 
 def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Proposed | None:
     """Baselines of as many units as a given layout, of its sensors, within what the sites carry.
 
-    None where the scene's sites cannot carry as many. A detection table is built of the poses drawn
-    alone.
+    None where they cannot carry as many. The detection table has the poses drawn alone.
     """
     scene, n_units = setting.scene, len(layout.units)
     if sum(site.capacity_units for site in scene.sites if site.use != "forbidden") < n_units:
         return None
     sensors = {unit.sensor: None for unit in layout.units}
-    grid = replace(load_candidate_grid(), sensors=tuple(sensors))
-    candidates = build_candidates(scene, grid)
-    wishes = Wishes(budget_units=n_units)
-    proposals = propose(
-        Assembly(setting=setting, candidates=candidates, wishes=wishes).limits,
-        candidates,
-        scene,
-        n_units=n_units,
-        rng=np.random.default_rng(compute.seed),
-    )
+    candidates = build_candidates(scene, replace(load_candidate_grid(), sensors=tuple(sensors)))
+    plan = Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=n_units))
+    rng = np.random.default_rng(compute.seed)
+    proposals = propose(plan.limits, candidates, scene, n_units=n_units, rng=rng)
     rows = proposals.rows
     if not rows:
         return None
     compute.progress(STAGE, 0, 0)
     drawn = [candidates[row] for row in rows]
-    problem = Assembly(
-        setting=setting, candidates=drawn, wishes=wishes, compute=compute.within(STAGE)
-    ).problem
-    found = judge_proposals(problem, proposals.among(rows))
-    on_table = table_apr(problem, found.expert) if found.expert else 0.0
-    return _proposed(found, drawn, on_table)
+    problem = replace(plan, candidates=drawn, compute=compute.within(STAGE)).problem
+    return _judge(problem, proposals.among(rows), drawn)
+
+
+def _judge(
+    problem: PlacementProblem, proposals: Proposals, candidates: Sequence[CandidatePose]
+) -> Proposed:
+    """Proposals on a detection table, of which the candidates are the rows."""
+    found = judge_proposals(problem, proposals)
+    rows = found.expert
+    return Proposed(
+        random=found.random,
+        expert=pick_layout(candidates, rows, f"expert-{len(rows)}") if rows else None,
+        corners=found.corners,
+        expert_on_table=table_apr(problem, rows) if rows else 0.0,
+    )
 
 
 def build_baselines(proposed: Proposed, expert: Evaluation | None, setting: Setting) -> Baselines:
     """Their APR; `expert` is that layout by the evaluator."""
-    random = proposed.random
-    return Baselines(
-        random=None if random is None else _random(random),
-        expert=None
-        if expert is None
-        else ExpertBaseline(
-            name=expert.layout.name,
+    random, of_expert = proposed.random, None
+    if expert is not None:
+        name, units = expert.layout.name, expert.layout.units
+        blind, seeing = (
+            build_score(name, verdict, expert.axis, n_units=len(units))
+            for verdict in (expert.rsu_all, expert.vut_and_rsus)
+        )
+        of_expert = ExpertBaseline(
+            name=name,
             layout=build_unit_records(expert.layout),
             corners=proposed.corners,
-            cost_eur=sum(unit.sensor.price_eur for unit in expert.layout.units),
+            cost_eur=sum(unit.sensor.price_eur for unit in units),
             on_table=round(proposed.expert_on_table, 12),
-            score=_score_of(expert),
+            score=mixed(blind, seeing, expert.cars),
             apr_without_worst_unit=apr_one_failed(expert, setting.rule),
-        ),
-    )
-
-
-def _score_of(evaluation: Evaluation) -> Score:
-    """What a layout is judged by."""
-    name, n_units = evaluation.layout.name, len(evaluation.layout.units)
-    blind, seeing = (
-        build_score(name, verdict, evaluation.axis, n_units=n_units)
-        for verdict in (evaluation.rsu_all, evaluation.vut_and_rsus)
-    )
-    score: Score = mixed(blind, seeing, evaluation.cars)
-    return score
+        )
+    return Baselines(random=None if random is None else _random(random), expert=of_expert)
 
 
 def _random(layouts: RandomLayouts) -> RandomBaseline:
@@ -225,10 +185,9 @@ def _random(layouts: RandomLayouts) -> RandomBaseline:
     by_world = layouts.mean_by_world
     in_worlds = None
     if len(by_world) > 1:
-        estimate = estimate_mean(np.clip(by_world, 0.0, 1.0))
-        in_worlds = RandomInWorlds(
-            worlds=len(by_world), mean=estimate.mean, low=estimate.low, high=estimate.high
-        )
+        found = estimate_mean(np.clip(by_world, 0.0, 1.0))
+        ends = {"low": found.low, "high": found.high}
+        in_worlds = RandomInWorlds(worlds=len(by_world), mean=found.mean, **ends)
     return RandomBaseline(
         layouts=len(layouts.apr),
         units=layouts.n_units,
@@ -237,21 +196,6 @@ def _random(layouts: RandomLayouts) -> RandomBaseline:
         high=round(layouts.high, 12),
         in_worlds=in_worlds,
     )
-
-
-def _proposed(
-    found: JudgedProposals, candidates: Sequence[CandidatePose], on_table: float
-) -> Proposed:
-    rows = found.expert
-    return Proposed(
-        random=found.random,
-        expert=pick_layout(candidates, rows, f"expert-{len(rows)}") if rows else None,
-        corners=found.corners,
-        expert_on_table=on_table,
-    )
-
-
-# ---------- words
 
 
 def words(found: Baselines | None, *, n_units: int) -> list[str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from geometry.catalogue import sensor_kind
 from geometry.notes import assumed_sites
-from geometry.scene import Scene, Site
+from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
@@ -75,11 +75,12 @@ def build_bill(
 ) -> BillOfMaterials:
     """Sensors and sites that a layout needs.
 
-    A cost or price of 0 is unknown: that of a site is then assumed by its kind, from
-    ``prices.toml``, unless `site_cost_eur` was said for every site. Units of
-    `kept_ids` exist already: neither they nor their sites are paid for.
+    A cost of 0 is unknown: that of a site is then assumed by its kind, unless `site_cost_eur` was
+    said for every site. Units of `kept_ids` exist: neither they nor their sites are paid for.
     """
-    to_make = [] if site_cost_eur is not None else _used_sites(layout, scene, kept_ids)
+    used = {unit.site_id for unit in layout.units}
+    used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
+    to_make = [one for one in scene.sites if one.id in used and site_cost_eur is None]
     to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
     of_model = Counter(unit.sensor.name for unit in layout.units)
     return BillOfMaterials(
@@ -90,7 +91,7 @@ def build_bill(
                 kind=_KINDS[sensor_kind(sensor)],
                 count=to_buy[name],
                 n_units=of_model[name],
-                price_eur=_told(sensor.price_eur),
+                price_eur=sensor.price_eur if sensor.price_eur > 0.0 else None,
                 price_source="catalogue" if sensor.price_eur > 0.0 else "",
             )
             for name, sensor in {unit.sensor.name: unit.sensor for unit in layout.units}.items()
@@ -101,10 +102,7 @@ def build_bill(
 
 
 def _site_items(
-    layout: Layout,
-    scene: Scene,
-    site_cost_eur: float | None,
-    kept_ids: Collection[str],
+    layout: Layout, scene: Scene, site_cost_eur: float | None, kept_ids: Collection[str]
 ) -> tuple[Item, ...]:
     doubts = assumed_sites(scene.notes)
     sites = {site.id: site for site in scene.sites}
@@ -113,68 +111,41 @@ def _site_items(
         used.setdefault(unit.site_id if unit.site_id in sites else None, []).append(unit.id)
     items = []
     for site_id, unit_ids in used.items():
+        kept = [unit_id for unit_id in unit_ids if unit_id in kept_ids]
         if site_id is None:
             name, kind, price_eur, source = _NO_SITE, UNKNOWN, site_cost_eur, ""
-            # Nobody knows which of them share a mount.
-            count = sum(unit_id not in kept_ids for unit_id in unit_ids)
+            count = len(unit_ids) - len(kept)  # nobody knows which of them share a mount
         else:
-            name, kind = site_id, sites[site_id].kind
             site = sites[site_id]
+            name, kind, count = site_id, site.kind, int(not kept)
             price_eur = load_prices().cost_eur(site) if site_cost_eur is None else site_cost_eur
             source = "told" if site.cost_eur > 0.0 else "assumption"
-            count = int(not any(unit_id in kept_ids for unit_id in unit_ids))
-        items.append(
-            Item(
-                part="site",
-                name=name,
-                kind=kind,
-                count=count,
-                n_units=len(unit_ids),
-                price_eur=price_eur,
-                price_source=source if site_cost_eur is None else "told",
-                assumed=doubts.get(site_id or "", ""),
-            )
+        item = Item(
+            part="site",
+            name=name,
+            kind=kind,
+            count=count,
+            n_units=len(unit_ids),
+            price_eur=price_eur,
+            price_source=source if site_cost_eur is None else "told",
+            assumed=doubts.get(site_id or "", ""),
         )
+        items.append(item)
     return tuple(items)
-
-
-def _used_sites(layout: Layout, scene: Scene, kept_ids: Collection[str]) -> list[Site]:
-    """Sites that have to be made ready."""
-    used = {unit.site_id for unit in layout.units}
-    used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
-    return [site for site in scene.sites if site.id in used]
-
-
-def _told(price_eur: float) -> float | None:
-    """A price; None of 0, which means unknown."""
-    return price_eur if price_eur > 0.0 else None
-
-
-# ---------- as a file
 
 
 def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     """The bill as CSV, a row per item; what is unknown is empty, and there is no row of sums."""
     import pandas as pd
 
-    rows = [
-        {
-            "part": item.part,
-            "name": item.name,
-            "kind": item.kind,
-            "units": item.n_units,
-            "to_buy": item.count,
-            "price_eur": "" if item.price_eur is None else f"{item.price_eur:g}",
-            "sum_eur": "" if item.sum_eur is None else f"{item.sum_eur:g}",
-            "price_source": item.price_source,
-            "assumed": item.assumed,
-        }
-        for item in (*bill.sensors, *bill.sites)
-    ]
-    return csv_text(pd.DataFrame(rows))
-
-
-# ---------- in the report
+    heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur"]
+    rows = []
+    for item in (*bill.sensors, *bill.sites):
+        amounts = ["" if eur is None else f"{eur:g}" for eur in (item.price_eur, item.sum_eur)]
+        counts = [item.n_units, item.count]
+        source = [item.price_source, item.assumed]
+        rows.append([item.part, item.name, item.kind, *counts, *amounts, *source])
+    return csv_text(pd.DataFrame(rows, columns=[*heads, "price_source", "assumed"]))
 
 
 def bill_sentences(bill: BillOfMaterials) -> list[str]:
@@ -186,18 +157,11 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
         return [f"All lines together: {_euros(known)}."]
     if len(unknown) == len(items):
         return ["No price is known."]
-    what = " and ".join(
-        several(count, one, many)
-        for count, one, many in (
-            (sum(item.part == "sensor" for item in unknown), "sensor model", "sensor models"),
-            (
-                sum(item.count for item in unknown if item.part == "site"),
-                "mounting place",
-                "mounting places",
-            ),
-        )
-        if count
-    )
+    n_models = sum(item.part == "sensor" for item in unknown)
+    n_places = sum(item.count for item in unknown if item.part == "site")
+    models = several(n_models, "sensor model", "sensor models") if n_models else ""
+    places = several(n_places, "mounting place", "mounting places") if n_places else ""
+    what = " and ".join(filter(None, (models, places)))
     return [
         f"At least {_euros(known)}: the sum of what is known. The price of {what} is unknown and "
         "comes on top."
@@ -207,32 +171,20 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
 def bill_tables(bill: BillOfMaterials) -> list[Table]:
     """Sensors by model, and sites; each with a row for all together."""
     sensors, sites = bill.sensors, bill.sites
-    rows: list[list[object]] = [
-        [
-            one.name,
-            one.kind,
-            str(one.n_units),
-            str(one.count),
-            _or_unknown(one.price_eur),
-            _sum([one]),
-        ]
-        for one in sensors
-    ]
+    rows = []
+    for one in sensors:
+        price = UNKNOWN if one.price_eur is None else _amount(one.price_eur)
+        rows.append([one.name, one.kind, str(one.n_units), str(one.count), price, _sum([one])])
     n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
     rows.append(["all", "", str(n_units), str(n_to_buy), "", _sum(sensors)])
     columns = ["model", "kind", "units", "to buy", "price of one (EUR)", "sum (EUR)"]
     if n_to_buy == n_units:  # nothing exists already
         columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
-    of_sites = [
-        [
-            f"{one.name} (assumed)" if one.assumed else one.name,
-            one.kind,
-            str(one.n_units),
-            "there already" if one.count == 0 else _sum([one]),
-            one.price_source,
-        ]
-        for one in sites
-    ]
+    of_sites = []
+    for one in sites:
+        name = f"{one.name} (assumed)" if one.assumed else one.name
+        price = "there already" if one.count == 0 else _sum([one])
+        of_sites.append([name, one.kind, str(one.n_units), price, one.price_source])
     of_sites.append(["all", "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
     heads = ["site", "kind", "units", "making it ready (EUR)", "price"]
     return [
@@ -264,10 +216,6 @@ def _sum(items: Sequence[Item]) -> str:
     if not known:
         return UNKNOWN
     return _amount(sum(known)) if len(known) == len(values) else f"≥ {_amount(sum(known))}"
-
-
-def _or_unknown(value: float | None) -> str:
-    return UNKNOWN if value is None else _amount(value)
 
 
 def _amount(value: float) -> str:

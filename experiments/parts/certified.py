@@ -5,22 +5,20 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec.structs import asdict as fields_of
-from msgspec.structs import replace as replace_fields
 
-from placement.certify import Certified, certify, estimate_gap
+from placement.certify import GapEstimate, certify, estimate_gap
 from placement.compute import Compute
-from placement.layout import Layout
 from placement.pipeline import assemble
 from placement.question import Question
 
 from ..export.json import to_json, to_json_text
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record
-from ..results.folders import LAYOUT_FILE, check_folder, write_files
+from ..results.folders import LAYOUT_FILE, expect_files, save_files
 from ..results.numbers import percent, several
 from ..results.record import Record, says
 from .sampled_worlds import EstimateRecord
-from .section import Table, tabulate
+from .section import Table
 
 JSON_NAME = "certified.json"
 _SMALL = 1.0e-9
@@ -51,9 +49,7 @@ class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
     blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.")]
     pool: Annotated[tuple[PoolRecord, ...], says("Layouts found, the best first.")]
     units: Annotated[tuple[str, ...], says("Sites of the best one's units.")]
-    apr_by_world: Annotated[
-        tuple[float, ...], says("Its APR in worlds that nothing was chosen in.")
-    ]
+    apr_by_world: Annotated[tuple[float, ...], says("In worlds that nothing was chosen in.")]
     apr: Annotated[float, says("Mean of these.")]
     least: Annotated[float, says("Its APR over all worlds is not below this.")]
     most: Annotated[float, says("No layout's APR over all worlds is above this.")]
@@ -73,13 +69,8 @@ def run_certify(
     command: str,
     progress: StageProgress,
 ) -> CertifiedResult:
-    """Find a layout for the mean over worlds and what it may lack; write it to `out` if asked to.
-
-    Raises InputError as :func:`placement.certify.certify`, or if `out` cannot be written.
-    """
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
+    expect_files(out, progress)
     plan = assemble(question, compute=compute)
     found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)
     assert plan.uncertainty is not None
@@ -90,74 +81,53 @@ def run_certify(
         worlds_of_block=plan.n_samples,
         uncertainty=plan.uncertainty.name,
         seed=compute.seed,
-        **_numbers(found),
-        units=_sites(layout),
+        blocks=tuple(
+            BlockRecord(first=one.first, bound=one.bound, apr=one.apr) for one in found.blocks
+        ),
+        pool=tuple(PoolRecord(name=one.layout.name, **asdict(one.estimate)) for one in found.pool),
+        units=tuple(unit.site_id for unit in layout.units),
+        apr_by_world=tuple(found.judged.apr_by_sample.tolist()),
+        **_numbers(found.gap),
         **fields_of(build_drives_record(plan.setting)),
         seconds={},
     )
-    if out is None:
-        return replace_fields(result, seconds=progress.finish())
-    progress(WRITING, 0, 0)
-    result = replace_fields(result, seconds=progress.finish())
-    files = {LAYOUT_FILE: to_json(layout, plan.scene), JSON_NAME: to_json_text(result)}
-    write_files(out, {name: text.encode() for name, text in files.items()})
-    progress.kept = f"the results are in {out}"
-    return result
+    return save_files(
+        result,
+        out,
+        progress,
+        lambda done: {LAYOUT_FILE: to_json(layout, plan.scene), JSON_NAME: to_json_text(done)},
+    )
 
 
-def _numbers(found: Certified) -> dict[str, Any]:
+def _numbers(gap: GapEstimate) -> dict[str, Any]:
+    """What follows from the bounds of the blocks and the APR in each world."""
     return {
-        "blocks": tuple(
-            BlockRecord(first=one.first, bound=one.bound, apr=one.apr) for one in found.blocks
-        ),
-        "pool": tuple(
-            PoolRecord(name=one.layout.name, **asdict(one.estimate)) for one in found.pool
-        ),
-        "apr_by_world": tuple(found.judged.apr_by_sample.tolist()),
-        "apr": found.gap.least.mean,
-        "least": found.gap.least.low,
-        "most": found.gap.most.high,
-        "gap": found.gap.gap,
-        "bias": found.gap.bias,
-        "chance": found.gap.chance,
+        "apr": gap.least.mean,
+        "least": gap.least.low,
+        "most": gap.most.high,
+        "gap": gap.gap,
+        "bias": gap.bias,
+        "chance": gap.chance,
     }
-
-
-def _sites(layout: Layout) -> tuple[str, ...]:
-    return tuple(unit.site_id for unit in layout.units)
 
 
 def recompute(stored: CertifiedResult) -> list[str]:
     """What is wrong with the numbers, each computed anew from bounds and APRs by world."""
     again = estimate_gap([block.bound for block in stored.blocks], stored.apr_by_world)
-    expected = {
-        "apr": again.least.mean,
-        "least": again.least.low,
-        "most": again.most.high,
-        "gap": again.gap,
-        "bias": again.bias,
-        "chance": again.chance,
-    }
     wrong = [
         f"{name}: {getattr(stored, name):.6g}, recomputed {value:.6g}"
-        for name, value in expected.items()
+        for name, value in _numbers(again).items()
         if not abs(getattr(stored, name) - value) <= _SMALL
     ]
     first = [block.first for block in stored.blocks]
     if first != [index * stored.worlds_of_block for index in range(len(first))]:
         wrong.append("blocks: their worlds are not apart")
-    wrong += [
-        f"block from world {b.first}: APR above its bound"
-        for b in stored.blocks
-        if b.apr > b.bound + _SMALL
-    ]
+    above = [block.first for block in stored.blocks if block.apr > block.bound + _SMALL]
+    wrong += [f"block from world {first}: APR above its bound" for first in above]
     best = max(stored.pool, key=lambda one: one.mean or 0.0)
     if not stored.pool or best != stored.pool[0]:
         wrong.append("pool: the first one is not the best")
     return wrong
-
-
-# ---------- words, table
 
 
 def words(result: CertifiedResult) -> list[str]:
@@ -186,14 +156,9 @@ def words(result: CertifiedResult) -> list[str]:
 
 def table(result: CertifiedResult) -> Table:
     """A row per layout of the pool."""
-    return tabulate(
-        f"Layouts found, in {len(result.apr_by_world)} worlds that choose among them",
-        result.pool,
-        {
-            "layout": lambda one: one.name,
-            "APR": lambda one: percent(one.mean),
-            "from": lambda one: percent(one.low),
-            "to": lambda one: percent(one.high),
-        },
+    return Table(
+        caption=f"Layouts found, in {len(result.apr_by_world)} worlds that choose among them",
+        columns=["layout", "APR", "from", "to"],
+        rows=[[one.name, *map(percent, (one.mean, one.low, one.high))] for one in result.pool],
         numeric=(1, 2, 3),
     )

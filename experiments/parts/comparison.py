@@ -18,7 +18,6 @@ from placement.evaluation import (
     score,
 )
 from scenarios.aeb import AebRule
-from scenarios.runs import FrameAxis
 
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from ..results.record import (
@@ -32,14 +31,19 @@ from ..results.record import (
 from ..results.tables import margin_s
 from .baselines import Baselines
 from .baselines import words as baseline_words
-from .ground import PrivateGroundRecord
 from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_differences
 from .section import Block, Bullets, Section, Subheading, Table, build_picture, tabulate
+from .units import PrivateGroundRecord
 
 GREEDY, EXPERT, HIGHEST = "greedy", "expert rule", "highest APR"
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
+_PAIRED = (
+    "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference in "
+    "each world counts, not the spread between worlds. Each interval holds by itself: of twenty "
+    "such, one may miss the true difference."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,22 +52,11 @@ class Compared:
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
-    cost_eur: Annotated[
-        float, says("Price of its units by the catalogue, without poles or mounting, in EUR.")
-    ]
+    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.")]
     evaluation: Annotated[EvaluationRecord, says("By the evaluator.")]
-    runs_gained: Annotated[
-        tuple[str, ...],
-        says("Runs that the first layout avoids and this one does not, and the other way round."),
-    ]
-    runs_lost: Annotated[
-        tuple[str, ...],
-        says("Runs that the first layout avoids and this one does not, and the other way round."),
-    ]
-    private_ground: Annotated[
-        PrivateGroundRecord | None,
-        says("What its cameras see of private ground; only with --no-look."),
-    ] = None
+    runs_gained: Annotated[tuple[str, ...], says("Runs that only the first layout avoids.")]
+    runs_lost: Annotated[tuple[str, ...], says("Runs that only this one avoids.")]
+    private_ground: Annotated[PrivateGroundRecord | None, says("Only with --no-look.")] = None
 
 
 def build_compared(
@@ -88,26 +81,22 @@ def build_compared(
 class Difference:
     """Runs that only one of two layouts avoids, all units of each together."""
 
-    first: Annotated[str, says("Names of the two layouts.")]
-    second: Annotated[str, says("Names of the two layouts.")]
-    only_first: Annotated[
-        tuple[str, ...], says("Runs that the first one alone avoids, and those of the second.")
-    ]
-    only_second: Annotated[
-        tuple[str, ...], says("Runs that the first one alone avoids, and those of the second.")
-    ]
+    first: Annotated[str, says("Name of the one layout.")]
+    second: Annotated[str, says("Name of the other one.")]
+    only_first: Annotated[tuple[str, ...], says("Runs that the first one alone avoids.")]
+    only_second: Annotated[tuple[str, ...], says("Runs that the second one alone avoids.")]
 
 
 def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference, ...]:
     """Which runs only one of two layouts avoids, for any two; evaluations by display name."""
     return tuple(
         Difference(
-            first=name,
-            second=other_name,
+            first=first,
+            second=second,
             only_first=_only_first(one, other),
             only_second=_only_first(other, one),
         )
-        for (name, one), (other_name, other) in combinations(evaluations.items(), 2)
+        for (first, one), (second, other) in combinations(evaluations.items(), 2)
     )
 
 
@@ -115,9 +104,6 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
     """Runs that the first of two layouts avoids and the second one does not."""
     runs = np.array(one.axis.run_ids)
     return tuple(runs[one.headline.is_avoided & ~other.headline.is_avoided].tolist())
-
-
-# ---------- tables and words
 
 
 def words(name: str, compared: Sequence[Compared]) -> list[str]:
@@ -132,86 +118,56 @@ def words(name: str, compared: Sequence[Compared]) -> list[str]:
 def side_by_side_table(
     evaluations: Mapping[str, Evaluation], rule: AebRule, baselines: Baselines | None = None
 ) -> Table:
-    """A row per layout, by display name, one of the VUT alone, one of what random layouts prevent.
-
-    The score has a column where one was asked for.
-    """
+    """A row per layout, of the VUT alone, and of random layouts; a column of a score, if any."""
     subject = next(iter(evaluations.values()))
     axis, levels = subject.axis, subject.levels
-    verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
-    own = [
-        [
-            name,
-            str(len(item.layout.units)),
-            f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}",
-            percent(headline_apr(item)),
-            f"{int(item.headline.is_avoided.sum())} of {axis.n_runs}",
-            percent(apr_one_failed(item, rule)),
-            number(_smallest_margin_s(item.headline, axis)),
+
+    def of_verdict(verdict: Verdict, share: float) -> tuple[list[str], list[str]]:
+        """Cells before and behind that of a failure."""
+        avoided = f"{int(verdict.is_avoided.sum())} of {axis.n_runs}"
+        spare_s = margin_s(verdict, axis)[verdict.is_avoided & (axis.weight > 0.0)]
+        behind = [
+            number(float(spare_s.min()) if len(spare_s) else None),
+            number(mean_impact_speed_kmh(verdict, axis), 1),
         ]
-        for name, item in evaluations.items()
-    ]
-    vut = subject.vut
-    own.append(
-        [
-            "VUT alone",
-            NOTHING,
-            NOTHING,
-            percent(apr(vut, axis)),
-            f"{int(vut.is_avoided.sum())} of {axis.n_runs}",
-            NOTHING,
-            number(_smallest_margin_s(vut, axis)),
-        ]
-    )
-    for row, verdict in zip(own, verdicts, strict=True):
-        row.append(number(mean_impact_speed_kmh(verdict, axis), 1))
         if levels is not None:
-            row.append(percent(score(verdict, axis, levels)))
+            behind.append(percent(score(verdict, axis, levels)))
+        return [percent(share), avoided], behind
+
+    rows = []
+    for name, item in evaluations.items():
+        first, last = of_verdict(item.headline, headline_apr(item))
+        money = f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}"
+        failed = percent(apr_one_failed(item, rule))
+        rows.append([name, str(len(item.layout.units)), money, *first, failed, *last])
+    first, last = of_verdict(subject.vut, apr(subject.vut, axis))
+    rows.append(["VUT alone", NOTHING, NOTHING, *first, NOTHING, *last])
+    random = None if baselines is None else baselines.random
+    if random is not None:  # what is known is the APR on the table alone, or the score
+        mean, head = (
+            percent(random.mean),
+            f"random: mean of {random.layouts}, on the detection table",
+        )
+        shares = [mean, *[NOTHING] * 4] if levels is None else [*[NOTHING] * 5, mean]
+        rows.append([head, str(random.units), NOTHING, *shares])
     columns = [
-        "layout",
-        "units",
-        "cost of the units (EUR)",
-        "APR",
-        "runs avoided",
-        "APR if the most needed unit fails",
-        "smallest time to spare (s)",
+        *("layout", "units", "cost of the units (EUR)", "APR", "runs avoided"),
+        *("APR if the most needed unit fails", "smallest time to spare (s)"),
         "mean speed at contact (km/h)",
         *([] if levels is None else [f"score ({levels.score})"]),
     ]
     return Table(
         caption="The layouts side by side, all units of each together, by the evaluator",
         columns=columns,
-        rows=own + _random_rows(baselines, is_scored=levels is not None),
+        rows=rows,
         numeric=range(1, len(columns)),
     )
 
 
-def _random_rows(baselines: Baselines | None, *, is_scored: bool) -> list[list[str]]:
-    """The row of random layouts, whose APR is known on the detection table alone; or none.
-
-    With a score it is the score that is known.
-    """
-    random = None if baselines is None else baselines.random
-    if random is None:
-        return []
-    name = f"random: mean of {random.layouts}, on the detection table"
-    mean = percent(random.mean)
-    row = [name, str(random.units), NOTHING, NOTHING if is_scored else mean, *[NOTHING] * 4]
-    return [[*row, mean] if is_scored else row]
-
-
-def _smallest_margin_s(verdict: Verdict, axis: FrameAxis) -> float | None:
-    """Least time to spare in the runs that are avoided and count; None if there is none."""
-    margin = margin_s(verdict, axis)[verdict.is_avoided & (axis.weight > 0.0)]
-    return float(margin.min()) if len(margin) else None
-
-
 def difference_matrix(names: Sequence[str], differences: Sequence[Difference]) -> Table:
     """How many runs the layout of a row avoids and that of a column does not."""
-    only: dict[tuple[str, str], int] = {}
-    for pair in differences:
-        only[pair.first, pair.second] = len(pair.only_first)
-        only[pair.second, pair.first] = len(pair.only_second)
+    only = {(pair.first, pair.second): len(pair.only_first) for pair in differences}
+    only |= {(pair.second, pair.first): len(pair.only_second) for pair in differences}
     return Table(
         caption="Runs that the layout of the row avoids, and that of the column does not",
         columns=["avoided by", *(f"not by {name}" for name in names)],
@@ -225,18 +181,11 @@ def difference_matrix(names: Sequence[str], differences: Sequence[Difference]) -
 
 def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
     """The runs themselves: a row for each layout that avoids any that another does not."""
-    return [
-        [ours, theirs, count_runs(len(runs)), ", ".join(runs)]
-        for pair in differences
-        for ours, theirs, runs in (
-            (pair.first, pair.second, pair.only_first),
-            (pair.second, pair.first, pair.only_second),
-        )
-        if runs
-    ]
-
-
-# ---------- in sampled worlds
+    rows = []
+    for pair in differences:
+        rows.append((pair.first, pair.second, pair.only_first))
+        rows.append((pair.second, pair.first, pair.only_second))
+    return [[a, b, count_runs(len(runs)), ", ".join(runs)] for a, b, runs in rows if runs]
 
 
 def significance_table(sampled: SampledRecord) -> Table:
@@ -258,34 +207,18 @@ def significance_table(sampled: SampledRecord) -> Table:
     )
 
 
-_PAIRED = (
-    "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference in "
-    "each world counts, not the spread between worlds. Each interval holds by itself: of twenty "
-    "such, one may miss the true difference."
-)
-
-
 def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
     """A pair the way round in which the mean difference is not negative."""
     if or_nan(pair.mean) >= 0.0:
         return pair
-    return msgspec.structs.replace(
-        pair,
-        first=pair.second,
-        second=pair.first,
-        mean=-or_nan(pair.mean),
-        low=-or_nan(pair.high),
-        high=-or_nan(pair.low),
-        more_share=pair.less_share,
-        less_share=pair.more_share,
-    )
+    names = {"first": pair.second, "second": pair.first}
+    shares = {"more_share": pair.less_share, "less_share": pair.more_share}
+    mean, low, high = (-or_nan(share) for share in (pair.mean, pair.high, pair.low))
+    return msgspec.structs.replace(pair, mean=mean, low=low, high=high, **names, **shares)
 
 
 def _points(share: float | None) -> str:
     return number(100.0 * or_nan(share), 1)
-
-
-# ---------- the section of the report
 
 
 def section(
@@ -307,20 +240,16 @@ def section(
         *([Bullets(sentences)] if sentences else []),
         Subheading("Which runs differ"),
         difference_matrix(list(evaluations), differences),
-    ]
-    if rows:
-        blocks.append(
-            Table(
-                caption="Runs that only one of two layouts avoids",
-                columns=["avoided by", "not by", "how many", "which"],
-                rows=rows,
-                summary="The runs themselves",
-            )
+        Table(
+            caption="Runs that only one of two layouts avoids",
+            columns=["avoided by", "not by", "how many", "which"],
+            rows=rows,
+            summary="The runs themselves",
         )
-    else:
-        blocks.append("All layouts avoid the same runs.")
-    if sampled is not None and sampled.pairs:
-        blocks += _sampled_blocks(sampled)
+        if rows
+        else "All layouts avoid the same runs.",
+        *(_sampled_blocks(sampled) if sampled is not None and sampled.pairs else []),
+    ]
     return Section("comparison", "Side by side", blocks)
 
 
@@ -341,22 +270,15 @@ def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
 
 def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
     table = significance_table(sampled)
-    blocks: list[Block] = [
-        Subheading("Is the difference sure?"),
-        _PAIRED,
-    ]
+    blocks: list[Block] = [Subheading("Is the difference sure?"), _PAIRED]
     if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
-        blocks.append(
-            build_picture(
-                plot_differences([_better_first(pair) for pair in sampled.pairs]),
-                title="Differences in sampled worlds",
-                caption="Right of zero: the first one of the pair avoids more. An open dot: the "
-                "interval holds zero.",
-                alt="Dots with whiskers. "
-                + "; ".join(
-                    f"{row[0]} minus {row[1]}: {row[5]}, {row[6]} points" for row in table.rows
-                )
-                + ".",
-            )
+        rows = [f"{row[0]} minus {row[1]}: {row[5]}, {row[6]} points" for row in table.rows]
+        picture = build_picture(
+            plot_differences([_better_first(pair) for pair in sampled.pairs]),
+            title="Differences in sampled worlds",
+            caption="Right of zero: the first one of the pair avoids more. An open dot: the "
+            "interval holds zero.",
+            alt=f"Dots with whiskers. {'; '.join(rows)}.",
         )
+        blocks.append(picture)
     return [*blocks, table]

@@ -17,15 +17,23 @@ from scenarios.positions import AT_ZERO, read_position
 from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
-from ..figures.axes import NARROW_IN, WIDTH_IN, new_axes, root_figure, show_square
+from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
 from ..figures.plan import draw_scene
 from ..results.numbers import count_runs, joined, percent
 from ..results.record import says
-from ..results.tables import RunGroup, groups_by_case, groups_by_direction, groups_by_position
+from ..results.tables import RunGroup, groups_by
 from .accidents import is_weighted
-from .section import Block, Box, Picture, Section, Table, build_picture
+from .section import Block, Box, Section, Table, build_picture
 
 _MAX_GROUPS = 3
+SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
+"""Of shares that are avoided: the more accidents are left, the darker."""
+_DARK_BELOW = 0.34  # from there white and black letters stand out alike
+_SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
+_BORDER_M = 8.0
+_MIN_HALF_SIZE_M = 30.0
+_RED: Style = {"markerfacecolor": "#CC0000", "markeredgecolor": "white", "markeredgewidth": 0.6}
+_UNIT_STYLE: Style = _RED | {"markersize": 7.0, "linestyle": "none"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,8 +41,8 @@ class DangerGroup:
     """Some runs that are alike, and how many of them are not avoided."""
 
     name: Annotated[str, says("Of the case, or of the position along the arms.")]
-    runs: Annotated[int, says("How many runs, and how many of them are not avoided.")]
-    not_avoided: Annotated[int, says("How many runs, and how many of them are not avoided.")]
+    runs: Annotated[int, says("How many.")]
+    not_avoided: Annotated[int, says("How many of them are not avoided.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,14 +50,8 @@ class Dangers:
     """Runs that the units of the layout do not avoid, by the evaluator."""
 
     not_avoided: Annotated[int, says("How many of all runs.")]
-    by_case: Annotated[
-        tuple[DangerGroup, ...],
-        says("By case, the largest share of runs that are not avoided first."),
-    ]
-    by_position: Annotated[
-        tuple[DangerGroup, ...],
-        says("By position along the arms, in the same order; empty where there is but one."),
-    ]
+    by_case: Annotated[tuple[DangerGroup, ...], says("Largest share of runs left first.")]
+    by_position: Annotated[tuple[DangerGroup, ...], says("The same by position; empty: only one.")]
 
 
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
@@ -67,10 +69,10 @@ def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
 
 def build_dangers(is_avoided: BoolArray, axis: FrameAxis) -> Dangers:
     """Runs that are not avoided, counted by case and position; weights do not matter."""
-    positions = groups_by_position(axis)
+    positions = groups_by(axis, "position")
     return Dangers(
         not_avoided=int((~is_avoided).sum()),
-        by_case=_groups(groups_by_case(axis), is_avoided),
+        by_case=_groups(groups_by(axis, "case"), is_avoided),
         by_position=_groups(positions, is_avoided) if len(positions) > 1 else (),
     )
 
@@ -84,29 +86,17 @@ def _groups(groups: Sequence[RunGroup], is_avoided: BoolArray) -> tuple[DangerGr
     return tuple(sorted(records, key=lambda group: -group.not_avoided / group.runs))
 
 
-# ---------- words
-
-
 def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
-    """How many runs are not avoided, and which: an answer begins with it.
-
-    `cars` is the share of cars that see; where it is not all, others are told of.
-    """
+    """How many runs are not avoided, and which; `cars` is the share of cars that see."""
     whose = " by cars that do not see" if 0.0 < cars < 1.0 else ""
-    if not dangers.not_avoided:
+    n_left = dangers.not_avoided
+    if not n_left:
         return [f"No run is left: all {n_runs} are avoided{whose}."]
-    are = "is" if dangers.not_avoided == 1 else "are"
-    return [
-        f"{dangers.not_avoided} of {count_runs(n_runs)} {are} not avoided{whose}: "
-        f"{_most_left(dangers.by_case, 'in {}'.format, 'in other cases')}{_at_positions(dangers)}."
-    ]
-
-
-def _at_positions(dangers: Dangers) -> str:
-    """Where along the arms most are left; nothing where there is but one place."""
-    if not dangers.by_position:
-        return ""
-    return f". By place: {_most_left(dangers.by_position, position_words, 'elsewhere')}"
+    where = _most_left(dangers.by_case, "in {}".format, "in other cases")
+    if dangers.by_position:
+        where += f". By place: {_most_left(dangers.by_position, position_words, 'elsewhere')}"
+    are = "is" if n_left == 1 else "are"
+    return [f"{n_left} of {count_runs(n_runs)} {are} not avoided{whose}: {where}."]
 
 
 def position_words(name: str) -> str:
@@ -131,21 +121,34 @@ def _most_left(groups: Sequence[DangerGroup], words_of: Callable[[str], str], ot
     return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
 
 
-# ---------- the section of the report
-
-
 def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -> Section:
     """Which places stay dangerous; layouts by display name.
 
-    The first one, which was chosen with this fusion, is drawn, and so is the last one: that is what
-    it is compared with.
+    Drawn are the first one, which was chosen with this fusion, and the last one.
     """
-    names = list(dict.fromkeys([next(iter(shown)), [*shown][-1]]))
+    names = dict.fromkeys([next(iter(shown)), [*shown][-1]])
     avoided = {
-        name: avoided_runs(shown[name], fusion if order == 0 else "any")
+        name: avoided_runs(shown[name], "any" if order else fusion)
         for order, name in enumerate(names)
     }
-    pictures = danger_pictures(setting, {name: shown[name] for name in names}, avoided)
+    widths = (NARROW_IN,) if len(avoided) > 1 else (WIDTH_IN, NARROW_IN)
+    places = find_places(setting)
+    pictures = []
+    for name, mask in avoided.items():
+        drawn = [
+            plot_dangers(setting, shown[name].layout, mask, places=places, width_in=width)
+            for width in widths
+        ]
+        n_left = sum(place.share_avoided(mask, setting.axis.weight) < 1.0 for place in places)
+        picture = build_picture(
+            drawn[0],
+            narrow=drawn[1] if len(drawn) > 1 else None,
+            title=f"Where it is still dangerous with {name}",
+            caption=f"Places with runs that are not avoided: {n_left} of {len(places)}.",
+            alt=f"The junction from above: {len(places)} places, {n_left} of them with runs "
+            "that are not avoided. The tables below have the shares by position.",
+        )
+        pictures.append(picture)
     by_weight = ", by weight," if is_weighted(setting.axis) else ""
     note = (
         "Every mark is a place where runs end in an impact if nobody brakes: impacts at most 6 m "
@@ -154,76 +157,29 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
         "Triangles are units, rings are sites that could carry some."
     )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
-    if len(groups_by_position(setting.axis)) > 1:
-        blocks += [position_table(name, avoided[name], setting.axis) for name in names]
+    if len(groups_by(setting.axis, "position")) > 1:
+        blocks += [position_table(name, mask, setting.axis) for name, mask in avoided.items()]
     return Section("dangers", "Where it is still dangerous", blocks)
 
 
-def danger_pictures(
-    setting: Setting, shown: Mapping[str, Evaluation], avoided: Mapping[str, BoolArray]
-) -> list[Picture]:
-    """The junction from above with each of some layouts, narrower where there are several."""
-    places = find_places(setting)
-    pictures = []
-    for name, item in shown.items():
-        drawn = {
-            width_in: plot_dangers(
-                setting, item.layout, avoided[name], places=places, width_in=width_in
-            )
-            for width_in in ((NARROW_IN,) if len(shown) > 1 else (WIDTH_IN, NARROW_IN))
-        }
-        shares = [place.share_avoided(avoided[name], setting.axis.weight) for place in places]
-        n_left = sum(share < 1.0 for share in shares)
-        pictures.append(
-            build_picture(
-                drawn[max(drawn)],
-                narrow=drawn[NARROW_IN] if len(drawn) > 1 else None,
-                title=f"Where it is still dangerous with {name}",
-                caption=f"Places with runs that are not avoided: {n_left} of {len(places)}.",
-                alt=f"The junction from above: {len(places)} places, {n_left} of them with runs "
-                "that are not avoided. The tables below have the shares by position.",
-            )
-        )
-    return pictures
-
-
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
-    """Share of the runs that a layout avoids, by position along the arms and approach of the car.
+    """Share of the runs avoided: a row per position as the car passes, a column per approach."""
+    approaches = groups_by(axis, "direction")
 
-    A row for each position as the car passes them, with how many of its runs are avoided.
-    """
-    approaches = groups_by_direction(axis)
+    def share(mask: BoolArray) -> str:
+        return percent(weight_share(is_avoided, axis.weight * mask))
+
+    rows = []
+    for position, at in groups_by(axis, "position"):
+        avoided = f"{int((is_avoided & at).sum())} of {int(at.sum())}"
+        each = [share(at & of_approach) for _, of_approach in approaches]
+        rows.append([position_words(position), share(at), avoided, *each])
     return Table(
         caption=f"Where along the arms {name} avoids how much",
-        columns=["where", "APR", "runs avoided", *(f"from the {name}" for name, _ in approaches)],
-        rows=[
-            [
-                position_words(position),
-                _share(is_avoided, axis, at),
-                f"{int((is_avoided & at).sum())} of {int(at.sum())}",
-                *(_share(is_avoided, axis, at & of_approach) for _, of_approach in approaches),
-            ]
-            for position, at in groups_by_position(axis)
-        ],
+        columns=["where", "APR", "runs avoided", *(f"from the {arm}" for arm, _ in approaches)],
+        rows=rows,
         numeric=range(1, 3 + len(approaches)),
     )
-
-
-def _share(is_avoided: BoolArray, axis: FrameAxis, mask: BoolArray) -> str:
-    """Share of some runs, by weight; a dash where there are none."""
-    return percent(weight_share(is_avoided, axis.weight * mask))
-
-
-# ---------- the map of dangerous places
-
-
-SHADES = LinearSegmentedColormap.from_list("left over", ["#303030", "#ffffff"])
-"""Of shares that are avoided: the more accidents are left, the darker."""
-_DARK_BELOW = 0.34  # from there white and black letters stand out alike
-_SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
-_BORDER_M = 8.0
-_MIN_HALF_SIZE_M = 30.0
-_UNIT_COLOUR = "#CC0000"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -281,29 +237,15 @@ def plot_dangers(
     for place in places:
         _draw_place(axes, place, place.share_avoided(is_avoided, setting.axis.weight), size)
     for unit in layout.units:
-        axes.plot(
-            *unit.pose.position_m[:2],
-            marker=(3, 0, unit.pose.yaw_deg - 90.0),
-            markersize=7.0,
-            markerfacecolor=_UNIT_COLOUR,
-            markeredgecolor="white",
-            markeredgewidth=0.6,
-            linestyle="none",
-            zorder=9,
-            gid="unit",
-        )
+        pointing = (3, 0, unit.pose.yaw_deg - 90.0)
+        axes.plot(*unit.pose.position_m[:2], marker=pointing, zorder=9, gid="unit", **_UNIT_STYLE)
     show_square(axes, middle, max(reach_m, _MIN_HALF_SIZE_M))
     axes.set_xlabel("east (m)", fontsize=8)
     axes.set_ylabel("north (m)", fontsize=8)
     axes.tick_params(labelsize=7)
-    bar = root_figure(axes).colorbar(
-        ScalarMappable(Normalize(0.0, 100.0), SHADES),
-        ax=axes,
-        orientation="horizontal",
-        fraction=0.04,
-        pad=0.02,
-        aspect=45,
-    )
+    shades = ScalarMappable(Normalize(0.0, 100.0), SHADES)
+    below: Style = {"orientation": "horizontal", "fraction": 0.04, "pad": 0.02, "aspect": 45}
+    bar = root_figure(axes).colorbar(shades, ax=axes, **below)
     bar.set_label("runs avoided there (%)", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     return axes
@@ -313,34 +255,16 @@ def _draw_place(axes: Axes, place: Place, share: float, size: float) -> None:
     """Draw a mark with its number; `size` in points."""
     if not np.isfinite(share):  # runs that do not count
         return
-    is_safe = share > 1.0 - 1.0e-9
-    axes.plot(
-        *place.position_m,
-        marker="s" if is_safe else "o",  # small circles are sites
-        markersize=(0.27 if is_safe else 1.0) * size,
-        markerfacecolor=SHADES(share),
-        markeredgecolor="black",
-        markeredgewidth=0.7,
-        linestyle="none",
-        zorder=7.0 if is_safe else 8.0 - 0.5 * share,  # the most dangerous on top
-        gid="place",
-    )
-    if is_safe:
+    mark: Style = {"markeredgecolor": "black", "markeredgewidth": 0.7, "linestyle": "none"}
+    mark |= {"markerfacecolor": SHADES(share), "gid": "place"}
+    if share > 1.0 - 1.0e-9:  # small circles are sites
+        axes.plot(*place.position_m, marker="s", markersize=0.27 * size, zorder=7.0, **mark)
         return
+    on_top = 8.0 - 0.5 * share  # the most dangerous
+    axes.plot(*place.position_m, marker="o", markersize=size, zorder=on_top, **mark)
+    # What is not quite none is never shown as it.
+    shown = 0 if share < 1.0e-9 else min(max(round(100.0 * share), 1), 99)
+    colour = "white" if share < _DARK_BELOW else "black"
+    letters: Style = {"ha": "center", "va": "center_baseline", "fontsize": 0.5 * size}
     east_m, north_m = place.position_m
-    axes.text(
-        east_m,
-        north_m,
-        f"{_whole_percent(share)}",
-        fontsize=0.5 * size,
-        ha="center",
-        va="center_baseline",
-        color="white" if share < _DARK_BELOW else "black",
-        zorder=8.0 - 0.5 * share,
-        gid="share",
-    )
-
-
-def _whole_percent(share: float) -> int:
-    """Per cent without digits, of what is not all: what is not quite none is never shown as it."""
-    return 0 if share < 1.0e-9 else min(max(round(100.0 * share), 1), 99)
+    axes.text(east_m, north_m, f"{shown}", color=colour, zorder=on_top, gid="share", **letters)

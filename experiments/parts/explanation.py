@@ -1,22 +1,51 @@
-"""Why these poses, and what they miss: in sentences, tables and sections."""
+"""Why these poses, what they miss, and what refinement changed: sentences, tables, sections."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, cast
+
+import msgspec
 
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detection_table import run_of_level
-from placement.explain.contributions import Contribution, find_contributions
+from placement.explain.contributions import find_contributions
 from placement.explain.unavoided import Reason, Unavoided, find_unavoided
-from placement.optimiser import PlacementProblem
+from placement.optimiser.problem import Objective
 from placement.pipeline import Placement
+from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
-from ..results.numbers import NOTHING, count_runs, number, percent
-from ..results.record import LayoutValueRecord, Record, RunId, Share, says
+from ..results.numbers import NOTHING, count_runs, joined, number, percent
+from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
 from .section import Block, Section, Table, tabulate
+
+OUTCOMES = {
+    "hopeless": "too short for any unit",
+    "never seen": "never seen",
+    "never confirmed": "seen, but never long enough",
+    "lost again": "confirmed, but lost again before the last moment",
+    "too late": "confirmed too late",
+}
+"""Words for the outcome of a run that is not avoided."""
+_CONTRIBUTION_COLUMNS = (
+    *("unit", "runs that only it saves", "APR it adds", "APR without it"),
+    *("smallest time to spare without it (s)", "mean time to spare without it (s)"),
+    *("later without it, mean (s)", "later, at most (s)"),
+)
+_CAUSES = {
+    "out of view": "out of view",
+    "cut off": "cut off by the edge of the view",
+    "too dark": "too little contrast in light and weather",
+    "too far": "too small or too thin at that distance",
+    "otherwise": "not detected on the table",
+}
+_MAX_REASONS = 2
+_MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
+
+
+_MAX_DIGITS = 6
 
 
 class ContributionRecord(Record, frozen=True, kw_only=True):
@@ -25,39 +54,20 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
     unit: Annotated[str, says("Id in the layout.")]
     only_runs: Annotated[
         tuple[RunId, ...],
-        says(
-            "Runs with weight that are avoided with it and not without it; where worlds are "
-            "sampled with # and the number of the world behind the name."
-        ),
+        says("Runs with weight avoided only with it; # and the number of a sampled world behind."),
     ]
     marginal_apr: Annotated[Share, says("APR of all less that of the others.")]
-    mean_delay_s: Annotated[
-        float,
-        says(
-            "By how much later what the others avoid, too, is confirmed without it: mean by "
-            "weight, in seconds."
-        ),
-    ]
+    mean_delay_s: Annotated[float, says("Later confirmation without it, on average, in seconds.")]
     max_delay_s: Annotated[float, says("The most of it in any run, in seconds.")]
     without: Annotated[LayoutValueRecord, says("What the others are worth.")]
 
 
 class ExplainedRecord(Record, frozen=True, kw_only=True):
-    """Reasons for these units, and runs that they miss, on the detection table.
-
-    Runs of weight 0 are in no list.
-    """
+    """Why these units, and what they miss, on the detection table, without runs of weight 0."""
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
-    not_avoided: Annotated[
-        tuple[Unavoided, ...], says("Runs that are not avoided, in the order of the runs.")
-    ]
-    runs_without_weight: Annotated[
-        int, says("How many runs have weight 0, and are left out.", ge=0)
-    ]
-
-
-# ---------- explanations
+    not_avoided: Annotated[tuple[Unavoided, ...], says("Runs not avoided, in their order.")]
+    runs_without_weight: Annotated[int, says("How many are left out with weight 0.", ge=0)]
 
 
 def build_explained_record(
@@ -73,79 +83,51 @@ def build_explained_record(
     looks for what would save them.
     """
     problem, chosen = placement.problem, placement.pose_index
+    nominal, table = placement.nominal, problem.table
     names = {
-        problem.table.pose_ids[pose]: unit.id
+        table.pose_ids[pose]: unit.id
         for pose, unit in zip(chosen, placement.layout.units, strict=True)
     }
-    nominal = placement.nominal
+    is_all = nominal.table.n_poses == table.n_poses
     missed = find_unavoided(
         setting,
         nominal,
-        candidates
-        if nominal.table.n_poses == problem.table.n_poses
-        else [candidates[pose] for pose in chosen],
+        candidates if is_all else [candidates[pose] for pose in chosen],
         placement.nominal_index,
         compute=compute,
     )
     return ExplainedRecord(
         contributions=tuple(
-            _contribution(problem, part, names) for part in find_contributions(problem, chosen)
+            ContributionRecord(
+                unit=names[table.pose_ids[part.pose_index]],
+                only_runs=tuple(
+                    dict.fromkeys(run_of_level(table.axis.run_ids[run]) for run in part.only_runs)
+                ),
+                marginal_apr=part.marginal_apr,
+                mean_delay_s=part.mean_delay_s,
+                max_delay_s=part.max_delay_s,
+                without=LayoutValueRecord(**part.without._asdict()),
+            )
+            for part in find_contributions(problem, chosen)
         ),
         not_avoided=tuple(
             replace(entry, unit=names.get(entry.unit, entry.unit)) for entry in missed
         ),
-        runs_without_weight=int((placement.nominal.table.axis.weight == 0.0).sum()),
+        runs_without_weight=int((nominal.table.axis.weight == 0.0).sum()),
     )
-
-
-def _contribution(
-    problem: PlacementProblem, part: Contribution, names: Mapping[str, str]
-) -> ContributionRecord:
-    table = problem.table
-    return ContributionRecord(
-        unit=names[table.pose_ids[part.pose_index]],
-        only_runs=tuple(
-            dict.fromkeys(run_of_level(table.axis.run_ids[run]) for run in part.only_runs.tolist())
-        ),
-        marginal_apr=part.marginal_apr,
-        mean_delay_s=part.mean_delay_s,
-        max_delay_s=part.max_delay_s,
-        without=LayoutValueRecord(**part.without._asdict()),
-    )
-
-
-# ---------- in sentences
-
-
-OUTCOMES = {
-    "hopeless": "too short for any unit",
-    "never seen": "never seen",
-    "never confirmed": "seen, but never long enough",
-    "lost again": "confirmed, but lost again before the last moment",
-    "too late": "confirmed too late",
-}
-"""Words for the outcome of a run that is not avoided."""
-
-_CAUSES = {
-    "out of view": "out of view",
-    "cut off": "cut off by the edge of the view",
-    "too dark": "too little contrast in light and weather",
-    "too far": "too small or too thin at that distance",
-    "otherwise": "not detected on the table",
-}
 
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the units that something depends on."""
     parts = explained.contributions
-    if is_nothing_avoided(parts):
+    needed = [part for part in parts if part.only_runs]
+    if all(part.without.apr + part.marginal_apr <= 0.0 for part in parts):
         return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
     if len(parts) == 1 and parts[0].without.apr == 0.0:
         return ["Everything that is avoided depends on this one unit."]
     if len(parts) == 1:
         saved = count_runs(len(parts[0].only_runs))
         return [f"This one unit saves {saved} that the car does not save by itself."]
-    needed = [part for part in parts if part.only_runs]
     if not needed:
         others = "the other avoids" if len(parts) == 2 else "the others avoid"
         return [
@@ -158,31 +140,21 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     return [f"Of {len(parts)} units, {len(needed)} {verb} runs that no other one saves."]
 
 
-def is_nothing_avoided(parts: Sequence[ContributionRecord]) -> bool:
-    """True if units avoid nothing together."""
-    return all(part.without.apr + part.marginal_apr <= 0.0 for part in parts)
-
-
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the runs that are not avoided, and what is most often in the way."""
     missed, n_without = explained.not_avoided, explained.runs_without_weight
+    counts = Counter(entry.outcome for entry in missed)
+    outcomes = ", ".join(f"{count} {OUTCOMES[name]}" for name, count in counts.most_common())
+    if len(counts) == 1:
+        outcomes = f"{'all ' if len(missed) > 1 else ''}{OUTCOMES[missed[0].outcome]}"
     which = "every run that counts" if n_without else "every run"
     sentences = [f"On the detection table, {which} is avoided."]
     if missed:
-        verb = "is" if len(missed) == 1 else "are"
-        runs, outcomes = count_runs(len(missed)), _outcomes(missed)
+        runs, verb = count_runs(len(missed)), "is" if len(missed) == 1 else "are"
         sentences = [f"On the detection table, {runs} {verb} not avoided: {outcomes}."]
     if n_without:
         sentences.append(f"Left out: {count_runs(n_without)} of weight 0.")
     return [*sentences, *causes_and_remedies(missed)]
-
-
-def _outcomes(missed: Sequence[Unavoided]) -> str:
-    counts = Counter(entry.outcome for entry in missed)
-    if len(counts) == 1:
-        words = OUTCOMES[missed[0].outcome]
-        return words if len(missed) == 1 else f"all {words}"
-    return ", ".join(f"{count} {OUTCOMES[outcome]}" for outcome, count in counts.most_common())
 
 
 def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
@@ -196,59 +168,36 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
         elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
             sentences.append(f"The most frequent cause: {words}, in {count_runs(n_runs)}.")
     n_saved = sum(entry.rescue is not None for entry in missed)
-    if n_saved:
-        which = f"{count_runs(n_saved)} could{' each' if n_saved > 1 else ''}"
-        if len(missed) == 1:
-            which = "It could"
-        elif n_saved == len(missed):
-            which = "Each of them could"
-        sentences.append(f"{which} be saved by a further unit.")
-    return sentences
+    which = f"{count_runs(n_saved)} could{' each' if n_saved > 1 else ''}"
+    if n_saved == len(missed):
+        which = "It could" if n_saved == 1 else "Each of them could"
+    return [*sentences, *([f"{which} be saved by a further unit."] if n_saved else [])]
 
 
 def cause(reason: Reason) -> str:
     """Why a unit does not detect the road user, in words."""
-    if reason.cause == "hidden":
-        return f"hidden by {reason.thing}"
-    return _CAUSES[reason.cause]
-
-
-# ---------- in tables
-
-
-_MAX_REASONS = 2
-_MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
+    return f"hidden by {reason.thing}" if reason.cause == "hidden" else _CAUSES[reason.cause]
 
 
 def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
     """Contributions, a row for each unit; `labels` are short names of the units, by id."""
-    names = labels or {}
-    return tabulate(
-        "What each unit is there for, on the detection table",
-        explained.contributions,
-        {
-            "unit": lambda part: names.get(part.unit, part.unit),
-            "runs that only it saves": lambda part: str(len(part.only_runs)),
-            "APR it adds": lambda part: percent(part.marginal_apr),
-            "APR without it": lambda part: percent(part.without.apr),
-            "smallest time to spare without it (s)": lambda part: _of_others(
-                part, part.without.smallest_margin_s
-            ),
-            "mean time to spare without it (s)": lambda part: _of_others(
-                part, part.without.mean_margin_s
-            ),
-            "later without it, mean (s)": lambda part: _of_others(part, part.mean_delay_s),
-            "later, at most (s)": lambda part: _of_others(part, part.max_delay_s),
-        },
+    names, rows = labels or {}, []
+    for part in explained.contributions:
+        others = part.without
+        times_s = [others.smallest_margin_s, others.mean_margin_s]
+        times_s += [part.mean_delay_s, part.max_delay_s]
+        shares = percent(part.marginal_apr), percent(others.apr)
+        shown = [number(time_s) if others.apr > 0.0 else NOTHING for time_s in times_s]
+        name, n_saved = names.get(part.unit, part.unit), str(len(part.only_runs))
+        rows.append([name, n_saved, *shares, *shown])
+    return Table(
+        caption="What each unit is there for, on the detection table",
+        columns=_CONTRIBUTION_COLUMNS,
+        rows=rows,
         numeric=range(1, 8),
     )
-
-
-def _of_others(part: ContributionRecord, value_s: float) -> str:
-    """A time of what the others avoid; there is none where they avoid nothing."""
-    return number(value_s) if part.without.apr > 0.0 else NOTHING
 
 
 def missed_table(explained: ExplainedRecord) -> Table:
@@ -269,10 +218,8 @@ def missed_table(explained: ExplainedRecord) -> Table:
 
 
 def _outcome(entry: Unavoided) -> str:
-    words: str = OUTCOMES[entry.outcome]
-    if entry.outcome != "too late":
-        return words
-    return f"{words}, by {number(entry.late_s)} s"
+    late = f", by {number(entry.late_s)} s" if entry.outcome == "too late" else ""
+    return f"{OUTCOMES[entry.outcome]}{late}"
 
 
 def _why(entry: Unavoided) -> str:
@@ -294,29 +241,15 @@ def _rescue(entry: Unavoided) -> str:
     return f"{rescue.unit}, {where}, {number(rescue.margin_s)} s to spare"
 
 
-# ---------- sections of the report
-
-
 def explanation_sections(
     explained: ExplainedRecord | None, labels: Mapping[str, str]
 ) -> list[Section]:
-    """Why these poses, and what they miss; none where nothing was optimised.
-
-    `labels` are short names of the layout's units, by id.
-    """
+    """Why these poses, and what they miss; none without an optimiser. `labels` of units by id."""
     if not explained:
         return []
-    reasons = ["Each unit is taken away in turn, on the detection table."]
-    sections = [
-        Section(
-            "why",
-            "Why these poses",
-            [
-                " ".join([*reasons, *contribution_sentences(explained)]),
-                contribution_table(explained, labels),
-            ],
-        )
-    ]
+    why = ["Each unit is taken away in turn, on the detection table."]
+    why += contribution_sentences(explained)
+    table = contribution_table(explained, labels)
     missed: list[Block] = [" ".join(missed_sentences(explained))]
     if explained.not_avoided:
         missed += [
@@ -326,5 +259,120 @@ def explanation_sections(
             "first; without it the road user would be detected. A further unit is one of the "
             "candidate poses, mounted next to these; its price is not asked for.",
         ]
-    sections.append(Section("missed", "Runs that are not avoided", missed))
-    return sections
+    return [
+        Section("why", "Why these poses", [" ".join(why), table]),
+        Section("missed", "Runs that are not avoided", missed),
+    ]
+
+
+class MoveRecord(Record, frozen=True, kw_only=True):
+    """Change of a unit by refinement; null where it is not at the same place."""
+
+    was: Annotated[str | None, says("Id before; null: it is new.")]
+    is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(name="is")
+    is_same_place: Annotated[bool, says("The same sensor, at most higher or lower.")]
+    turn_deg: Annotated[float | None, says("Change of the yaw, in degrees, counter-clockwise.")]
+    tilt_deg: Annotated[float | None, says("Change of the pitch, in degrees, up.")]
+    lift_m: Annotated[float | None, says("Change of the height, in metres, up.")]
+    zoom_deg: Annotated[float | None, says("Change of the field of view, in degrees.")]
+
+
+class RefinementRecord(Record, frozen=True, kw_only=True):
+    """Search between the poses of the grid."""
+
+    is_improved: Annotated[bool, says("Whether it found anything better.")]
+    before: Annotated[StageValues, says("Of the best layout of the grid.")]
+    after: Annotated[StageValues, says("Of the refined layout.")]
+    moves: Annotated[tuple[MoveRecord, ...], says("What became of the units that changed.")]
+    grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
+    grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]
+    poses_tried: Annotated[int, says("Poses between those of the grid.", ge=0)]
+    seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
+
+
+def build_refinement_record(refinement: Refinement) -> RefinementRecord:
+    """Changes by the search between the poses of the grid."""
+    return RefinementRecord(
+        is_improved=refinement.is_improved,
+        before={cast(StageName, name): value for name, value in refinement.before},
+        after={cast(StageName, name): value for name, value in refinement.after},
+        moves=tuple(_move(move) for move in refinement.moves),
+        grid_candidates=refinement.unrefined.problem.table.n_poses,
+        grid_is_proven=refinement.unrefined.certificate.is_proven,
+        poses_tried=refinement.n_tried,
+        seconds=refinement.seconds,
+    )
+
+
+def _move(move: Move) -> MoveRecord:
+    names = ("turn_deg", "tilt_deg", "lift_m", "zoom_deg")
+    return MoveRecord(
+        was=None if move.before is None else move.before.id,
+        is_=None if move.after is None else move.after.id,
+        is_same_place=move.is_same_place,
+        **{name: getattr(move, name) if move.is_same_place else None for name in names},
+    )
+
+
+def refinement_sentences(found: RefinementRecord) -> list[str]:
+    """Sentences on the changes by refinement and their proof."""
+    n_tried, n_grid = found.poses_tried, found.grid_candidates
+    if not found.is_improved:
+        return [
+            f"Refinement tried {n_tried} poses between the {n_grid} candidates of the grid and "
+            "found nothing better."
+        ]
+    proven = (
+        f"No choice among the {n_grid} candidates of the grid is as good: that is proven."
+        if found.grid_is_proven
+        else f"It is better than the best choice among the {n_grid} candidates of the grid that "
+        "was found in the time given."
+    )
+    return [
+        f"Refinement {joined([_deed(move) for move in found.moves])}: {_changes(found)}.",
+        f"{proven} The bounds of the refined layout hold for these and the {n_tried} poses tried "
+        "between them, not for every pose there is.",
+    ]
+
+
+def _deed(move: MoveRecord) -> str:
+    """Words for the change of one unit."""
+    if move.is_ is None:
+        return f"removed {move.was}"
+    if move.was is None:
+        return f"added {move.is_}"
+    lift_m = move.lift_m or 0.0
+    amounts = (
+        ("turned", move.turn_deg, "\N{DEGREE SIGN}"),
+        ("tilted", move.tilt_deg, "\N{DEGREE SIGN}"),
+        ("raised" if lift_m > 0.0 else "lowered", abs(lift_m), " m"),
+        ("zoomed", move.zoom_deg, "\N{DEGREE SIGN}"),
+    )
+    done = [(verb, f"by {number(amount)}{unit}") for verb, amount, unit in amounts if amount]
+    name = move.is_ if move.is_ == move.was else f"{move.was} (now {move.is_})"
+    (verb, by), *others = done
+    return joined([f"{verb} {name} {by}", *(f"{verb} it {by}" for verb, by in others)])
+
+
+def _changes(found: RefinementRecord) -> str:
+    """Objectives before and after, those that changed."""
+    values = [(Objective(name), before, found.after[name]) for name, before in found.before.items()]
+    return ", ".join(
+        f"{objective.label} {_from_to(objective, before, after)}"
+        for objective, before, after in values
+        if abs(after - before) > objective.tolerance
+    )
+
+
+def _from_to(objective: Objective, before: float, after: float) -> str:
+    """Two values with as many digits as tell them apart."""
+    is_share = objective.value.startswith("apr")
+    if is_share and percent(before) != percent(after):
+        return f"{percent(before)} to {percent(after)}"
+    scale, unit = (100.0, " %") if is_share else (1.0, f" {objective.unit}".rstrip())
+    first = 0 if objective.is_minimised else 2
+    for digits in range(first, _MAX_DIGITS + 1):
+        one, other = number(scale * before, digits), number(scale * after, digits)
+        if one != other:
+            break
+    return f"{one}{unit} to {other}{unit}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation
@@ -25,8 +26,7 @@ _BEST = {
 _SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Card:
+class Card(NamedTuple):
     """A figure with what it means."""
 
     head: str
@@ -56,15 +56,11 @@ def build_first_screen(
 ) -> FirstScreen:
     """The first screen of a result; `warnings` stand between its sentence and its figures."""
     avoided = avoided_runs(subject, result.fusion)
+    first = (_prevented(subject, avoided), _if_one_fails(result, subject))
     return FirstScreen(
         sentence=_sentence(result, subject, avoided),
         warnings=tuple(warnings),
-        cards=(
-            _prevented(subject, avoided),
-            _if_one_fails(result, subject),
-            _cost(bill, subject),
-            _proof(result),
-        ),
+        cards=(*first, _cost(bill, subject), _proof(result)),
         dangers=tuple(_dangers(result, setting)),
         plan=plan,
     )
@@ -73,10 +69,8 @@ def build_first_screen(
 def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
     """What the layout prevents, and what cars prevent by themselves."""
     axis = subject.axis
-    share, own, together = (
-        percent(weight_share(mask, axis.weight))
-        for mask in (avoided, subject.vut.is_avoided, subject.vut_and_rsus.is_avoided)
-    )
+    masks = (avoided, subject.vut.is_avoided, subject.vut_and_rsus.is_avoided)
+    share, own, together = (percent(weight_share(mask, axis.weight)) for mask in masks)
     n_poles = len({unit.site_id or unit.id for unit in subject.layout.units})
     units = _spelled(count_sensors(subject.layout))
     mounted = f"{_capital(units)} on {_spelled(several(n_poles, 'pole', 'poles'))}"
@@ -126,17 +120,15 @@ def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
             f". That would be {percent(n_avoided / n_runs)}, but some count more than others: "
             "all shares here are by weight"
         )
-    share = percent(weight_share(avoided, axis.weight))
-    return Card(head="Prevented", figure=share, words=words)
+    return Card("Prevented", percent(weight_share(avoided, axis.weight)), words)
 
 
 def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
-    if len(subject.units) == 1 and result.cars < 1.0:
-        words = "there is but one: if it fails, only the car itself is left"
-        return Card(head="If a sensor fails", figure=NOTHING, words=words)
     words = "are prevented even if the sensor that is needed most is out of order"
-    return Card(head="If a sensor fails", figure=percent(left), words=words)
+    if len(subject.units) == 1 and result.cars < 1.0:
+        left, words = None, "there is but one: if it fails, only the car itself is left"
+    return Card("If a sensor fails", percent(left), words)
 
 
 def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
@@ -147,7 +139,7 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
     words = f"to buy {count_sensors(subject.layout)} and to make their poles ready"
     if bill.assumed:
         words += "; prices of poles are assumed"
-    return Card(head="Cost", figure=euros(total), words=words)
+    return Card("Cost", euros(total), words)
 
 
 def _proof(result: Result) -> Card:
@@ -174,14 +166,10 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
     dangers = result.dangers
     if not dangers.not_avoided:
         return ["Of the collisions that were tried, none is left."]
-    titles = {
-        run.case.name: run.case.title.replace("VUT", "car") or run.case.name for run in setting.runs
-    }
-    found = [
-        f"{_capital(titles.get(group.name, group.name))}: {_left(group)}."
-        for group in dangers.by_case[:_MOST_DANGERS]
-        if group.not_avoided
-    ]
+    cases = {run.case.name: run.case for run in setting.runs}
+    titles = {name: case.title.replace("VUT", "car") or name for name, case in cases.items()}
+    worst = [group for group in dangers.by_case[:_MOST_DANGERS] if group.not_avoided]
+    found = [f"{_capital(titles.get(one.name, one.name))}: {_left(one)}." for one in worst]
     where = [group for group in dangers.by_position[:2] if group.not_avoided]
     if where:
         told = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,11 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from msgspec import UnsetType
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
-from geometry.arrays import FloatArray
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
@@ -23,15 +22,15 @@ from placement.detection_table import plain_axis
 from placement.optimiser import PlacementProblem, PlacementValue
 from placement.optimiser.front import Front, FrontPoint, StageChoice, cost_front, pareto_front
 from placement.optimiser.presolve import PresolveStatistics
-from placement.pipeline import Assembly, assemble, pick_layout
+from placement.pipeline import assemble, pick_layout
 from placement.question import Question
 from placement.wishes import assumed_prices, load_prices
 
 from ..export.json import to_json_text
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure, to_png
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.drives import RefusalRecord, build_drives_record, versions
-from ..results.folders import check_folder, write_files
+from ..results.folders import expect_files, save_files
 from ..results.numbers import NOTHING, euros, number, percent
 from ..results.record import (
     LayoutValueRecord,
@@ -44,7 +43,28 @@ from ..results.record import (
     says,
 )
 from ..results.tables import csv_text
-from .section import Block, Bullets, Section, Table, build_picture
+from .section import Block, Bullets, Section, Table, build_picture, tabulate
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
+_HEADS = {"apr": "APR", "apr_one_failed": "one fails", "smallest_margin_s": "least"}
+_HEADS |= {"mean_margin_s": "mean", "cost_eur": "EUR"}
+_ALLOWED = {"units": "number of units", "cost": "sum of money"}
+_SETTLED = "#ececec"
+_LEAST_EUR = "; each EUR is the least that buys this"
+# Told apart by marker and dashes as well as by colour.
+_SOLID: Style = {"color": BLUE, "marker": "o", "linestyle": "-"}
+_DASHED: Style = {"color": VERMILION, "marker": "s", "linestyle": (0, (4, 2))}
+_CURVES: dict[str, Style] = {
+    "apr": {"label": "APR"} | _SOLID,
+    "apr_one_failed": {"label": "APR when the most needed unit fails"} | _DASHED,
+}
+_TIMES: dict[str, Style] = {
+    "smallest_margin_s": {"label": "smallest"} | _SOLID,
+    "mean_margin_s": {"label": "mean"} | _DASHED,
+}
 
 
 class RefusedSizeRecord(Record, frozen=True, kw_only=True):
@@ -71,48 +91,18 @@ class FrontRecord(Record, frozen=True, kw_only=True):
     by: Annotated[Literal["units", "cost"], says("What there is more and more of.")]
     optimised: Annotated[
         Literal["first", "all"],
-        says("first: APR, and APR if a unit fails; all: margins and cost, too."),
+        says("first: APR, and APR if a unit fails; all: also margins, cost."),
     ]
     candidates: Annotated[int, says("Candidate poses.", ge=0)]
     runs: Annotated[int, says("Runs on the detection table, in all sampled worlds together.", ge=0)]
     fusion: Annotated[Literal["any", "single"], says("As at the top.")]
     kept: Annotated[int, says("Units that are mounted already.", ge=0)]
-    settled: Annotated[
-        float | None, says("Units, or EUR, from which on nothing grows; null: unknown.")
-    ]
+    settled: Annotated[float | None, says("Units or EUR beyond which nothing grows; or null.")]
     is_proven: Annotated[bool, says("Whether every point is.")]
-    presolve: Annotated[
-        PresolveStatistics | None, says("Once for all points; null: each was solved by itself.")
-    ]
+    presolve: Annotated[PresolveStatistics | None, says("For all points; null: each by itself.")]
     refused: Annotated[tuple[RefusedSizeRecord, ...], says("Sizes that cannot be.")]
     points: Annotated[tuple[FrontPointRecord, ...], says("In ascending order.")]
     sentences: Annotated[tuple[str, ...], says("What is proven, and where nothing grows.")]
-
-
-def _point(point: FrontPoint, candidates: Sequence[CandidatePose]) -> FrontPointRecord:
-    layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
-    return FrontPointRecord(
-        units=point.units,
-        **point.value._asdict(),
-        is_proven=point.is_proven,
-        stages=build_stage_records(point.certificate),
-        solver=point.certificate.solver,
-        layout=build_unit_records(layout),
-        pose_ids=tuple(candidates[index].id for index in point.pose_index),
-    )
-
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-_VALUES = PlacementValue._fields
-_HEADS = {
-    "apr": "APR",
-    "apr_one_failed": "one fails",
-    "smallest_margin_s": "least",
-    "mean_margin_s": "mean",
-    "cost_eur": "EUR",
-}
 
 
 def _stage(point: FrontPointRecord, name: str) -> StageRecord | None:
@@ -120,52 +110,31 @@ def _stage(point: FrontPointRecord, name: str) -> StageRecord | None:
     return next((stage for stage in point.stages if stage.name == name), None)
 
 
-# ---------- words, table, and the section of the report
-
-
 def table(front: FrontRecord) -> Table:
     """A row for each point: units, its gain, values of the layout, whether more is ruled out."""
-    is_all = front.optimised == "all"
-    heads = [
-        head
-        if is_all or name.startswith("apr") or (name == "cost_eur" and front.by == "cost")
-        else f"{head}*"
-        for name, head in _HEADS.items()
-    ]
+    optimised = [*_HEADS] if front.optimised == "all" else ["apr", "apr_one_failed"]
+    optimised += ["cost_eur"] * (front.by == "cost")
+    heads = [head if name in optimised else f"{head}*" for name, head in _HEADS.items()]
     before = [0.0, *(point.apr for point in front.points)]
-    return Table(
-        caption=f"The best layout for each {_ALLOWED[front.by]}",
-        columns=["units", heads[0], "gain", *heads[1:], "proof"],
-        rows=[
-            [
-                str(point.units),
-                percent(point.apr),
-                number(100.0 * (point.apr - less), 1),
-                percent(point.apr_one_failed),
-                number(point.smallest_margin_s, 3),
-                number(point.mean_margin_s, 3),
-                f"{point.cost_eur:,.0f}",
-                _proof(point),
-            ]
-            for less, point in zip(before, front.points, strict=False)
-        ],
-        numeric=range(7),
-    )
+    rows = []
+    for less, point in zip(before, front.points, strict=False):
+        gain, left = number(100.0 * (point.apr - less), 1), percent(point.apr_one_failed)
+        times = [number(time_s, 3) for time_s in (point.smallest_margin_s, point.mean_margin_s)]
+        cost, proof = f"{point.cost_eur:,.0f}", _proof(point)
+        rows.append([str(point.units), percent(point.apr), gain, left, *times, cost, proof])
+    columns = ["units", heads[0], "gain", *heads[1:], "proof"]
+    caption = f"The best layout for each {_ALLOWED[front.by]}"
+    return Table(caption=caption, columns=columns, rows=rows, numeric=range(7))
 
 
 def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
-    least = "each EUR is the least that buys this" if front.by == "cost" else ""
-    texts = [
-        "gain: points of APR over the row above; one fails: APR that is left when the most needed "
-        "unit fails; least, mean: time to spare in the runs avoided, in s",
-        *([least] if least else []),
-    ]
     star = "* of this layout; not optimised: --all-stages does. "
-    return [f"{'' if front.optimised == 'all' else star}{'; '.join(texts)}."]
-
-
-_ALLOWED = {"units": "number of units", "cost": "sum of money"}
+    return [
+        f"{star if front.optimised == 'first' else ''}gain: points of APR over the row above; "
+        "one fails: APR that is left when the most needed unit fails; least, mean: time to spare "
+        f"in the runs avoided, in s{_LEAST_EUR if front.by == 'cost' else ''}."
+    ]
 
 
 def _proof(point: FrontPointRecord) -> str:
@@ -184,8 +153,8 @@ def _proof(point: FrontPointRecord) -> str:
 def words(front: FrontRecord) -> list[str]:
     """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
     n_points, n_proven = len(front.points), sum(point.is_proven for point in front.points)
-    allowed = _ALLOWED[front.by]
-    last = ", then in time to spare and cost" if front.optimised == "all" else ""
+    is_all, allowed = front.optimised == "all", _ALLOWED[front.by]
+    last = ", then in time to spare and cost" if is_all else ""
     better = f"better, in APR, then in what is left when the most needed unit fails{last}"
     sentences = [
         f"Proven: for each {allowed} no other choice among the candidate poses is {better} (on the "
@@ -195,43 +164,41 @@ def words(front: FrontRecord) -> list[str]:
         f"{better}: the table says what is open."
     ]
     if front.settled is not None:
-        where = f"From {front.settled:g} units" if front.by == "units" else "Beyond "
-        where = where if front.by == "units" else f"{where}{euros(front.settled)}"
-        more = "is better" if front.optimised == "all" else "avoids more, also when one unit fails"
+        by_units = front.by == "units"
+        where = f"From {front.settled:g} units" if by_units else f"Beyond {euros(front.settled)}"
+        more = "is better" if is_all else "avoids more, also when one unit fails"
         sentences.append(f"{where} on nothing grows: no layout of any size {more}.")
     return sentences + [
         f"With {size.units} the wishes cannot be met: {size.reason}." for size in front.refused
     ]
 
 
-def front_section(front: FrontRecord | UnsetType | None) -> Section | None:
+def front_section(front: FrontRecord | None) -> Section | None:
     """Gains of each unit; None where the best was not what was asked for."""
-    if not front:
+    if front is None:
         return None
     shown = table(front)
+    in_words = "; ".join(
+        f"{row[0]}: APR {row[1]}, {row[3]} if one fails, {row[4]} s to spare, {row[7]}"
+        for row in shown.rows
+    )
     picture = build_picture(
         plot_front(front),
         title="What each further unit buys",
         caption="Every point is the best layout found for as many units; open markers and "
         "bars: what is not yet ruled out.",
-        alt="Curves over the number of units. "
-        + "; ".join(
-            f"{row[0]}: APR {row[1]}, {row[3]} if one fails, {row[4]} s to spare, {row[7]}"
-            for row in shown.rows
-        )
-        + ".",
+        alt=f"Curves over the number of units. {in_words}.",
     )
-    poses = Table(
-        caption="Candidate poses of each point, and their sites",
-        columns=["units", "poses", "sites"],
-        rows=[
-            [
-                str(point.units),
-                _listed(point.pose_ids),
-                _listed([unit.site or NOTHING for unit in point.layout]),
-            ]
-            for point in front.points
-        ],
+    poses = tabulate(
+        "Candidate poses of each point, and their sites",
+        front.points,
+        {
+            "units": lambda point: str(point.units),
+            "poses": lambda point: ", ".join(point.pose_ids) or NOTHING,
+            "sites": lambda point: (
+                ", ".join(one.site or NOTHING for one in point.layout) or NOTHING
+            ),
+        },
         summary="Which poses",
     )
     note = (
@@ -240,16 +207,6 @@ def front_section(front: FrontRecord | UnsetType | None) -> Section | None:
     )
     blocks: list[Block] = [Bullets(front.sentences), picture, shown, note, poses]
     return Section("front", "What each unit buys", blocks)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names) or NOTHING
-
-
-# ---------- the job, and the table
-
-
-CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
 
 
 class FrontResult(FrontRecord, frozen=True, kw_only=True):
@@ -290,81 +247,62 @@ def run_pareto(
     `out` cannot be written.
     """
     scene = load_scene(question.scene)
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    expect_files(out, progress)
     plan = assemble(replace(question, budget=max_units), scene=scene, compute=compute)
     prices = load_prices() if by == "cost" and question.site_cost_eur is None else None
     plan = replace(plan, wishes=replace(plan.wishes, prices=prices))
-    setting, problem = plan.setting, plan.problem
+    problem, n_kept = plan.problem, len(plan.wishes.existing)
     progress("front", 0, 0)
-    n_kept = len(plan.wishes.existing)
-    front = _find_front(
-        problem, by=by, all_stages=all_stages, n_kept=n_kept, plan=plan, progress=progress
-    )
+
+    def tell(point: FrontPoint) -> None:
+        money = f"{point.value.cost_eur:,.0f} EUR"
+        size = f"{point.units} of {problem.limits.budget_units} units"
+        progress(f"front: {money if by == 'cost' else size}", 0, 0)
+
+    find = cost_front
+    if by == "units":
+        most = problem.limits.budget_units
+        assert most is not None  # that was asked for
+        find = partial(pareto_front, max_units=most, min_units=max(n_kept, 1))
+    stages: StageChoice = "all" if all_stages else "first"
+    front = find(problem, stages=stages, effort=plan.effort, on_point=tell)
     result = FrontResult(
         **fields_of(describe_front(front, problem, plan.candidates, n_kept=n_kept)),
         command=command,
-        **fields_of(build_drives_record(setting)),
+        **fields_of(build_drives_record(plan.setting)),
         seconds={},
         versions=versions(),
     )
     if prices is not None:
         assumed = assumed_prices(prices, scene.sites)
         result = replace_fields(result, sentences=(*result.sentences, *assumed))
-    if out is None:
-        return replace_fields(result, seconds=progress.finish())
-    progress(WRITING, 0, 0)
-    csv = csv_text(front_table(result))
-    png = to_png(plot_front(result))
-    result = replace_fields(result, seconds=progress.finish())
-    json = to_json_text(result)
-    write_files(out, {CSV_NAME: csv.encode(), PNG_NAME: png, JSON_NAME: json.encode()})
-    progress.kept = f"the results are in {out}"
-    return result
 
+    def files(done: FrontResult) -> dict[str, str | bytes]:
+        drawn = to_png(plot_front(done))
+        tables = {CSV_NAME: csv_text(front_table(done)), JSON_NAME: to_json_text(done)}
+        return {**tables, PNG_NAME: drawn}
 
-def _find_front(
-    problem: PlacementProblem,
-    *,
-    by: str,
-    all_stages: bool,
-    n_kept: int,
-    plan: Assembly,
-    progress: StageProgress,
-) -> Front:
-    stages: StageChoice = "all" if all_stages else "first"
-    if by == "cost":
-        return cost_front(
-            problem,
-            stages=stages,
-            effort=plan.effort,
-            on_point=lambda point: progress(f"front: {point.value.cost_eur:,.0f} EUR", 0, 0),
-        )
-    most = problem.limits.budget_units
-    assert most is not None  # that was asked for
-    return pareto_front(
-        problem,
-        max_units=most,
-        min_units=max(n_kept, 1),
-        stages=stages,
-        effort=plan.effort,
-        on_point=lambda point: progress(f"front: {point.units} of {most} units", 0, 0),
-    )
+    return save_files(result, out, progress, files)
 
 
 def describe_front(
-    front: Front,
-    problem: PlacementProblem,
-    candidates: Sequence[CandidatePose],
-    *,
-    n_kept: int = 0,
+    front: Front, problem: PlacementProblem, candidates: Sequence[CandidatePose], *, n_kept: int = 0
 ) -> FrontRecord:
-    """A front with the units of every point; `n_kept` of them are mounted already.
+    """A front with the units of every point; `n_kept` exist. `candidates` are the table's rows."""
 
-    `candidates` are the rows of the problem's table.
-    """
-    record = FrontRecord(
+    def record(point: FrontPoint) -> FrontPointRecord:
+        layout = pick_layout(candidates, point.pose_index, f"front-{point.units}")
+        return FrontPointRecord(
+            units=point.units,
+            **point.value._asdict(),
+            is_proven=point.is_proven,
+            stages=build_stage_records(point.certificate),
+            solver=point.certificate.solver,
+            layout=build_unit_records(layout),
+            pose_ids=tuple(candidates[index].id for index in point.pose_index),
+        )
+
+    described = FrontRecord(
         by=front.by,
         optimised=front.stages,
         candidates=problem.table.n_poses,
@@ -375,55 +313,24 @@ def describe_front(
         is_proven=front.is_proven,
         presolve=front.presolve,
         refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
-        points=tuple(_point(point, candidates) for point in front.points),
+        points=tuple(record(point) for point in front.points),
         sentences=(),
     )
-    return replace_fields(record, sentences=tuple(words(record)))
+    return replace_fields(described, sentences=tuple(words(described)))
 
 
 def front_table(front: FrontRecord) -> "pd.DataFrame":
-    """A row per point: units, apr, apr_bound and so on, is_proven, and ids of poses.
+    """A row per point; the bound of what was not optimised is missing."""
+    import pandas as pd
 
-    The bound of what was not optimised is missing.
-    """
     rows = []
     for point in front.points:
         row: dict[str, object] = {"units": point.units}
-        for name in _VALUES:
+        for name in PlacementValue._fields:
             stage = _stage(point, name)
             row |= {name: getattr(point, name), f"{name}_bound": stage and stage.bound}
-        row["is_proven"] = point.is_proven
-        row["poses"] = " ".join(point.pose_ids)
-        rows.append(row)
-    import pandas as pd
-
+        rows.append(row | {"is_proven": point.is_proven, "poses": " ".join(point.pose_ids)})
     return pd.DataFrame(rows)
-
-
-# ---------- the figure
-
-
-_SETTLED = "#ececec"
-_X_LABELS = {"units": "units", "cost": "cost (EUR)"}
-# Told apart by marker and dashes as well as by colour.
-_CURVES: dict[str, Style] = {
-    "apr": {"label": "APR", "color": BLUE, "marker": "o", "linestyle": "-"},
-    "apr_one_failed": {
-        "label": "APR when the most needed unit fails",
-        "color": VERMILION,
-        "marker": "s",
-        "linestyle": (0, (4, 2)),
-    },
-}
-_TIMES: dict[str, Style] = {
-    "smallest_margin_s": {"label": "smallest", "color": BLUE, "marker": "o", "linestyle": "-"},
-    "mean_margin_s": {
-        "label": "mean",
-        "color": VERMILION,
-        "marker": "s",
-        "linestyle": (0, (4, 2)),
-    },
-}
 
 
 def plot_front(front: FrontRecord) -> Axes:
@@ -435,9 +342,8 @@ def plot_front(front: FrontRecord) -> Axes:
     """
     has_times = front.optimised == "all"
     figure = new_figure(WIDTH_IN, 4.9 if has_times else 3.4)
-    panels = figure.subplots(
-        2 if has_times else 1, 1, sharex=True, squeeze=False, height_ratios=[3, 2][: 1 + has_times]
-    )[:, 0]
+    ratios = [3, 2] if has_times else [3]
+    panels = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     shares: Axes = panels[0]
     handles = _draw(shares, front, _CURVES, scale=100.0)
     shares.set_ylabel("share of the runs avoided (%)", fontsize=8)
@@ -447,111 +353,58 @@ def plot_front(front: FrontRecord) -> Axes:
         panels[1].set_ylabel("time to spare (s)", fontsize=8)
         panels[1].set_ylim(bottom=min(0.0, panels[1].get_ylim()[0]))
         panels[1].legend(handles=times[:2], fontsize=8, frameon=False, loc="best")
-    panels[-1].set_xlabel(_X_LABELS[front.by], fontsize=8)
-    figure.legend(
-        handles=[*handles, *_shades(front)],
-        loc="outside upper center",
-        ncols=2,
-        fontsize=8,
-        frameon=False,
-    )
+    panels[-1].set_xlabel("units" if front.by == "units" else "cost (EUR)", fontsize=8)
+    if not front.is_proven:
+        style: Style = {"mfc": "none", "mec": "black", "mew": 1.4, "ms": 9.0, "linestyle": "none"}
+        label = "open: bound that no layout exceeds"
+        handles.append(Line2D([], [], marker="o", label=label, **style))
+    if front.settled is not None:
+        handles.append(Patch(facecolor=_SETTLED, label="nothing grows any more: proven"))
+    place: Style = {"loc": "outside upper center", "ncols": 2}
+    figure.legend(handles=handles, fontsize=8, frameon=False, **place)
     return shares
 
 
 def _draw(axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: float) -> list[Any]:
     """Draw curves; returns the entries of the legend."""
-    x = _positions(front)
-    steps = "steps-post" if front.by == "cost" else "default"
-    end = _right_end(x, front.by)
+    points, by_units = front.points, front.by == "units"
+    x = np.array([float(point.units) if by_units else point.cost_eur for point in points])
+    end = float(x[-1]) + 0.4 if by_units else 1.15 * max(float(x[-1]), 1.0)
     handles: list[Any] = []
     if front.settled is not None:
         axes.axvspan(front.settled, end, color=_SETTLED, zorder=0, lw=0, gid="settled")
     for order, (name, style) in enumerate(curves.items()):
-        values = scale * np.array([getattr(point, name) for point in front.points])
-        bounds = scale * np.array(_bounds(front, name))
+        values = scale * np.array([getattr(point, name) for point in points])
+        bounds = scale * np.array([_bound(point, name) for point in points])
         is_open = bounds > values + 1.0e-9 * scale
         # The later curve's markers are smaller: where both coincide, both are seen.
-        size = 8.0 - 3.0 * order
-        drawn = {"color": style["color"], "linestyle": style["linestyle"]}
-        line_x, line_y = x, values
-        if front.by == "cost":  # the last layout is the best for more money, too
-            line_x, line_y = np.append(x, end), np.append(values, values[-1])
-        axes.plot(line_x, line_y, drawstyle=steps, lw=1.6, zorder=2 + order, **drawn)
-        axes.plot(
-            x,
-            values,
-            linestyle="none",
-            marker=style["marker"],
-            ms=size,
-            mfc=style["color"],
-            mec="white",
-            mew=0.6,
-            zorder=4 + order,
-            gid=name,
-        )
+        size, colour = 8.0 - 3.0 * order, style["color"]
+        line: Style = {"color": colour, "linestyle": style["linestyle"], "lw": 1.6}
+        mark: Style = {"marker": style["marker"], "linestyle": "none"}
+        if by_units:
+            axes.plot(x, values, zorder=2 + order, **line)
+        else:  # the last layout is the best for more money, too
+            steps: Style = line | {"drawstyle": "steps-post"}
+            axes.plot(np.append(x, end), np.append(values, values[-1]), zorder=2 + order, **steps)
+        mark |= {"mfc": colour, "mec": "white", "mew": 0.6}
+        axes.plot(x, values, ms=size, zorder=4 + order, gid=name, **mark)
         if is_open.any():
-            axes.vlines(
-                x[is_open],
-                values[is_open],
-                bounds[is_open],
-                color=style["color"],
-                lw=7.0,
-                alpha=0.3,
-            )
-            axes.plot(
-                x[is_open],
-                bounds[is_open],
-                linestyle="none",
-                marker=style["marker"],
-                ms=size + 4.0,
-                mfc="none",
-                mec=style["color"],
-                mew=1.4,
-                zorder=8 + order,
-                gid=f"{name} bound",
-            )
-        handles.append(
-            Line2D([], [], marker=style["marker"], ms=size, label=style["label"], lw=1.6, **drawn)
-        )
-    if front.by == "units":
+            at, low, high = x[is_open], values[is_open], bounds[is_open]
+            axes.vlines(at, low, high, color=colour, lw=7.0, alpha=0.3)
+            mark |= {"mfc": "none", "mec": colour, "mew": 1.4, "ms": size + 4.0}
+            axes.plot(at, high, zorder=8 + order, gid=f"{name} bound", **mark)
+        label = {"marker": style["marker"], "ms": size, "label": style["label"]}
+        handles.append(Line2D([], [], **label, **line))
+    if by_units:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlim(_left_end(x, front.by), end)
+    axes.set_xlim(float(x[0]) - 0.4 if by_units else -0.02 * end, end)
     finish_axes(axes, grid="y")
     return handles
 
 
-def _shades(front: FrontRecord) -> list[Any]:
-    """Entries of the legend for what is open, and for where nothing grows."""
-    entries: list[Any] = []
-    if not front.is_proven:
-        style: Style = {"mfc": "none", "mec": "black", "mew": 1.4, "ms": 9.0}
-        words = "open: bound that no layout exceeds"
-        entries.append(Line2D([], [], linestyle="none", marker="o", label=words, **style))
-    if front.settled is not None:
-        entries.append(Patch(facecolor=_SETTLED, label="nothing grows any more: proven"))
-    return entries
-
-
-def _positions(front: FrontRecord) -> FloatArray:
-    if front.by == "units":
-        return np.array([float(point.units) for point in front.points])
-    return np.array([point.cost_eur for point in front.points])
-
-
-def _bounds(front: FrontRecord, name: str) -> Sequence[float]:
-    """Bounds of a stage; the value itself where it was not optimised."""
-    stages = [(point, _stage(point, name)) for point in front.points]
-    return [
-        getattr(point, name)
-        if stage is None
-        else (math.inf if stage.bound is None else stage.bound)
-        for point, stage in stages
-    ]
-
-
-def _left_end(x: FloatArray, by: str) -> float:
-    return float(x[0]) - 0.4 if by == "units" else 0.0 - 0.02 * _right_end(x, by)
-
-
-def _right_end(x: FloatArray, by: str) -> float:
-    return float(x[-1]) + 0.4 if by == "units" else 1.15 * max(float(x[-1]), 1.0)
+def _bound(point: FrontPointRecord, name: str) -> float:
+    """Bound of a stage; the value itself where it was not optimised."""
+    stage = _stage(point, name)
+    if stage is None:
+        return float(getattr(point, name))
+    return math.inf if stage.bound is None else stage.bound

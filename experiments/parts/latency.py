@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from msgspec.structs import asdict as fields_of
-from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError, Unquoted
 from geometry.scene_files import load_scene
@@ -24,20 +23,10 @@ from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.axes import (
-    BLUE,
-    GREY,
-    VERMILION,
-    WIDTH_IN,
-    Style,
-    finish_axes,
-    literal,
-    new_axes,
-    to_png,
-)
-from ..progress import WRITING, StageProgress
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, literal, new_axes, to_png
+from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
-from ..results.folders import check_folder, write_files
+from ..results.folders import expect_files, save_files
 from ..results.record import Record, UnitRecord, build_unit_records
 from ..results.tables import csv_text
 
@@ -46,6 +35,12 @@ APR_LEVELS = (1.0, 0.95, 0.9)
 STEP_S = 0.005
 _LEAST_SHOWN_S = 0.5
 _SAME_SHARE = 1.0e-12  # ratios of rounded sums
+# Told apart by dashes and width as well as by colour.
+_STYLES: Mapping[str, Style] = {
+    "rsu_all": {"label": "all RSUs", "color": BLUE, "linestyle": "-", "lw": 3.0},
+    "vut_and_rsus": {"label": "VUT and RSUs", "color": "black", "linestyle": "--", "lw": 1.4},
+    "vut": {"label": "VUT alone", "color": VERMILION, "linestyle": ":", "lw": 1.8},
+}
 
 
 class PartyLatency(Record, frozen=True, kw_only=True):
@@ -57,15 +52,9 @@ class PartyLatency(Record, frozen=True, kw_only=True):
     apr: tuple[float, ...]
 
     def longest_s(self, latencies_s: tuple[float, ...], level: float) -> float:
-        """Longest latency shown up to which the APR is at least `level`; -inf: not even the first.
-
-        Infinite if it is at every latency shown.
-        """
+        """Longest latency shown with an APR of at least `level`: -inf: none, inf: every one."""
         holds = np.array(self.apr) >= level - _SAME_SHARE
-        n_held = int(np.argmin(np.append(holds, False)))
-        if n_held == len(holds):
-            return math.inf
-        return latencies_s[n_held - 1] if n_held else -math.inf
+        return (-math.inf, *latencies_s[:-1], math.inf)[int(np.argmin(np.append(holds, False)))]
 
 
 class LatencyResult(DrivesRecord, frozen=True, kw_only=True):
@@ -95,25 +84,20 @@ def run_latency(
 ) -> LatencyResult:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
 
-    The budget is the question's latency, or what :func:`placement.latency.load_latency_budget`
-    finds by its name; for `vut_latency_s` see :func:`placement.latency.apr_by_latency`. Shown up to
-    `max_latency_s`, by default half a second or as far as the budget reaches. Raises InputError if
-    the budget is unknown or given twice, a unit is inside something, or `out` cannot be written.
+    The budget is the question's latency, or one by name; shown up to `max_latency_s`, by default
+    half a second or as far as it reaches. Raises InputError if the budget is unknown or given
+    twice, a unit is inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    expect_files(out, progress)
     progress("setting", 0, 0)
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     evaluation = evaluate_layout(layout, setting, compute=compute)
     shown_s = max(chosen.worst_s, _LEAST_SHOWN_S) if max_latency_s is None else max_latency_s
     latencies_s = tuple(STEP_S * step for step in range(int(shown_s / STEP_S + 1.0e-6) + 1))
-    ends_s = (chosen.best_s, chosen.mean_s, chosen.worst_s)
-    found = apr_by_latency(
-        evaluation, setting.rule, [*ends_s, *latencies_s], vut_latency_s=vut_latency_s
-    )
+    asked_s = [chosen.best_s, chosen.mean_s, chosen.worst_s, *latencies_s]
+    found = apr_by_latency(evaluation, setting.rule, asked_s, vut_latency_s=vut_latency_s)
     parties = {
         name: PartyLatency(at_best=best, at_mean=mean, at_worst=worst, apr=tuple(apr))
         for name, (best, mean, worst, *apr) in ((key, apr.tolist()) for key, apr in found.items())
@@ -130,16 +114,16 @@ def run_latency(
         seconds={},
         versions=versions(),
     )
-    if out is not None:
+
+    def files(done: LatencyResult) -> dict[str, str | bytes]:
         import pandas as pd
 
-        progress(WRITING, 0, 0)
-        by_party = {name: party.apr for name, party in parties.items()}
+        by_party = {name: party.apr for name, party in done.parties.items()}
         table = pd.DataFrame({"latency_s": latencies_s, **by_party})
-        png = to_png(plot_latency(latencies_s, parties, chosen))
-        write_files(out, {CSV_NAME: csv_text(table).encode(), PNG_NAME: png})
-        progress.kept = f"the results are in {out}"
-    return replace_fields(result, seconds=progress.finish())
+        png = to_png(plot_latency(latencies_s, done.parties, chosen))
+        return {CSV_NAME: csv_text(table), PNG_NAME: png}
+
+    return save_files(result, out, progress, files)
 
 
 def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
@@ -153,14 +137,6 @@ def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
     return fixed_latency(question.latency_s)
 
 
-# Told apart by dashes and width as well as by colour.
-_STYLES: Mapping[str, Style] = {
-    "rsu_all": {"label": "all RSUs", "color": BLUE, "linestyle": "-", "lw": 3.0},
-    "vut_and_rsus": {"label": "VUT and RSUs", "color": "black", "linestyle": "--", "lw": 1.4},
-    "vut": {"label": "VUT alone", "color": VERMILION, "linestyle": ":", "lw": 1.8},
-}
-
-
 def plot_latency(
     latencies_s: tuple[float, ...], parties: Mapping[str, PartyLatency], budget: LatencyBudget
 ) -> Axes:
@@ -168,18 +144,13 @@ def plot_latency(
     axes = new_axes(WIDTH_IN, 3.9)
     shown_ms = [1000.0 * latency_s for latency_s in latencies_s]
     for name, party in parties.items():
-        style = _STYLES.get(name, {"color": GREY, "lw": 0.7})
+        style = _STYLES.get(name, {"color": "#999999", "lw": 0.7})
         axes.plot(shown_ms, [100.0 * apr for apr in party.apr], gid=name, **style)
     words = literal(f"budget {budget.name}: mean and range")
     axes.axvline(1000.0 * budget.mean_s, color="black", lw=0.8, gid="mean", label=words)
     axes.axvspan(1000.0 * budget.best_s, 1000.0 * budget.worst_s, color="#e4e4e4", zorder=0)
     axes.set_ylim(-3.0, 103.0)
     axes.legend(fontsize=8, frameon=False)
-    finish_axes(
-        axes,
-        x="latency from the frame to the onset of braking (ms)",
-        y="accidents prevented (APR, %)",
-        size=9,
-        grid="y",
-    )
+    x, y = "latency from the frame to the onset of braking (ms)", "accidents prevented (APR, %)"
+    finish_axes(axes, x=x, y=y, size=9, grid="y")
     return axes

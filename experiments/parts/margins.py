@@ -3,7 +3,7 @@
 import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,31 +14,10 @@ from geometry.arrays import BoolArray, FloatArray
 from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
-from ..figures.axes import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PINK,
-    SKY,
-    VERMILION,
-    WIDTH_IN,
-    literal,
-    new_axes,
-    new_figure,
-    write_beside,
-)
+from ..figures.axes import PALETTE, WIDTH_IN, Style, literal, new_figure, write_beside
 from ..results.numbers import NOTHING, count_runs, number
-from ..results.tables import (
-    RunGroup,
-    groups_by_case,
-    groups_by_direction,
-    groups_by_speed,
-    margin_s,
-)
+from ..results.tables import groups_by, margin_s
 from .section import Section, Table, build_picture
-
-# ---------- the figure: a mark for each run, in a row for each case
-
 
 MAX_COLUMNS = 4
 """Panels that fit side by side."""
@@ -49,162 +28,95 @@ _TICKS_MS = (-10_000.0, -1000.0, 0.0, 1000.0, 10_000.0)
 _LANE_IN, _LEAST_ROW_IN = 0.095, 0.24
 _TOP_ROWS = 0.7  # for words
 _LABEL_WIDTH = 24
-_COLOURLESS = {"markeredgecolor": "black"}
 # Told apart without colour, too.
-_STYLES = (
-    ("o", BLUE),
-    ("^", VERMILION),
-    ("s", GREEN),
-    ("X", ORANGE),
-    ("D", PINK),
-    ("v", SKY),
-    ("P", "#000000"),
+_STYLES = tuple(zip("o^sXDvP", (*PALETTE, "#000000"), strict=True))
+VUT_NAME = "VUT alone"
+_MPS_PER_KMH = 1.0 / 3.6
+_MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
+_COLUMNS = (
+    *("who", "runs", "smallest (ms)", "smallest (m)", "median (ms)", "median (m)"),
+    *("not avoided", "of these never confirmed, or lost again"),
+    *("worst too late by (ms)", "worst too late by (m)"),
 )
 
 
 def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tuple[Axes, ...]:
-    """Margins of several parties side by side.
+    """Margins of several parties side by side, on one scale: a mark for each run that counts.
 
-    One per party; see :func:`plot_margin_strip`. All have the same scale.
+    A row for each case. Right of zero: time to spare; left: too late, at the edge: never. A marker
+    and a lane per approach; filled where the run is avoided.
     """
-    axes = _build_panels(len(parties), axis)
-    low_ms, high_ms = _limits_ms([verdict for _, verdict in parties], axis)
-    for column, (panel, (name, verdict)) in enumerate(zip(axes, parties, strict=True)):
-        plot_margin_strip(verdict, axis, axes=panel)
-        panel.set_xlim(low_ms, high_ms)
-        counts = axis.weight > 0.0
+    cases, approaches = [*dict.fromkeys(axis.cases)], [*dict.fromkeys(axis.approaches)]
+    row_in = max(_LEAST_ROW_IN, _LANE_IN * len(approaches))
+    figure = new_figure(WIDTH_IN, 1.5 + (len(cases) + _TOP_ROWS) * row_in)
+    panels: list[Axes] = [*figure.subplots(1, len(parties), sharey=True, squeeze=False)[0]]
+    labels = [literal(textwrap.fill(f"from: {name}", _LABEL_WIDTH)) for name in approaches]
+    hollow = _mark(0, is_filled=False) | {"markeredgecolor": "black"}
+    handles = [
+        *(Line2D([], [], label=label, **_mark(order)) for order, label in enumerate(labels)),
+        Line2D([], [], label="hollow: not avoided", **hollow),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    margins_ms = _MS * np.concatenate([margin_s(verdict, axis) for _, verdict in parties])
+    finite_ms = margins_ms[np.isfinite(margins_ms)]
+    low_ms = min(-_MS, float(finite_ms.min(initial=0.0)))
+    high_ms = max(_MS, float(finite_ms.max(initial=0.0)))
+    counts = axis.weight > 0.0
+    for panel, (name, verdict) in zip(panels, parties, strict=True):
+        panel.set_xscale("symlog", linthresh=_LINEAR_MS, linscale=0.8)
+        _draw_margins(panel, verdict, axis, cases, approaches)
+        panel.set_xlim(2.5 * low_ms, 1.5 * high_ms)  # marks at the left edge have room
         n_avoided, n_runs = int((verdict.is_avoided & counts).sum()), int(counts.sum())
-        panel.set_title(
-            literal(textwrap.fill(name, max(12, 64 // len(parties))))
-            + f"\n{n_avoided} of {n_runs} avoided",
-            fontsize=8,
-        )
-        if column:
-            panel.tick_params(axis="y", labelleft=False)
-    return tuple(axes)
+        head = literal(textwrap.fill(name, max(12, 64 // len(parties))))
+        panel.set_title(f"{head}\n{n_avoided} of {n_runs} avoided", fontsize=8)
+    for panel in panels[1:]:
+        panel.tick_params(axis="y", labelleft=False)
+    return tuple(panels)
 
 
-def plot_margin_strip(verdict: Verdict, axis: FrameAxis, *, axes: Axes | None = None) -> Axes:
-    """Margins of one party: a mark for each run that counts, in a row for each case.
-
-    Right of zero: time to spare; left: too late, at the edge: never. A marker and a lane per
-    approach; filled where the run is avoided.
-    """
-    cases, approaches = _words(axis)
-    if axes is None:
-        axes = new_axes(WIDTH_IN, _height_in(axis))
-    low_ms, high_ms = _limits_ms([verdict], axis)
+def _draw_margins(
+    axes: Axes, verdict: Verdict, axis: FrameAxis, cases: list[str], approaches: list[str]
+) -> None:
     margin_ms = _MS * margin_s(verdict, axis)
-    drawn_ms: FloatArray = np.where(np.isfinite(margin_ms), margin_ms, -np.inf)
     lane = 0.8 / len(approaches)
     row = np.array([cases.index(case) for case in axis.cases], dtype=np.float64)
-    counts = axis.weight > 0.0
-    axes.set_xscale("symlog", linthresh=_LINEAR_MS, linscale=0.8)
-    axes.set_xlim(low_ms, high_ms)
     axes.axvspan(-1.0e9, 0.0, facecolor="#e8e8e8", zorder=0)
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=2)
     for index, approach in enumerate(approaches):
         y = row + lane * (index - 0.5 * (len(approaches) - 1))
-        of_approach = np.array([name == approach for name in axis.approaches]) & counts
+        drawn = np.array([name == approach for name in axis.approaches]) & (axis.weight > 0.0)
         for is_filled in (False, True):
-            mask = of_approach & (verdict.is_avoided == is_filled)
-            never = mask & ~np.isfinite(drawn_ms)
-            axes.plot(drawn_ms[mask & ~never], y[mask & ~never], **_mark(index, is_filled))
+            mask, style = drawn & (verdict.is_avoided == is_filled), _mark(index, is_filled)
+            known, never = mask & np.isfinite(margin_ms), mask & ~np.isfinite(margin_ms)
+            axes.plot(margin_ms[known], y[known], **style)
             if never.any():  # at the edge, wherever that is in the end
-                axes.plot(
-                    np.full(int(never.sum()), 0.03),
-                    y[never],
-                    transform=axes.get_yaxis_transform(),
-                    **_mark(index, is_filled),
-                )
+                edge = np.full(int(never.sum()), 0.03)
+                axes.plot(edge, y[never], transform=axes.get_yaxis_transform(), **style)
     for between in range(len(cases)):
         axes.axhline(between - 0.5, color="#bbbbbb", linewidth=0.5, zorder=1)
     axes.set_ylim(len(cases) - 0.5, -0.5 - _TOP_ROWS)
     axes.set_yticks(range(len(cases)), [literal(case) for case in cases], fontsize=8)
-    axes.set_xticks(_TICKS_MS, [_thousands(tick) for tick in _TICKS_MS], fontsize=7, rotation=45)
+    ticks = [f"{tick:.0f}".replace("-", "\N{MINUS SIGN}") for tick in _TICKS_MS]
+    axes.set_xticks(_TICKS_MS, ticks, fontsize=7, rotation=45)
     axes.set_xticks([], minor=True)
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("margin (ms)", fontsize=8)
     for words, side, away_pt in (("too late", "right", -3.0), ("to spare", "left", 3.0)):
         at = (0.0, -0.5 - _TOP_ROWS)
         write_beside(axes, words, at, away_pt=(away_pt, -2.0), ha=side, va="top", fontsize=7)
-    return axes
 
 
-def _build_panels(n_panels: int, axis: FrameAxis) -> list[Axes]:
-    """Panels side by side in a new figure, with the legend of the approaches below."""
-    figure = new_figure(WIDTH_IN, _height_in(axis))
-    panels: list[Axes] = [*figure.subplots(1, n_panels, sharey=True, squeeze=False)[0]]
-    _, approaches = _words(axis)
-    handles = [
-        Line2D(
-            [],
-            [],
-            label=literal(textwrap.fill(f"from: {approach}", _LABEL_WIDTH)),
-            **_mark(index, is_filled=True),
-        )
-        for index, approach in enumerate(approaches)
-    ]
-    handles.append(
-        Line2D([], [], label="hollow: not avoided", **(_mark(0, is_filled=False) | _COLOURLESS))
-    )
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    return panels
-
-
-def _height_in(axis: FrameAxis) -> float:
-    cases, approaches = _words(axis)
-    return 1.5 + (len(cases) + _TOP_ROWS) * max(_LEAST_ROW_IN, _LANE_IN * len(approaches))
-
-
-def _words(axis: FrameAxis) -> tuple[list[str], list[str]]:
-    return list(dict.fromkeys(axis.cases)), list(dict.fromkeys(axis.approaches))
-
-
-def _limits_ms(verdicts: Sequence[Verdict], axis: FrameAxis) -> tuple[float, float]:
-    """Both ends of the scale, with room for the marks at its left edge."""
-    margins_ms = _MS * np.concatenate([margin_s(verdict, axis) for verdict in verdicts])
-    finite_ms = margins_ms[np.isfinite(margins_ms)]
-    low_ms = min(-_MS, float(finite_ms.min(initial=0.0)))
-    high_ms = max(_MS, float(finite_ms.max(initial=0.0)))
-    return 2.5 * low_ms, 1.5 * high_ms
-
-
-def _mark(number: int, is_filled: bool) -> dict[str, Any]:
+def _mark(number: int, is_filled: bool = True) -> Style:
     marker, colour = _STYLES[number % len(_STYLES)]
-    return {
+    edge = {"markeredgecolor": "black", "markeredgewidth": 0.3}
+    if not is_filled:
+        edge = {"markeredgecolor": colour, "markeredgewidth": 0.9}
+    face = {
         "marker": marker,
         "markersize": 3.6,
         "markerfacecolor": colour if is_filled else "white",
-        "markeredgecolor": colour if not is_filled else "black",
-        "markeredgewidth": 0.9 if not is_filled else 0.3,
-        "linestyle": "none",
-        "zorder": 4,
     }
-
-
-def _thousands(value: float) -> str:
-    return f"{value:.0f}".replace("-", "\N{MINUS SIGN}")
-
-
-# ---------- in milliseconds and in metres
-
-
-VUT_NAME = "VUT alone"
-_MPS_PER_KMH = 1.0 / 3.6
-_MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
-_COLUMNS = (
-    "who",
-    "runs",
-    "smallest (ms)",
-    "smallest (m)",
-    "median (ms)",
-    "median (m)",
-    "not avoided",
-    "of these never confirmed, or lost again",
-    "worst too late by (ms)",
-    "worst too late by (m)",
-)
+    return face | edge | {"linestyle": "none", "zorder": 4}
 
 
 def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
@@ -226,10 +138,7 @@ def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarginSummary:
-    """Margins of a group of runs; what there is none of is NaN.
-
-    The smallest in seconds and the smallest in metres may be of different runs.
-    """
+    """Margins of a group of runs; what there is none of is NaN. Each smallest is of its own run."""
 
     n_runs: int
     n_avoided: int
@@ -242,28 +151,17 @@ class MarginSummary:
     worst_late_s: float  # of those not avoided in which braking sets in
     worst_late_m: float
 
-    @property
-    def n_not_avoided(self) -> int:
-        """Runs that are not avoided."""
-        return self.n_runs - self.n_avoided
-
 
 def summarise_margins(
     verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None
 ) -> MarginSummary:
-    """Margins of some runs.
-
-    `run_mask`, (n_runs,) bool, says which; runs of weight 0 are left out in any case.
-    """
-    mask = axis.weight > 0.0
-    if run_mask is not None:
-        mask = mask & run_mask
-    avoided, missed = verdict.is_avoided & mask, ~verdict.is_avoided & mask
-    is_hopeless = ~np.isfinite(axis.last_brake_time_s)
+    """Margins of some runs, (n_runs,) bool, without those of weight 0."""
+    mask = (axis.weight > 0.0) & (True if run_mask is None else run_mask)
+    avoided = verdict.is_avoided & mask
     sets_in = np.isfinite(verdict.onset_time_s)
     is_lost = ~sets_in & np.isfinite(verdict.confirmation_time_s)
     seconds, metres = margin_s(verdict, axis), margin_m(verdict, axis)
-    missed_with_hope = missed & ~is_hopeless
+    missed_with_hope = ~verdict.is_avoided & mask & np.isfinite(axis.last_brake_time_s)
     late = missed_with_hope & sets_in
     return MarginSummary(
         n_runs=int(mask.sum()),
@@ -283,72 +181,48 @@ def _of(measure: Callable[[FloatArray], Any], values: FloatArray) -> float:
     return float(measure(values)) if len(values) else math.nan
 
 
-# ---------- groups
-
-
-def _groupings(axis: FrameAxis) -> list[tuple[str, str, list[RunGroup]]]:
-    """Groupings of runs: words for the caption, the column's head, groups."""
-    return [
-        ("by case", "case", groups_by_case(axis)),
-        ("by speed of the car", "speed (km/h)", groups_by_speed(axis)),
-        ("by direction from which the car comes", "from", groups_by_direction(axis)),
-    ]
-
-
 def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]:
     """Every layout, then the car alone; a layout may be called as that is."""
     subject = next(iter(evaluations.values()))
-    return [
-        *((name, item.headline) for name, item in evaluations.items()),
-        (VUT_NAME, subject.vut),
-    ]
+    layouts = [(name, item.headline) for name, item in evaluations.items()]
+    return [*layouts, (VUT_NAME, subject.vut)]
 
 
 def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """Margins by case, by speed and by direction, to unfold.
-
-    In each, a row per group and layout, and one for the car alone; the first group is all runs.
-    """
+    """Margins by case, speed and direction, to unfold: a row per group and layout or car."""
     axis = next(iter(evaluations.values())).axis
     everything = ("all runs", np.ones(axis.n_runs, dtype=bool))
-    parties = _parties(evaluations)
     tables = []
-    for words, head, groups in _groupings(axis):
-        caption = f"Margins to the last moment {words}"
+    for words, head, groups in (
+        ("case", "case", groups_by(axis, "case")),
+        ("speed of the car", "speed (km/h)", groups_by(axis, "speed")),
+        ("direction from which the car comes", "from", groups_by(axis, "direction")),
+    ):
+        caption = f"Margins to the last moment by {words}"
         rows = [
             [group, name, *_cells(summarise_margins(verdict, axis, mask))]
             for group, mask in (everything, *groups)
             if (mask & (axis.weight > 0.0)).any()
-            for name, verdict in parties
+            for name, verdict in _parties(evaluations)
         ]
-        tables.append(
-            Table(
-                caption=caption,
-                columns=[head, *_COLUMNS],
-                rows=rows,
-                numeric=range(2, 11),
-                summary=caption,
-                is_open=len(rows) <= _MAX_UNFOLDED,
-            )
-        )
+        table = Table(caption=caption, columns=[head, *_COLUMNS], rows=rows, numeric=range(2, 11))
+        tables.append(replace(table, summary=caption, is_open=len(rows) <= _MAX_UNFOLDED))
     return tables
 
 
 def _cells(summary: MarginSummary) -> list[str]:
+    n_missed, n_unseen = summary.n_runs - summary.n_avoided, summary.n_never + summary.n_lost
     return [
         str(summary.n_runs),
         number(summary.smallest_s * _MS, 0),
         number(summary.smallest_m, 1),
         number(summary.median_s * _MS, 0),
         number(summary.median_m, 1),
-        str(summary.n_not_avoided),
-        str(summary.n_never + summary.n_lost) if summary.n_not_avoided else NOTHING,
+        str(n_missed),
+        str(n_unseen) if n_missed else NOTHING,
         number(summary.worst_late_s * _MS, 0),
         number(summary.worst_late_m, 1),
     ]
-
-
-# ---------- the section of the report
 
 
 def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:

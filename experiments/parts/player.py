@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import sensor_kind
-from geometry.footprints import footprint_corners
 from geometry.junction import build_junction
 from geometry.scene import Lane, Scene, thing_footprint
 from placement.candidates import CandidatePose, above_ground, is_ring
@@ -19,19 +18,23 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from ..figures.axes import describe_run, unit_labels
-from ..figures.plan import CLASS_STYLES, UNIT_COLOURS
+from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
+from ..figures.plan import CLASS_STYLES, placed_footprint
 from ..figures.views import GroundViews
 from ..results.tables import margin_s, parties
 
 DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 
 
-# ---------- what the template needs
-
-
 SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = "shown above", "not avoided", "avoided"
 _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
+_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
+_PARTY_NAMES = {"vut": "VUT", "rsu_all": "all RSUs", "vut_and_rsus": "VUT and RSUs"}
+_PARTY_NAMES |= {"vam": "VAM", "all_sources": "all sources"}
+_MAX_HALF_M = 120.0  # farther things are never in the player's window
+_LEAST_HALF_M = 30.0
+_TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out
+_LABEL_SHARE = 0.86
 
 
 def interactive_part(
@@ -44,37 +47,28 @@ def interactive_part(
     later the more time is to spare, as many as fit: "n_runs" of "n_all".
     """
     subject = next(iter(evaluations.values()))
-    axis = subject.axis
-    is_avoided = subject.headline.is_avoided
+    axis, units, verdict = subject.axis, subject.layout.units, subject.headline
     firsts = [axis.run_ids.index(run_id) for run_id in dict.fromkeys(first_runs)]
-    by_margin = np.argsort(margin_s(subject.headline, axis), kind="stable")
-    ordered = [*by_margin[~is_avoided[by_margin]], *by_margin[is_avoided[by_margin]]]
+    ordered = np.lexsort((margin_s(verdict, axis), verdict.is_avoided)).tolist()
     records: list[dict[str, Any]] = []
     n_bytes = 0
-    for index in dict.fromkeys([*firsts, *(int(index) for index in ordered)]):
-        group = AVOIDED if is_avoided[index] else NOT_AVOIDED
+    for index in dict.fromkeys([*firsts, *ordered]):
+        group = AVOIDED if verdict.is_avoided[index] else NOT_AVOIDED
         record = run_record(setting.runs[index], index, evaluations)
         records.append(record | {"group": SHOWN_ABOVE if index in firsts else group})
         n_bytes += len(to_script_json(records[-1]))
         if n_bytes > _MAX_BYTES:
             break
-    units_m = np.array([unit.pose.position_m[:2] for unit in subject.layout.units])
     views = GroundViews(setting)
+    seen = [{"view": svg_path(views.shape(unit))} for unit in units]
+    known = unit_records(subject.layout, setting.scene)
     player = {
-        "plan": plan_record(setting.scene, units_m),
-        "units": [
-            record | {"view": svg_path(views.shape(unit))}
-            for record, unit in zip(
-                unit_records(subject.layout, setting.scene), subject.layout.units, strict=True
-            )
-        ],
+        "plan": plan_record(setting.scene, np.array([one.pose.position_m[:2] for one in units])),
+        "units": [record | view for record, view in zip(known, seen, strict=True)],
         "parties": party_records(evaluations),
         "runs": records,
     }
     return {"n_runs": len(records), "n_all": axis.n_runs, "player_json": to_script_json(player)}
-
-
-_ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
 
 
 def to_script_json(value: Any) -> str:
@@ -104,23 +98,8 @@ def to_base64(array: NDArray[Any]) -> str:
 
 
 def pack_bits(bits: ArrayLike) -> str:
-    """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
-
-    `bits` is (n_rows, n); the player's script gives it back.
-    """
+    """Rows of bits, (n_rows, n), each padded to whole bytes, the first bit highest, in base64."""
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
-
-
-# ---------- runs
-
-
-_PARTY_NAMES = {
-    "vut": "VUT",
-    "rsu_all": "all RSUs",
-    "vut_and_rsus": "VUT and RSUs",
-    "vam": "VAM",
-    "all_sources": "all sources",
-}
 
 
 def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]:
@@ -150,7 +129,11 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
     subject, *others = evaluations.values()
     verdicts = [*parties(subject).values(), *(other.rsu_all for other in others)]
     frames = subject.axis.frames_of(index)
-    bodies = run.encounter
+    vut, vru, motion = run.encounter.vut, run.encounter.vru, run.encounter.vut_motion
+    last_place: list[int] | None = None  # no braking helps
+    if np.isfinite(run.last_brake_time_s):
+        (place,) = motion.path.at(motion.distance_m([run.last_brake_time_s]))[0]
+        last_place = _centimetres(place)
     return {
         "id": run.id,
         "title": describe_run(subject.axis, index),
@@ -158,23 +141,13 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
         "user": run.case.vru.class_name,
         "time": _milliseconds(run.time_s),
         "last": _milliseconds(run.last_brake_time_s),
-        "lastPlace": _last_place(run),
+        "lastPlace": last_place,
         "car": _motion(run.vut_position_m, run.vut_yaw_deg),
         "road": _motion(run.vru_position_m, run.vru_yaw_deg),
-        "carSize": _centimetres([bodies.vut.length_m, bodies.vut.width_m]),
-        "roadSize": _centimetres([bodies.vru.length_m, bodies.vru.width_m]),
+        "carSize": _centimetres([vut.length_m, vut.width_m]),
+        "roadSize": _centimetres([vru.length_m, vru.width_m]),
         "parked": [
-            {
-                "name": body.actor.name,
-                "corners": _centimetres(
-                    footprint_corners(
-                        body.pose.position_m[:2],
-                        body.pose.yaw_deg,
-                        length_m=body.actor.length_m,
-                        width_m=body.actor.width_m,
-                    )
-                ),
-            }
+            {"name": body.actor.name, "corners": _centimetres(placed_footprint(body))}
             for body in run.obstruction
         ],
         "bits": pack_bits(np.array([verdict.detected[frames] for verdict in verdicts])),
@@ -182,16 +155,6 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
         "onset": [_milliseconds(verdict.onset_time_s[index]) for verdict in verdicts],
         "avoided": [bool(verdict.is_avoided[index]) for verdict in verdicts],
     }
-
-
-def _last_place(run: Run) -> list[int] | None:
-    """Place of the car at the last moment to brake; None where no braking helps."""
-    if not np.isfinite(run.last_brake_time_s):
-        return None
-    motion = run.encounter.vut_motion
-    (place,) = motion.path.at(motion.distance_m([run.last_brake_time_s]))[0]
-    cm: list[int] = _centimetres(place)
-    return cm
 
 
 def _motion(position_m: FloatArray, yaw_deg: FloatArray) -> dict[str, list[int]]:
@@ -214,41 +177,28 @@ def _milliseconds(values_s: ArrayLike) -> Any:
     return np.rint(1000.0 * values).astype(int).tolist()
 
 
-# ---------- units
-
-
 def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     """Units of a layout for the player: centimetres, tenths of a degree."""
     labels = unit_labels(layout)
+
+    def title(unit: CandidatePose) -> str:
+        name = unit.id if labels[unit.id] == unit.id else f"{labels[unit.id]}, {unit.id}"
+        what = f"{sensor_kind(unit.sensor)} {unit.sensor.name}"
+        around = ", scans all round" if is_ring(unit.sensor) else ""
+        return f"{name}: {what}, {unit.pose.position_m[2]:.1f} m high{around}"
+
     return [
         {
             "name": labels[unit.id],
-            "title": _describe_unit(labels[unit.id], unit),
+            "title": title(unit),
             "kind": "ring" if is_ring(unit.sensor) else sensor_kind(unit.sensor),
-            "place": np.rint(100.0 * unit.pose.position_m[:2]).astype(int).tolist(),
+            "place": _centimetres(unit.pose.position_m[:2]),
             "yaw": round(10.0 * unit.pose.yaw_deg),
             "colour": UNIT_COLOURS[index % len(UNIT_COLOURS)],
             "dash": DASHES[index % len(DASHES)],
         }
         for index, unit in enumerate(above_ground(unit, scene) for unit in layout.units)
     ]
-
-
-def _describe_unit(label: str, unit: CandidatePose) -> str:
-    name = label if label == unit.id else f"{label}, {unit.id}"
-    return (
-        f"{name}: {sensor_kind(unit.sensor)} {unit.sensor.name}, "
-        f"{unit.pose.position_m[2]:.1f} m high" + (", scans all round" * is_ring(unit.sensor))
-    )
-
-
-# ---------- the ground and what stands on it, as SVG paths
-
-
-_MAX_HALF_M = 120.0  # farther things are never in the player's window
-_LEAST_HALF_M = 30.0
-_TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out
-_LABEL_SHARE = 0.86
 
 
 def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
@@ -270,25 +220,28 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         ("junction", "#dedede", shapely.make_valid(shapely.Polygon(scene.outline_m))),
     ]
     for name, style in CLASS_STYLES.items():
-        parts = [
-            thing_footprint(scene, index)
-            for index, thing in enumerate(scene.instances)
-            if thing.class_name == name
-        ]
+        numbers = [i for i, thing in enumerate(scene.instances) if thing.class_name == name]
+        parts = [thing_footprint(scene, number) for number in numbers]
         layers.append((name, str(style["facecolor"]), shapely.union_all(parts)))
     paths = [
         {"name": name, "colour": colour, "path": svg_path(shape.intersection(window))}
         for name, colour, shape in layers
     ]
+    arms = []
+    for arm in build_junction(scene).arms.values():
+        mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
+        mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
+        outward = np.mean(mouths, axis=0) - middle
+        outward /= max(float(np.hypot(*outward)), 1.0e-9)
+        place = middle + _LABEL_SHARE * half * outward
+        arms.append({"name": arm.name, "place": _centimetres(place)})
     return {
         "middle": _centimetres(middle),
         "half": round(100.0 * half),
         "classes": [path for path in paths if path["path"]],
-        "sites": _centimetres(
-            np.array([site.position_m[:2] for site in scene.sites]).reshape(-1, 2)
-        ),
+        "sites": [_centimetres(site.position_m[:2]) for site in scene.sites],
         "crosswalks": _centimetres(scene.crosswalks_m),
-        "arms": _arm_labels(scene, middle, half),
+        "arms": arms,
     }
 
 
@@ -323,15 +276,3 @@ def svg_path(shape: Any) -> str:
         for ring in rings
         if len(ring.coords) > 3
     )
-
-
-def _arm_labels(scene: Scene, middle_m: FloatArray, half_m: float) -> list[dict[str, Any]]:
-    labels = []
-    for arm in build_junction(scene).arms.values():
-        mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
-        mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
-        outward = np.mean(mouths, axis=0) - middle_m
-        outward /= max(float(np.hypot(*outward)), 1.0e-9)
-        place = middle_m + _LABEL_SHARE * half_m * outward
-        labels.append({"name": arm.name, "place": _centimetres(place)})
-    return labels

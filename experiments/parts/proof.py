@@ -133,33 +133,28 @@ def _stage_row(stage: StageRecord) -> list[str]:
     ]
 
 
-# ---------- detection table and evaluator
-
-
 def agreement_section(result: PlacementResult) -> Section:
     """How far detection table and evaluator differ."""
     share = result.surrogate_disagreement
+    both = f"They disagree on {percent(share)} of the runs whether this layout avoids it."
+    if share == 0.0:
+        both = "For this layout both say the same of every run."
     text = (
         "The layout was chosen on a detection table, which looks at sample points on the road "
-        "user's surface. The evaluator renders every image instead. "
+        f"user's surface. The evaluator renders every image instead. {both}"
     )
-    text += (
-        "For this layout both say the same of every run."
-        if share == 0.0
-        else f"They disagree on {percent(share)} of the runs whether this layout avoids it."
+    runs = tabulate(
+        "Runs that only one of them calls avoided, for each unit by itself and for all fused",
+        result.disagreements,
+        {
+            "run": lambda entry: entry.run_id,
+            "unit": lambda entry: entry.party,
+            "avoided by the": lambda entry: "table" if entry.on_table else "evaluator",
+            "frames that differ": lambda entry: entry.n_frames,
+            "what the evaluator sees in the first of them": lambda entry: entry.cause,
+        },
+        numeric=[3],
     )
-    runs: Block = "Nor do they differ on any run for any unit by itself."
-    if result.disagreements:
-        runs = tabulate(
-            "Runs that only one of them calls avoided, for each unit by itself and for all fused",
-            result.disagreements,
-            {
-                "run": lambda entry: entry.run_id,
-                "unit": lambda entry: entry.party,
-                "avoided by the": lambda entry: "table" if entry.on_table else "evaluator",
-                "frames that differ": lambda entry: entry.n_frames,
-                "what the evaluator sees in the first of them": lambda entry: entry.cause,
-            },
-            numeric=[3],
-        )
-    return Section("models", "Do the two models agree?", [text, runs])
+    none = "Nor do they differ on any run for any unit by itself."
+    blocks: list[Block] = [text, runs if result.disagreements else none]
+    return Section("models", "Do the two models agree?", blocks)

@@ -41,11 +41,7 @@ _A_WHOLE = "a whole file, as place-rsus has written it"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredResult:
-    """A folder that a placement, an evaluation or a comparison has written.
-
-    For the tables see :func:`experiments.results.tables.runs_table` and
-    :func:`~experiments.results.tables.apr_table`.
-    """
+    """A folder that a job has written; for its tables see :mod:`experiments.results.tables`."""
 
     folder: Path
     summary: Result
@@ -75,11 +71,11 @@ def load_result(folder: Path | str) -> StoredResult:
     layout = load_layout(folder / LAYOUT_FILE)
     ids, expected = [unit.id for unit in layout.units], [unit.id for unit in summary.layout]
     if ids != expected:
-        raise InputError(
-            str(folder / LAYOUT_FILE),
+        got, wanted = (
             Unquoted(f"units {', '.join(ids)}"),
             f"{', '.join(expected)}, those of {MARKER}",
         )
+        raise InputError(str(folder / LAYOUT_FILE), got, wanted)
     runs = _load_runs(folder / RUNS_FILE, summary)
     apr = _load_apr(folder / APR_FILE, runs)
     return StoredResult(folder=folder, summary=summary, layout=layout, runs=runs, apr=apr)
@@ -115,17 +111,13 @@ def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
     runs = runs.astype(dict.fromkeys(runs.columns[is_text], object))
     _check_columns(runs, _RUNS_COLUMNS, path)
     if summary.name not in set(runs["layout"]):
-        raise InputError(
-            f"{path}: layout", Unquoted(f"no run of {summary.name}"), f"those of {MARKER}"
-        )
+        got = Unquoted(f"no run of {summary.name}")
+        raise InputError(f"{path}: layout", got, f"those of {MARKER}")
     n_runs, names = summary.runs, set(runs["run"])
     for (layout, party), of_party in runs.groupby(["layout", "party"], sort=False):
         if len(of_party) != n_runs or set(of_party["run"]) != names or len(names) != n_runs:
-            raise InputError(
-                str(path),
-                Unquoted(f"{of_party['run'].nunique()} runs of {layout}, {party}"),
-                f"each of the {n_runs} runs of {MARKER} once",
-            )
+            got = Unquoted(f"{of_party['run'].nunique()} runs of {layout}, {party}")
+            raise InputError(str(path), got, f"each of the {n_runs} runs of {MARKER} once")
     return runs
 
 
@@ -149,20 +141,16 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
     # Groups of runs are the same for every party: a file that is cut off has fewer for the last.
     n_rows = apr.groupby(["layout", "party"]).size()
     if set(n_rows.index) != set(runs.groupby(["layout", "party"]).groups) or n_rows.nunique() != 1:
-        raise InputError(
-            str(path),
-            Unquoted(f"{len(apr)} rows, not the same ones for every layout and party"),
-            f"those of {RUNS_FILE}, with the same rows for each",
-        )
+        got = Unquoted(f"{len(apr)} rows, not the same ones for every layout and party")
+        raise InputError(str(path), got, f"those of {RUNS_FILE}, with the same rows for each")
     return apr
 
 
 def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) -> None:
     missing = [name for name in columns if name not in table.columns]
     if missing:
-        raise InputError(
-            str(path), Unquoted(f"no column {missing[0]}"), f"columns {', '.join(columns)}"
-        )
+        got = Unquoted(f"no column {missing[0]}")
+        raise InputError(str(path), got, f"columns {', '.join(columns)}")
     for name, kind in columns.items():
         column = table[name]
         # An empty or mixed column has no kind of its own: is_string_dtype looks at the values.

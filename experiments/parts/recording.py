@@ -1,10 +1,10 @@
 """Recordings in place of simulated runs: judge their units, or choose the best of them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace as replace_field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from msgspec.structs import asdict as fields_of
@@ -45,8 +45,8 @@ from ..results.numbers import finite_or_none
 from ..results.record import PartyAprRecord, Record, StageRecord, build_stage_records, to_plain
 
 _T = TypeVar("_T")
-
-# ---------- the value
+ALL_UNITS = "RSU_all"
+"""All units of a recording together, in the study's words."""
 
 
 class RecordedUnitRecord(Record, frozen=True, kw_only=True):
@@ -149,10 +149,11 @@ def _build_result(
     """The units of a recording, or some of them; "seconds" is empty."""
     axis = evaluation.axis
     evaluated = _build_apr(evaluation, rule)
+    shares = _of_parties(lambda verdict: detected_share(verdict, axis), evaluation)
     return RecordedResult(
         name=recording.folder.name,
         recording=str(recording.folder),
-        layout=_units(list(evaluation.units)),
+        layout=_units(evaluation.units),
         budget=None,
         fusion="any",
         runs=axis.n_runs,
@@ -164,8 +165,23 @@ def _build_result(
         gap=None,
         apr_without_worst_unit=evaluated.apr_without_worst_unit,
         evaluation=evaluated,
-        detected_share=_detected_share(evaluation),
-        drives=_drives(recording, evaluation),
+        detected_share=DetectedShareRecord(**shares),
+        drives=tuple(
+            RecordedDriveRecord(
+                run=axis.run_ids[index],
+                case=axis.cases[index],
+                first_frame=drive.first_number,
+                frames=drive.n_frames,
+                missing_frames=drive.n_missing,
+                vut_speed_kmh=float(axis.vut_speed_kmh[index]),
+                vru_speed_kmh=3.6 * drive.vru_speed_mps,
+                closing_speed_mps=drive.closing_speed_mps,
+                motion="same direction" if is_longitudinal(drive) else "crossing",
+                last_brake_time_s=float(axis.last_brake_time_s[index]),
+                is_avoided=bool(evaluation.rsu_all.is_avoided[index]),
+            )
+            for index, drive in enumerate(recording.drives)
+        ),
         frames=RecordedFramesRecord(
             recorded=recording.n_frames,
             in_drives=axis.n_frames,
@@ -179,9 +195,19 @@ def _build_result(
     )
 
 
-def _units(folder_names: Sequence[str]) -> tuple[RecordedUnitRecord, ...]:
+def _units(folder_names: Iterable[str]) -> tuple[RecordedUnitRecord, ...]:
     """Units by the names of their folders."""
-    return tuple(RecordedUnitRecord(id=rsu_name(name), folder=name) for name in folder_names)
+    return tuple(RecordedUnitRecord(id=f"RSU{name}", folder=name) for name in folder_names)
+
+
+def _of_parties(measure: Callable[[Verdict], _T], found: RecordedEvaluation) -> dict[str, Any]:
+    """A measure of each party, by its name; None where the vehicle's detections are unknown."""
+    return {
+        "vut": None if found.vut is None else measure(found.vut),
+        "rsu_all": measure(found.rsu_all),
+        "vut_and_rsus": None if found.vut_and_rsus is None else measure(found.vut_and_rsus),
+        "units": {f"RSU{name}": measure(unit) for name, unit in found.units.items()},
+    }
 
 
 def _build_apr(evaluation: RecordedEvaluation, rule: AebRule) -> RecordedAprRecord:
@@ -191,15 +217,10 @@ def _build_apr(evaluation: RecordedEvaluation, rule: AebRule) -> RecordedAprReco
     def ratios(verdict: Verdict) -> PartyAprRecord:
         return PartyAprRecord(all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)})
 
+    problem = recorded_problem(evaluation, budget_units=n_units, fusion="any", rule=rule)
     return RecordedAprRecord(
-        vut=_known(ratios, evaluation.vut),
-        rsu_all=ratios(evaluation.rsu_all),
-        vut_and_rsus=_known(ratios, evaluation.vut_and_rsus),
-        units={rsu_name(name): ratios(unit) for name, unit in evaluation.units.items()},
-        apr_without_worst_unit=apr_one_failed(
-            recorded_problem(evaluation, budget_units=n_units, fusion="any", rule=rule),
-            range(n_units),
-        ),
+        **_of_parties(ratios, evaluation),
+        apr_without_worst_unit=apr_one_failed(problem, range(n_units)),
     )
 
 
@@ -208,66 +229,10 @@ def recorded_problem(
 ) -> PlacementProblem:
     """The choice among recorded units: each alone on a site of its own."""
     n_units = len(evaluation.units)
-    return PlacementProblem(
-        table=recorded_table(evaluation),
-        limits=Limits(
-            site_index=np.arange(n_units),
-            site_capacity=np.ones(n_units, dtype=np.int64),
-            budget_units=budget_units,
-        ),
-        fusion=fusion,
-        rule=rule,
-    )
-
-
-def rsu_name(folder_name: str) -> str:
-    """Name of a roadside unit by that of its folder."""
-    return f"RSU{folder_name}"
-
-
-def _known(measure: Callable[[Verdict], _T], verdict: Verdict | None) -> _T | None:
-    return None if verdict is None else measure(verdict)
-
-
-def _detected_share(evaluation: RecordedEvaluation) -> DetectedShareRecord:
-    def share(verdict: Verdict) -> float:
-        return detected_share(verdict, evaluation.axis)
-
-    return DetectedShareRecord(
-        vut=_known(share, evaluation.vut),
-        rsu_all=share(evaluation.rsu_all),
-        vut_and_rsus=_known(share, evaluation.vut_and_rsus),
-        units={rsu_name(name): share(unit) for name, unit in evaluation.units.items()},
-    )
-
-
-def _drives(
-    recording: Recording, evaluation: RecordedEvaluation
-) -> tuple[RecordedDriveRecord, ...]:
-    axis = evaluation.axis
-    return tuple(
-        RecordedDriveRecord(
-            run=axis.run_ids[index],
-            case=axis.cases[index],
-            first_frame=drive.first_number,
-            frames=drive.n_frames,
-            missing_frames=drive.n_missing,
-            vut_speed_kmh=float(axis.vut_speed_kmh[index]),
-            vru_speed_kmh=3.6 * drive.vru_speed_mps,
-            closing_speed_mps=drive.closing_speed_mps,
-            motion="same direction" if is_longitudinal(drive) else "crossing",
-            last_brake_time_s=float(axis.last_brake_time_s[index]),
-            is_avoided=bool(evaluation.rsu_all.is_avoided[index]),
-        )
-        for index, drive in enumerate(recording.drives)
-    )
-
-
-# ---------- the job
-
-
-ALL_UNITS = "RSU_all"
-"""All units of a recording together, in the study's words."""
+    ones = np.ones(n_units, dtype=np.int64)
+    limits = Limits(site_index=np.arange(n_units), site_capacity=ones, budget_units=budget_units)
+    table = recorded_table(evaluation)
+    return PlacementProblem(table=table, limits=limits, fusion=fusion, rule=rule)
 
 
 def run_recording(
@@ -283,8 +248,7 @@ def run_recording(
     Of the question only how the VUT confirms and brakes counts; detections below `min_confidence`
     do not. Raises InputError if the recording is not what it should be, or `out` cannot be written.
     """
-    rule = _build_rule(question)
-    recording, evaluation = _evaluate(folder, rule, min_confidence, out, progress)
+    rule, recording, evaluation = _evaluate(question, folder, min_confidence, out, progress)
     return _finish(_build_result(recording, evaluation, rule), out, progress)
 
 
@@ -298,12 +262,10 @@ def run_recorded_placement(
 ) -> RecordedResult:
     """Choose the best roadside units among those of a recording, and prove the choice.
 
-    As :func:`run_recording`; of the question count budget, fusion and how hard to try, too. A
-    recording has no sites and no prices. Raises InputError if the budget is more than the units
-    recorded.
+    As :func:`run_recording`; of the question count budget, fusion and how hard to try, too. Raises
+    InputError if the budget is more than the units recorded.
     """
-    rule = _build_rule(question)
-    recording, everything = _evaluate(folder, rule, min_confidence, out, progress)
+    rule, recording, everything = _evaluate(question, folder, min_confidence, out, progress)
     n_units = len(recording.units)
     budget_units, fusion = question.budget, question.fusion
     if budget_units is None:
@@ -319,8 +281,8 @@ def run_recorded_placement(
         effort=build_effort(question),
         on_stage=lambda stage: progress(f"optimise: {stage}", 0, 0),
     )
-    greedy = _pick(recording, solve_greedy(problem, reduced))
-    chosen = _pick(recording, solution.pose_index)
+    greedy = [recording.units[index] for index in solve_greedy(problem, reduced)]
+    chosen = [recording.units[index] for index in solution.pose_index]
     first = solution.certificate.stages[0]
     result = replace(
         _build_result(recording, take_units(everything, chosen, rule), rule),
@@ -353,25 +315,22 @@ def run_recorded_placement(
     return _finish(result, out, progress, lambda new: save_certificate(new, document, problem))
 
 
-def _build_rule(question: Question) -> AebRule:
-    """The rule of a question; a recording of the study is read as the study does: no track dies."""
-    endless = math.inf if question.track_memory_s is None else question.track_memory_s
-    return build_rule(replace_field(question, track_memory_s=endless))
-
-
 def _evaluate(
-    folder: Path, rule: AebRule, min_confidence: float, out: Path | None, progress: StageProgress
-) -> tuple[Recording, RecordedEvaluation]:
+    question: Question,
+    folder: Path,
+    min_confidence: float,
+    out: Path | None,
+    progress: StageProgress,
+) -> tuple[AebRule, Recording, RecordedEvaluation]:
+    """Read and evaluate a recording, by default as the study reads it: no track dies."""
+    endless = math.inf if question.track_memory_s is None else question.track_memory_s
+    rule = build_rule(replace_field(question, track_memory_s=endless))
     if out is not None:
         check_result_folder(out)
     progress("read recording", 0, 0)
     recording = read_recording(folder)
     progress("evaluate", 0, 0)
-    return recording, evaluate_recording(recording, rule, min_confidence=min_confidence)
-
-
-def _pick(recording: Recording, unit_index: Sequence[int]) -> list[str]:
-    return [recording.units[index] for index in unit_index]
+    return rule, recording, evaluate_recording(recording, rule, min_confidence=min_confidence)
 
 
 def _finish(
@@ -387,7 +346,6 @@ def _finish(
         if write_more is not None:
             write_more(new)
         result = replace(result, seconds=progress.finish())
-        text = to_json_text(result).encode()
-        write_atomically(new / MARKER, text)
+        write_atomically(new / MARKER, to_json_text(result))
     progress.kept = f"the results are in {out}"
     return result

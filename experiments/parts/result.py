@@ -1,7 +1,7 @@
 """The three results that ``summary.json`` may hold: a placement, an evaluation, a comparison."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
@@ -39,13 +39,12 @@ from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
 from .comparison import Compared, Difference, build_compared, find_differences
 from .dangers import Dangers, avoided_runs, build_dangers
-from .explanation import ExplainedRecord
+from .explanation import ExplainedRecord, RefinementRecord
 from .front import FrontRecord
-from .ground import PrivateGroundRecord
-from .refinement import RefinementRecord
 from .road_users import RoadUserGroups, build_road_users
 from .sampled_worlds import SampledRecord
 from .study_cases import StudyCases
+from .units import PrivateGroundRecord
 
 
 class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
@@ -56,27 +55,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     """
 
     name: Annotated[str, says("Of the layout.")]
-    layout: Annotated[
-        tuple[UnitRecord, ...],
-        says("The units of the layout found, evaluated, or compared with others.", min_length=1),
-    ]
-    cost_eur: Annotated[
-        float, says("Price of the units by the catalogue, in EUR, without poles or mounting.", ge=0)
-    ]
-    sites_eur: Annotated[
-        float | None,
-        says(
-            "Making their sites ready: their own prices, or those assumed by kind "
-            "(assumed_prices), in EUR; null: unknown."
-        ),
-    ] = None
-    assumed_prices: Annotated[
-        tuple[str, ...],
-        says(
-            "What is assumed of sites without a price, in sentences: of those used, or of all "
-            "where money counts."
-        ),
-    ] = ()
+    layout: Annotated[tuple[UnitRecord, ...], says("Units of the layout.", min_length=1)]
+    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.", ge=0)]
+    sites_eur: Annotated[float | None, says("Sites made ready, in EUR; null: unknown.")] = None
+    assumed_prices: Annotated[tuple[str, ...], says("Of sites without a price, in words.")] = ()
     fusion: Annotated[
         Literal["any", "single"],
         says("any: in each frame any unit may detect; single: one unit has to confirm by itself."),
@@ -90,22 +72,10 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
             "stages, contributions, front, random layouts - is this score."
         ),
     ] = "avoided"
-    apr: Annotated[
-        Share | None,
-        says(
-            "Accident prevention ratio: of a placement on the detection table, else by the "
-            "evaluator."
-        ),
-    ]
-    assumptions: Annotated[
-        tuple[Note, ...],
-        says("What the map of the junction leaves open and was assumed, what matters most first."),
-    ] = ()
+    apr: Annotated[Share | None, says("Of a placement on the table, else by the evaluator.")]
+    assumptions: Annotated[tuple[Note, ...], says("What the map leaves open; worst first.")] = ()
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
-    dangers: Annotated[
-        Dangers,
-        says("Runs that the layout does not avoid, by the evaluator, and where they are."),
-    ]
+    dangers: Annotated[Dangers, says("Runs that it does not avoid, by the evaluator, and where.")]
     added: Annotated[
         Added | None,
         says("What the units add to a vehicle that sees, by the evaluator, whatever --cars says."),
@@ -114,39 +84,23 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
         tuple[HeavyRun, ...],
         says("Runs that count more than 2 % of the APR, and more than others; the heaviest first."),
     ] = ()
-    road_users: Annotated[
-        RoadUserGroups | None,
-        says("The runs by the road user that is met, and who is left out, by the evaluator."),
-    ] = None
+    road_users: Annotated[RoadUserGroups | None, says("By the road user that is met.")] = None
     study_cases: Annotated[
         StudyCases | None,
-        says(
-            "The same layouts on the study's cases, by the evaluator; null where these are what "
-            "was asked about, or no arm carries them."
-        ),
+        says("The layouts on the study's cases; null where these are asked about, or cannot be."),
     ] = None
-    private_ground: Annotated[
-        PrivateGroundRecord | None,
-        says("What cameras see of private ground; only with --no-look."),
-    ] = None
-    seconds: Annotated[
-        dict[str, Annotated[float, Meta(ge=0)]],
-        says("Time of each step, by its name, and in total, in seconds."),
-    ]
-    versions: Annotated[
-        dict[str, str], says("Versions of the programs that the numbers depend on, by name.")
-    ]
+    private_ground: Annotated[PrivateGroundRecord | None, says("Only with --no-look.")] = None
+    seconds: Annotated[dict[str, Annotated[float, Meta(ge=0)]], says("Of each step, in seconds.")]
+    versions: Annotated[dict[str, str], says("Of the programs that the numbers depend on.")]
 
 
-@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HighestRecord:
     """The layout of the highest APR, where some of it might be given up to bear a failure."""
 
     given_up: Annotated[float, says("APR that might be given up, 0..1.")]
     stages: Annotated[tuple[StageRecord, ...], says("The proof of the highest APR.")]
-    compared: Annotated[
-        Compared | None, says("That layout by the evaluator; null: it is the one chosen.")
-    ]
+    compared: Annotated[Compared | None, says("By the evaluator; null: it is the one chosen.")]
 
 
 class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placement/2"):
@@ -161,31 +115,13 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
     ]
     candidates: Annotated[int, says("Candidate poses to choose from.", ge=1)]
     presolve: Annotated[str, says("What dropped out before solving, in words.")]
-    stages: Annotated[
-        tuple[StageRecord, ...], says("Objectives in order, with their proof.", min_length=1)
-    ]
+    stages: Annotated[tuple[StageRecord, ...], says("Objectives in order, proven.", min_length=1)]
     solver: Annotated[str, says("What the proof rests on: name and version.")]
-    bound: Annotated[
-        float | None,
-        says("APR that no layout can exceed, on the detection table; null: not looked for."),
-    ]
-    gap: Annotated[
-        float | None,
-        says("(bound - apr) / apr; 0: proven best; null: infinite, or not looked for."),
-    ]
-    spent_eur: Annotated[
-        float, says("Units, and sites once, as the optimiser counts them, in EUR.")
-    ]
-    apr_without_worst_unit: Annotated[
-        Share, says("APR if the unit that is needed most fails, on the detection table.")
-    ]
-    apr_without_worst_site: Annotated[
-        Share | None,
-        says(
-            "APR if the pole that is needed most fails with all its units, on the detection "
-            "table; null where no pole carries several."
-        ),
-    ]
+    bound: Annotated[float | None, says("APR on the table that no layout exceeds; null: unknown.")]
+    gap: Annotated[float | None, says("(bound - apr) / apr; 0: proven; null: infinite, unknown.")]
+    spent_eur: Annotated[float, says("Units, and sites once, as optimised, in EUR.")]
+    apr_without_worst_unit: Annotated[Share, says("On the table, without the most needed unit.")]
+    apr_without_worst_site: Annotated[Share | None, says("The same of poles; null: none shared.")]
     failing: Annotated[
         Literal["unit", "site"],
         says("What fails at once where the optimiser asks: units, or poles (--survive site)."),
@@ -195,50 +131,21 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
         says("The highest APR of any layout; null where none of it might be given up."),
     ] = None
     greedy: Annotated[Compared, says("Units chosen one by one, for comparison.")]
-    baseline: Annotated[
-        Compared | None, says("The study's layout where it is its junction; null: none.")
-    ]
-    surrogate_disagreement: Annotated[
-        Share, says("Share of the runs on which detection table and evaluator disagree.")
-    ]
-    disagreements: Annotated[
-        tuple[Disagreement, ...], says("The runs on which they disagree, and why.")
-    ]
-    explained: Annotated[
-        ExplainedRecord, says("Why these units, what they miss, what else would do.")
-    ]
-    front: Annotated[
-        FrontRecord | None,
-        says(
-            "The best layout of each smaller size; null where something else than the best was "
-            "asked for."
-        ),
-    ] = None
+    baseline: Annotated[Compared | None, says("The study's layout; null at other junctions.")]
+    surrogate_disagreement: Annotated[Share, says("Of the runs: table and evaluator disagree.")]
+    disagreements: Annotated[tuple[Disagreement, ...], says("These runs, and why they disagree.")]
+    explained: Annotated[ExplainedRecord, says("Why these units, and what they miss.")]
+    front: Annotated[FrontRecord | None, says("Best layouts of smaller sizes; may be null.")] = None
     next_unit: Annotated[
         NextUnit | None,
-        says(
-            "What one more unit would gain on the detection table, chosen greedily, budgets "
-            "aside; null where none fits."
-        ),
+        says("What one more unit gains on the table, by greedy choice; null where none fits."),
     ] = None
-    baselines: Annotated[
-        Baselines, says("Random layouts and an expert's rule, with as many units.")
-    ]
-    by_runs: Annotated[
-        ByRuns | None, says("Whether the layout is the best, too, if every run counts the same.")
-    ] = None
+    baselines: Annotated[Baselines, says("Random layouts and an expert's rule of as many units.")]
+    by_runs: Annotated[ByRuns | None, says("Whether it is so if all runs count alike.")] = None
     mounting: Annotated[Standing | None, says("What errors of mounting cost.")] = None
-    front_runners: Annotated[
-        FrontRunners | None,
-        says("Which of the layouts that lead on the table the evaluator recommends."),
-    ] = None
-    refinement: Annotated[
-        RefinementRecord | None,
-        says("What turning units between the poses of the grid changed; only with --refine."),
-    ] = None
-    sampled: Annotated[
-        SampledRecord | None, says("APR in sampled worlds; only with --samples.")
-    ] = None
+    front_runners: Annotated[FrontRunners | None, says("What the evaluator recommends.")] = None
+    refinement: Annotated[RefinementRecord | None, says("Gain by turning; --refine.")] = None
+    sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
 
 
 class EvaluationResult(Answer, frozen=True, kw_only=True, tag="place-rsus/evaluation/2"):
@@ -250,16 +157,8 @@ class ComparisonResult(Answer, frozen=True, kw_only=True, tag="place-rsus/compar
 
     compared: Annotated[tuple[Compared, ...], says("The other layouts.", min_length=1)]
     differences: Annotated[tuple[Difference, ...], says("For any two of the layouts.")]
-    baselines: Annotated[
-        Baselines | None,
-        says(
-            "Random layouts and an expert's rule, with as many units as the first layout; null "
-            "where the sites cannot carry as many."
-        ),
-    ] = None
-    sampled: Annotated[
-        SampledRecord | None, says("APR in sampled worlds; only with --samples.")
-    ] = None
+    baselines: Annotated[Baselines | None, says("As the first layout; null: no room.")] = None
+    sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
 
 
 Result = PlacementResult | EvaluationResult | ComparisonResult
@@ -310,10 +209,7 @@ def build_comparison_result(
     of_others: Sequence[PrivateGroundRecord | None] = (),
     **parts: Any,
 ) -> ComparisonResult:
-    """A layout against at least one other on the same runs, with further `parts` by name.
-
-    `of_others` is what each of the others sees of private ground.
-    """
+    """A layout against others on the same runs; `of_others` is what these see of private ground."""
     compared = tuple(
         build_compared(subject, other, setting.rule, private)
         for other, private in zip(others, of_others or [None] * len(others), strict=True)
@@ -342,19 +238,18 @@ def build_placement_result(
     certificate, problem = placement.certificate, placement.problem
     limits, rule = problem.limits, setting.rule
     value = placement_value(problem, placement.pose_index)
+    failures = [
+        replace(problem, limits=replace(limits, failing=what)) for what in get_args(Failing)
+    ]
     units_fail, sites_fail = (
-        optimiser.apr_one_failed(
-            dataclasses.replace(problem, limits=dataclasses.replace(limits, failing=what)),
-            placement.pose_index,
-        )
-        for what in get_args(Failing)
+        round(optimiser.apr_one_failed(asked, placement.pose_index), 12) for asked in failures
     )
     n_sites = len(np.unique(limits.site_index[list(placement.pose_index)]))
     apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
     others = {} if baseline is None else {baseline.layout.name: baseline}
     answer = _answer(setting, found, others) | {
         "fusion": problem.fusion,
-        "apr": _without_rounding(value.apr),
+        "apr": round(value.apr, 12),  # without what summing up many weights leaves over
         "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),
         "added": build_added(setting, found, fusion=problem.fusion),
     }
@@ -373,13 +268,11 @@ def build_placement_result(
         presolve=str(placement.presolve),
         stages=build_stage_records(certificate),
         solver=certificate.solver,
-        bound=None if apr_stage is None else _without_rounding(apr_stage.bound),
+        bound=None if apr_stage is None else round(apr_stage.bound, 12),
         gap=None if apr_stage is None else apr_stage.gap,
         spent_eur=value.cost_eur,
-        apr_without_worst_unit=_without_rounding(units_fail),
-        apr_without_worst_site=(
-            _without_rounding(sites_fail) if n_sites < len(placement.pose_index) else None
-        ),
+        apr_without_worst_unit=units_fail,
+        apr_without_worst_site=sites_fail if n_sites < len(placement.pose_index) else None,
         failing=limits.failing,
         greedy=build_compared(found, greedy, rule),
         baseline=None if baseline is None else build_compared(found, baseline, rule),
@@ -392,15 +285,7 @@ def build_placement_result(
 
 
 def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
-    """Runs on which detection table and evaluator disagree about the layout found: (n_runs,) bool.
-
-    Both under the placement's own fusion.
-    """
+    """Runs, (n_runs,) bool, on which table and evaluator disagree under the placement's fusion."""
     on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
     disagrees: BoolArray = on_table != avoided_runs(evaluation, placement.problem.fusion)
     return disagrees
-
-
-def _without_rounding(value: float) -> float:
-    """Without what summing up many weights leaves over: all of them are 1."""
-    return round(value, 12)

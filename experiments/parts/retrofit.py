@@ -2,14 +2,16 @@
 
 import textwrap
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
+from geometry.poses import Pose
 from geometry.scene_files import load_scene
-from placement.candidates import CandidatePose, build_grid
+from placement.candidates import build_grid
 from placement.compute import Compute
 from placement.layout import Layout, check_layout
 from placement.optimiser import PlacementValue, is_better
@@ -18,19 +20,17 @@ from placement.question import Question
 from placement.retrofit import (
     Change,
     Labour,
-    Retrofit,
     RetrofitPoses,
     build_retrofit_poses,
     find_retrofit,
     load_labour,
 )
-from placement.setting import Setting
 from placement.wishes import assumed_prices
 
 from ..export.json import to_json_text
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
-from ..results.folders import check_folder, write_files
+from ..results.folders import expect_files, save_files
 from ..results.numbers import euros, percent
 from ..results.record import (
     LayoutValueRecord,
@@ -45,8 +45,9 @@ from .section import Table
 
 if TYPE_CHECKING:
     import pandas as pd
-
-# ---------- the value
+_WORDS_WIDTH = 32
+_HEADS = {"combine": "together"}
+CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
 
 
 class ActionRecord(Record, frozen=True, kw_only=True):
@@ -93,9 +94,6 @@ class RetrofitResult(DrivesRecord, frozen=True, kw_only=True):
     versions: dict[str, str]
 
 
-# ---------- words, and the table
-
-
 def words(result: RetrofitResult) -> list[str]:
     """What is not worth changing; the table has all else."""
     sentences = []
@@ -112,22 +110,24 @@ def words(result: RetrofitResult) -> list[str]:
     return sentences
 
 
+def _by_kind(result: RetrofitResult) -> dict[str, list[ChangeRecord]]:
+    """Changes by the word that the file has for their kind."""
+    return {
+        "remove": [*result.removals],
+        "re-aim": [*result.re_aims],
+        "add": [result.addition] if result.addition else [],
+        "combine": [result.combination] if result.combination else [],
+    }
+
+
 def table(result: RetrofitResult) -> Table:
     """Possible changes: a row each, in groups, the best of each kind first."""
-    rows = [_row("as it is", 0.0, result.before)]
-    for head, changes in (
-        ("remove:", result.removals),
-        ("re-aim:", result.re_aims),
-        ("add:", [result.addition]),
-        ("together:", [result.combination]),
-    ):
-        known = [change for change in changes if change is not None]
-        rows += [[head, *[""] * 6]] if known else []
-        for change in known:
+    rows = [_row("as it is", 0.0, result.before, *[""] * 3)]
+    for kind, changes in _by_kind(result).items():
+        rows += [[f"{_HEADS.get(kind, kind)}:", *[""] * 6]] if changes else []
+        for change in changes:
             first, *others = [
-                line
-                for action in change.actions
-                for line in textwrap.wrap(action.words, _WORDS_WIDTH)
+                line for one in change.actions for line in textwrap.wrap(one.words, _WORDS_WIDTH)
             ]
             counts = str(len(change.gained)), str(len(change.lost))
             proof = "proven" if change.is_proven else "open"
@@ -141,25 +141,9 @@ def table(result: RetrofitResult) -> Table:
     )
 
 
-_WORDS_WIDTH = 32
-
-
-def _row(
-    text: str,
-    price_eur: float,
-    value: LayoutValueRecord,
-    gained: str = "",
-    lost: str = "",
-    proof: str = "",
-) -> list[str]:
+def _row(text: str, price_eur: float, value: LayoutValueRecord, *cells: str) -> list[str]:
     shares = (percent(value.apr), percent(value.apr_one_failed))
-    return [text, f"{price_eur:,.0f}", *shares, gained, lost, proof]
-
-
-# ---------- the job, and its file
-
-
-CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
+    return [text, f"{price_eur:,.0f}", *shares, *cells]
 
 
 def run_retrofit(
@@ -179,65 +163,32 @@ def run_retrofit(
     is inside something, a word is unknown, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    expect_files(out, progress)
     check_layout(layout, scene)
-    plan = assemble(
-        replace(question, budget=None, budget_cost=None),
-        scene=scene,
-        counts_money=True,
-        compute=compute,
-    )
+    asked = replace(question, budget=None, budget_cost=None)
+    plan = assemble(asked, scene=scene, counts_money=True, compute=compute)
     poses = build_retrofit_poses(layout, build_grid(question), plan.candidates)
     wishes = replace(plan.wishes, existing=tuple(unit.id for unit in layout.units))
     plan = replace(plan, candidates=poses.candidates, wishes=wishes)
     setting, prices, problem = plan.setting, wishes.prices, plan.problem
     progress("retrofit", 0, 0)
     labour = load_labour() if visit_eur is None else _at_price(visit_eur)
-    retrofit = find_retrofit(
+    found = find_retrofit(
         problem, poses, labour=labour, budget_eur=question.budget_cost, effort=plan.effort
     )
-    result = _build_result(
-        retrofit, poses, layout, setting, question, labour=labour, command=command
-    )
-    assumed = () if prices is None else assumed_prices(prices, scene.sites)
-    result = replace_fields(result, sentences=(*words(result), *assumed))
-    if out is None:
-        return replace_fields(result, seconds=progress.finish())
-    progress(WRITING, 0, 0)
-    csv = csv_text(retrofit_table(result))
-    result = replace_fields(result, seconds=progress.finish())
-    json = to_json_text(result)
-    write_files(out, {CSV_NAME: csv.encode(), JSON_NAME: json.encode()})
-    progress.kept = f"the results are in {out}"
-    return result
-
-
-def _build_result(
-    retrofit: Retrofit,
-    poses: RetrofitPoses,
-    layout: Layout,
-    setting: Setting,
-    question: Question,
-    *,
-    labour: Labour,
-    command: str,
-) -> RetrofitResult:
-    """The result without sentences and seconds."""
 
     def record(change: Change) -> ChangeRecord:
-        return _change_record(change, retrofit.before, poses)
+        return _change_record(change, found.before, poses)
 
-    return RetrofitResult(
+    result = RetrofitResult(
         name=layout.name,
         layout=build_unit_records(layout, setting.scene),
-        before=LayoutValueRecord(**retrofit.before._asdict()),
+        before=LayoutValueRecord(**found.before._asdict()),
         candidates=len(poses.candidates),
-        removals=tuple(record(change) for change in retrofit.removals),
-        re_aims=tuple(record(change) for change in retrofit.re_aims),
-        addition=None if retrofit.addition is None else record(retrofit.addition),
-        combination=None if retrofit.combination is None else record(retrofit.combination),
+        removals=tuple(record(change) for change in found.removals),
+        re_aims=tuple(record(change) for change in found.re_aims),
+        addition=None if found.addition is None else record(found.addition),
+        combination=None if found.combination is None else record(found.combination),
         runs=setting.axis.n_runs,
         fusion=question.fusion,
         budget_eur=question.budget_cost,
@@ -248,17 +199,21 @@ def _build_result(
         seconds={},
         versions=versions(),
     )
+    assumed = () if prices is None else assumed_prices(prices, scene.sites)
+    result = replace_fields(result, sentences=(*words(result), *assumed))
+    return save_files(
+        result,
+        out,
+        progress,
+        lambda done: {CSV_NAME: csv_text(retrofit_table(done)), JSON_NAME: to_json_text(done)},
+    )
 
 
 def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
     """A row per change, the first one for what is mounted; run ids have spaces between."""
+    import pandas as pd
+
     before = {name: value for name, value in fields_of(result.before).items() if name != "cost_eur"}
-    changes = [
-        *(("remove", change) for change in result.removals),
-        *(("re-aim", change) for change in result.re_aims),
-        *(("add", change) for change in [result.addition] if change is not None),
-        *(("combine", change) for change in [result.combination] if change is not None),
-    ]
     rows: list[dict[str, object]] = [{"kind": "as it is", "change": "", "price_eur": 0.0, **before}]
     rows += [
         {
@@ -271,96 +226,69 @@ def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
             "is_better": change.is_better,
             "is_proven": change.is_proven,
         }
-        for kind, change in changes
+        for kind, changes in _by_kind(result).items()
+        for change in changes
     ]
-    import pandas as pd
-
     return pd.DataFrame(rows)
 
 
 def _at_price(visit_eur: float) -> Labour:
     """Labour at the user's price."""
-    return Labour(
-        people=0.0,
-        wage_eur_per_h=0.0,
-        travel_h=0.0,
-        lift_eur=visit_eur,
-        re_aim_h=0.0,
-        remove_h=0.0,
-        source="--visit-cost",
-    )
+    hours = {"travel_h": 0.0, "re_aim_h": 0.0, "remove_h": 0.0}
+    per_visit = {"people": 0.0, "wage_eur_per_h": 0.0, "lift_eur": visit_eur}
+    return Labour(**per_visit, **hours, source="--visit-cost")
 
 
 def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses) -> ChangeRecord:
-    after = _named(change, poses)
-    unit = poses.unit_index
-    turned = {int(unit[row]): row for row in change.added if unit[row] >= 0}
+    unit, names = poses.unit_index, _names(change, poses)
+    turned = {int(unit[row]): poses.candidates[row].pose for row in names if unit[row] >= 0}
     actions = []
     for row in change.removed:
-        old = poses.candidates[row]
-        if row in turned:
-            new = poses.candidates[turned[row]]
-            words = f"re-aim {old.id} to yaw {_degrees(new.pose.yaw_deg)}, pitch " + _degrees(
-                new.pose.pitch_deg
-            )
-            actions.append(ActionRecord(action="re-aim", unit=old.id, words=words))
+        name, pose = poses.candidates[row].id, turned.get(row)
+        if pose is None:
+            actions.append(ActionRecord(action="remove", unit=name, words=f"remove {name}"))
         else:
-            actions.append(ActionRecord(action="remove", unit=old.id, words=f"remove {old.id}"))
-    for row, name in zip(change.added, _names(change, poses), strict=True):
+            words = f"re-aim {name} to {_aim_words(pose)}"
+            actions.append(ActionRecord(action="re-aim", unit=name, words=words))
+    for row, name in names.items():
         if unit[row] < 0:
-            words = f"add {name} at {_pose_words(poses.candidates[row])}"
+            new = poses.candidates[row]
+            place = new.site_id or "a place of its own"
+            words = (
+                f"add {name} at {place}, {float(new.pose.position_m[2]):g} m, "
+                f"{_aim_words(new.pose)} ({new.sensor.name})"
+            )
             actions.append(ActionRecord(action="add", unit=name, words=words))
-    is_improved = is_better(change.value._replace(cost_eur=0.0), before._replace(cost_eur=0.0))
     certificate = change.certificate
+    mounted = tuple(
+        replace(poses.candidates[row], id=names.get(row, poses.candidates[row].id))
+        for row in change.pose_index
+    )
     return ChangeRecord(
         actions=tuple(actions),
         price_eur=change.price_eur,
         **change.value._asdict(),
         gained=tuple(change.gained),
         lost=tuple(change.lost),
-        is_better=is_improved,
+        is_better=is_better(change.value._replace(cost_eur=0.0), before._replace(cost_eur=0.0)),
         is_proven=change.is_proven,
         compared=change.n_compared,
         stages=() if certificate is None else build_stage_records(certificate),
         solver=None if certificate is None else certificate.solver,
-        layout=build_unit_records(Layout(name="after", units=after)) if after else (),
+        layout=build_unit_records(Layout(name="after", units=mounted)) if mounted else (),
     )
 
 
-def _names(change: Change, poses: RetrofitPoses) -> list[str]:
-    """Names of the poses that come: re-aimed units keep theirs, new ones are numbered."""
+def _names(change: Change, poses: RetrofitPoses) -> dict[int, str]:
+    """Names of the poses that come, by row: re-aimed units keep theirs, new ones are numbered."""
     taken = {candidate.id for candidate in poses.candidates[: poses.n_units]}
-    names: list[str] = []
-    number = 0
-    for row in change.added:
-        unit = int(poses.unit_index[row])
-        if unit >= 0:
-            names.append(poses.candidates[unit].id)
-            continue
-        number += 1
-        while f"N{number}" in taken:
-            number += 1
-        names.append(f"N{number}")
-    return names
+    free = (name for number in count(1) if (name := f"N{number}") not in taken)
+    old = {row: int(poses.unit_index[row]) for row in change.added}
+    return {
+        row: poses.candidates[unit].id if unit >= 0 else next(free) for row, unit in old.items()
+    }
 
 
-def _named(change: Change, poses: RetrofitPoses) -> tuple[CandidatePose, ...]:
-    """Units after a change, under names of its own."""
-    names = dict(zip(change.added, _names(change, poses), strict=True))
-    return tuple(
-        replace(poses.candidates[row], id=names.get(row, poses.candidates[row].id))
-        for row in change.pose_index
-    )
-
-
-def _pose_words(candidate: CandidatePose) -> str:
-    pose = candidate.pose
-    place = candidate.site_id or "a place of its own"
-    return (
-        f"{place}, {float(pose.position_m[2]):g} m, yaw {_degrees(pose.yaw_deg)}, pitch "
-        f"{_degrees(pose.pitch_deg)} ({candidate.sensor.name})"
-    )
-
-
-def _degrees(angle_deg: float) -> str:
-    return f"{round(angle_deg, 1) + 0.0:g}"
+def _aim_words(pose: Pose) -> str:
+    yaw, pitch = (f"{round(angle, 1) + 0.0:g}" for angle in (pose.yaw_deg, pose.pitch_deg))
+    return f"yaw {yaw}, pitch {pitch}"

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
+from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation, Verdict, apr, mean_impact_speed_kmh
 from placement.setting import Setting
 from scenarios.cases import ROAD_USER_GROUPS
@@ -13,7 +14,7 @@ from scenarios.cases import ROAD_USER_GROUPS
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent, several
 from ..results.record import mixed, says
-from .section import Block, Section, Table
+from .section import Block, Section, Table, tabulate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,13 +24,7 @@ class RoadUserScore:
     name: Annotated[str, says('Of the layout, or "VUT alone".')]
     runs_avoided: Annotated[int, says("How many runs.")]
     apr: Annotated[float | None, says("By weight; None where none of these runs counts.")]
-    mean_impact_speed_kmh: Annotated[
-        float | None,
-        says(
-            "Of the VUT at contact, by weight, avoided runs as 0; None where it is not "
-            "known, in km/h."
-        ),
-    ]
+    mean_impact_speed_kmh: Annotated[float | None, says("By weight, avoided 0, in km/h; or null.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,10 +34,7 @@ class RoadUserGroup:
     road_user: Annotated[str, says('"on foot", "bicycle", "motorcycle" or "car".')]
     runs: Annotated[int, says("How many.")]
     weight: Annotated[float, says("Their share of the weight of all runs.")]
-    parties: Annotated[
-        tuple[RoadUserScore, ...],
-        says("The layouts, the subject first, and the vehicle by itself."),
-    ]
+    parties: Annotated[tuple[RoadUserScore, ...], says("The layouts, then the vehicle alone.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,12 +42,7 @@ class RoadUserGroups:
     """Whose runs count, and who is left out."""
 
     groups: Annotated[tuple[RoadUserGroup, ...], says("At least one, those on foot first.")]
-    unprotected: Annotated[
-        tuple[str, ...],
-        says(
-            "Names of cases that are left out since they meet a car; none with ``--protect all``."
-        ),
-    ] = ()
+    unprotected: Annotated[tuple[str, ...], says("Cases left out (--protect all has them).")] = ()
 
 
 def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) -> RoadUserGroups:
@@ -63,11 +50,9 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
     first = next(iter(evaluations.values()))
     verdicts = {name: (item.rsu_all, item.vut_and_rsus) for name, item in evaluations.items()}
     verdicts |= {"VUT alone": (first.vut, first.vut)}
-    met = np.array([run.road_user for run in setting.runs])
-    axis = first.axis
+    met, axis = np.array([run.road_user for run in setting.runs]), first.axis
 
-    def score(name: str, verdict: Verdict, group: str) -> RoadUserScore:
-        mask = met == group
+    def score(name: str, verdict: Verdict, mask: BoolArray) -> RoadUserScore:
         return RoadUserScore(
             name=name,
             runs_avoided=int(verdict.is_avoided[mask].sum()),
@@ -75,32 +60,25 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
             mean_impact_speed_kmh=finite_or_none(mean_impact_speed_kmh(verdict, axis, mask)),
         )
 
-    return RoadUserGroups(
-        groups=tuple(
-            RoadUserGroup(
-                road_user=group,
-                runs=int((met == group).sum()),
-                weight=float(axis.weight[met == group].sum() / axis.weight.sum()),
-                parties=tuple(
-                    mixed(score(name, blind, group), score(name, seeing, group), first.cars)
-                    for name, (blind, seeing) in verdicts.items()
-                ),
-            )
-            for group in ROAD_USER_GROUPS
-            if (met == group).any()
-        ),
-        unprotected=tuple(unprotected_cases(setting)),
-    )
-
-
-# ---------- words, table, section
+    groups = []
+    for road_user in ROAD_USER_GROUPS:
+        mask = met == road_user
+        if not mask.any():
+            continue
+        parties = tuple(
+            mixed(score(name, blind, mask), score(name, seeing, mask), first.cars)
+            for name, (blind, seeing) in verdicts.items()
+        )
+        weight = float(axis.weight[mask].sum() / axis.weight.sum())
+        n_runs = int(mask.sum())
+        groups.append(
+            RoadUserGroup(road_user=road_user, runs=n_runs, weight=weight, parties=parties)
+        )
+    return RoadUserGroups(groups=tuple(groups), unprotected=tuple(unprotected_cases(setting)))
 
 
 def words(record: RoadUserGroups) -> list[str]:
-    """Whose runs count and how many are prevented, and who is left out, in one sentence.
-
-    Nothing where all runs meet the same and nobody is left out.
-    """
+    """Whose runs count, in one sentence; none where all meet the same and nobody is left out."""
     if len(record.groups) < 2 and not record.unprotected:
         return []
     counted = ", ".join(
@@ -114,30 +92,18 @@ def words(record: RoadUserGroups) -> list[str]:
 
 def table(record: RoadUserGroups) -> Table:
     """A row per group and sensing party."""
-    return Table(
-        caption="Accidents prevented by the road user that is met, by the evaluator",
-        columns=[
-            "met",
-            "runs",
-            "of the weight",
-            "by",
-            "avoided",
-            "APR",
-            "mean speed at contact (km/h)",
-        ],
-        rows=[
-            [
-                group.road_user,
-                str(group.runs),
-                percent(group.weight),
-                party.name,
-                str(party.runs_avoided),
-                percent(party.apr),
-                number(party.mean_impact_speed_kmh, 1),
-            ]
-            for group in record.groups
-            for party in group.parties
-        ],
+    return tabulate(
+        "Accidents prevented by the road user that is met, by the evaluator",
+        [(group, party) for group in record.groups for party in group.parties],
+        {
+            "met": lambda row: row[0].road_user,
+            "runs": lambda row: str(row[0].runs),
+            "of the weight": lambda row: percent(row[0].weight),
+            "by": lambda row: row[1].name,
+            "avoided": lambda row: str(row[1].runs_avoided),
+            "APR": lambda row: percent(row[1].apr),
+            "mean speed at contact (km/h)": lambda row: number(row[1].mean_impact_speed_kmh, 1),
+        },
         numeric=(1, 2, 4, 5, 6),
     )
 

@@ -1,6 +1,6 @@
 """APR of layouts in sampled worlds: in sentences, as a table, drawn."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
 from typing import Annotated
@@ -9,29 +9,25 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
-from placement.sampling.uncertainty import (
-    Blinding,
-    MountingErrors,
-    Outages,
-    RoadUsers,
-    Uncertainty,
-)
+from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
-from ..figures.axes import (
-    BLUE,
-    WIDTH_IN,
-    Style,
-    finish_axes,
-    literal,
-    new_axes,
-    write_beside,
-)
+from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
+
+_MAX_LEAST_SURE_RUNS = 5
+_LEAST_WORST = 8  # worlds that a tail must have: with fewer, choosing for the mean has better tails
+_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
+_AS_THEY_ARE = (
+    *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
+    *("most_draws", "draws_detections", "person_share", "unit_person_share", "road_users"),
+)
+_MAX_NAME_LENGTH = 32
+_LEAST_SPAN_POINTS = 1.0
+_ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -39,35 +35,22 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
 
     name: Annotated[str, says("Of the uncertainty.")]
     mounting: Annotated[MountingErrors, says("Errors of mounting.")]
-    latency: Annotated[
-        dict[str, str | float],
-        says("Delay of messages, by the names of the file: a budget, or a distribution."),
-    ]
+    latency: Annotated[dict[str, str | float], says("Delay of messages: budget or distribution.")]
     packet_loss: Annotated[Share, says("Share of the messages that get lost.")]
     draws_detections: Annotated[bool, says("Whether detections are drawn by their probability.")]
     traffic: Annotated[dict[str, float], says("Standing vehicles, by the names of the file.")]
-    vehicles: Annotated[
-        dict[str, dict[str, float]], says("Kinds of vehicles with their shares of those parked.")
-    ]
-    road_users: Annotated[
-        RoadUsers, says("How road users move otherwise than their cases say.")
-    ] = RoadUsers()
+    vehicles: Annotated[dict[str, dict[str, float]], says("Kinds of vehicles, with shares.")]
+    road_users: Annotated[RoadUsers, says("How they move otherwise than in cases.")] = RoadUsers()
     person_share: Annotated[
         Share, says("Of the noise of detections, what a person has in all frames for all units.")
     ] = 0.0
-    unit_person_share: Annotated[
-        Share, says("Of the same, what a person has in all frames for one unit.")
-    ] = 0.0
-    burst_frames: Annotated[
-        float, says("Frames after which it is drawn anew whether messages get lost.")
-    ] = 1.0
+    unit_person_share: Annotated[Share, says("The same for one unit.")] = 0.0
+    burst_frames: Annotated[float, says("Frames between draws of which messages get lost.")] = 1.0
     loss_shared_by: Annotated[str, says("Who loses the same messages: unit or pole.")] = "unit"
     outages: Annotated[Outages, says("Units out of order.")] = Outages()
     blinding: Annotated[Blinding, says("Cameras that see nothing.")] = Blinding()
     v2x_share: Annotated[Share, says("Of all cars, those that hear the units.")] = 1.0
-    most_draws: Annotated[
-        int, says("How often a run of great weight is drawn in a world to choose in, at most.")
-    ] = 1
+    most_draws: Annotated[int, says("Draws of a run of great weight in a world, at most.")] = 1
 
 
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):
@@ -93,19 +76,11 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
     name: Annotated[str, says("Of the layout.")]
     units: Annotated[int, says("Number of its units.", ge=0)]
     planned: Annotated[Share | None, says("APR with nothing uncertain.")]
-    in_sample: Annotated[
-        float | None,
-        says("Mean APR in the worlds that it was chosen in; null: not chosen in worlds."),
-    ]
+    in_sample: Annotated[float | None, says("Mean APR in the worlds it was chosen in; or null.")]
     cvar: Annotated[float | None, says("Mean APR of the worst worlds.")]
-    cvar_error: Annotated[
-        float | None, says("Its standard error, by worlds drawn with repetition; null: all count.")
-    ] = None
+    cvar_error: Annotated[float | None, says("Standard error of it; null: all count.")] = None
     worst: Annotated[float | None, says("APR in the very worst one.")]
-    of_all: Annotated[
-        Share | None,
-        says("Mean APR over all cars, those without V2X too; null: every car hears the units."),
-    ] = None
+    of_all: Annotated[Share | None, says("Mean APR over cars with and without V2X; or null.")]
     apr_by_sample: Annotated[tuple[float | None, ...], says("APR in each world.")]
     least_sure_runs: Annotated[tuple[LeastSureRunRecord, ...], says("The least sure first.")]
 
@@ -118,10 +93,7 @@ class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
     more_share: Annotated[Share, says("Worlds in which the first one avoids more.")]
     equal_share: Annotated[Share, says("Worlds in which they avoid as much.")]
     less_share: Annotated[Share, says("Worlds in which the first one avoids less.")]
-    cvar_low: Annotated[
-        float | None,
-        says("Lower end of the 95 % interval of the difference of cvar; null: all worlds count."),
-    ] = None
+    cvar_low: Annotated[float | None, says("Low end for the difference of cvar; or null.")] = None
     cvar_high: Annotated[float | None, says("Upper end of it.")] = None
 
 
@@ -130,31 +102,18 @@ class SampledRecord(Record, frozen=True, kw_only=True):
 
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
-    chosen_in: Annotated[
-        int | None,
-        says("Number of other worlds that the first layout was chosen in; null: chosen without."),
-    ] = None
+    chosen_in: Annotated[int | None, says("Other worlds, to choose the first layout in.")] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
-    traffic_source: Annotated[
-        str, says("Vehicles that drive by: SUMO with its demand; or empty.")
-    ] = ""
+    traffic_source: Annotated[str, says("Who drives by: SUMO with its demand; or empty.")] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
     tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
     layouts: Annotated[tuple[SampledLayoutRecord, ...], says("The first one is the subject.")]
-    pairs: Annotated[
-        tuple[SampledPairRecord, ...],
-        says("One for any two layouts, those of the first layout before the others."),
-    ]
+    pairs: Annotated[tuple[SampledPairRecord, ...], says("Any two, the first layout's first.")]
 
     @property
     def gains(self) -> tuple[SampledPairRecord, ...]:
         """Pairs of the subject and each other layout."""
         return self.pairs[: len(self.layouts) - 1]
-
-
-_MAX_LEAST_SURE_RUNS = 5
-_LEAST_WORST = 8  # worlds that a tail must have: with fewer, choosing for the mean has better tails
-_SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
 
 
 def build_sampled_record(
@@ -173,19 +132,14 @@ def build_sampled_record(
     is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
     chosen in.
     """
-    if not judged:
-        raise InputError("layouts", Unquoted("none"), "at least one")
-    n_samples = {len(item.apr_by_sample) for item in judged}
-    if len(n_samples) > 1:
-        raise InputError("samples", sorted(n_samples), "the same number for every layout")
     subject = judged[0]
     tails = None
     if tail < 1.0:
         tails = resampled_cvar([item.apr_by_sample for item in judged], tail, seed=seed)
-    planned, chosen = planned_apr or {}, chosen_apr or {}
+    planned, chosen, heard = planned_apr or {}, chosen_apr or {}, uncertainty.v2x_share
     return SampledRecord(
         uncertainty=build_uncertainty_record(uncertainty),
-        samples=n_samples.pop(),
+        samples=len(subject.apr_by_sample),
         chosen_in=chosen_in,
         seed=seed,
         traffic_source="" if uncertainty.moving is None else uncertainty.moving.name,
@@ -201,7 +155,10 @@ def build_sampled_record(
                 cvar=cvar(item.apr_by_sample, tail),
                 cvar_error=None if tails is None else float(tails[row].std(ddof=1)),
                 worst=item.worst,
-                of_all=_of_all(item, uncertainty.v2x_share),
+                # Cars that hear nothing have what the VUT does alone.
+                of_all=None
+                if heard == 1.0
+                else heard * item.estimate.mean + (1.0 - heard) * item.alone,
                 apr_by_sample=tuple(item.apr_by_sample.tolist()),
                 least_sure_runs=_least_sure(item),
             )
@@ -212,20 +169,6 @@ def build_sampled_record(
             for one, other in combinations(range(len(judged)), 2)
         ),
     )
-
-
-_AS_THEY_ARE = (
-    *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
-    "most_draws",
-    *("draws_detections", "person_share", "unit_person_share", "road_users"),
-)
-
-
-def _of_all(item: SampledApr, v2x_share: float) -> float | None:
-    """Mean APR over all cars: those that hear nothing have what the VUT does alone."""
-    if v2x_share == 1.0:
-        return None
-    return v2x_share * item.estimate.mean + (1.0 - v2x_share) * item.alone
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -243,25 +186,19 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
         latency=drawn,
         **{name: getattr(uncertainty, name) for name in _AS_THEY_ARE},
         traffic={
-            field.name: getattr(traffic, field.name)
-            for field in fields(traffic)
-            if field.name != "vehicles"
+            one.name: getattr(traffic, one.name)
+            for one in fields(traffic)
+            if one.name != "vehicles"
         },
         vehicles={
-            kind.actor.name: {
-                "parked_share": kind.parked_share,
-                "waiting_share": kind.waiting_share,
-            }
-            for kind in traffic.vehicles
+            one.actor.name: {name: getattr(one, name) for name in ("parked_share", "waiting_share")}
+            for one in traffic.vehicles
         },
     )
 
 
 def _pair(first: SampledApr, second: SampledApr, tails: FloatArray | None) -> SampledPairRecord:
-    """Two layouts in the same worlds: the difference, and who avoids more how often.
-
-    `tails` are differences of cvar in resampled worlds.
-    """
+    """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
     gain = first.apr_by_sample - second.apr_by_sample
     low, high = (None, None) if tails is None else np.quantile(tails, (0.025, 0.975)).tolist()
     return SampledPairRecord(
@@ -287,18 +224,14 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
     )
 
 
-# ---------- what layouts are worth in sampled worlds
-
-
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """Sentences on layouts in sampled worlds; the first layout is the subject."""
-    subject = found.layouts[0]
-    n_samples = found.samples
-    planned = subject.planned
+    subject, planned = found.layouts[0], found.layouts[0].planned
     sentences = [
-        f"In {n_samples} fresh sampled {_worlds(n_samples)} ({what_is_uncertain(found)}), "
+        f"In {found.samples} fresh sampled {_worlds(found.samples)} ({what_is_uncertain(found)}), "
         f"{subject.name} avoids {percent(subject.mean)} of the accidents on average "
-        f"({_interval(subject)})" + ("" if planned is None else f"; as planned {percent(planned)}")
+        f"({subject.method}: {percent(subject.low)} to {percent(subject.high)})"
+        + ("" if planned is None else f"; as planned {percent(planned)}")
     ]
     if subject.of_all is not None:
         sentences.append(
@@ -307,11 +240,10 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         )
     chosen = subject.in_sample
     if chosen is not None:
+        better = ": a choice looks better where it was made"
         sentences.append(
-            f"In the worlds that it was chosen in, it avoids {percent(chosen)}: "
-            "a choice looks better where it was made"
-            if chosen > or_nan(subject.mean)
-            else f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
+            f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
+            f"{better if chosen > or_nan(subject.mean) else ''}"
         )
     n_worst = found.tail * (found.chosen_in or 0)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
@@ -331,27 +263,22 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
     """Sentence on a layout with no more units that fresh worlds surely prefer, if there is one."""
-    subject = found.layouts[0]
-    units = {layout.name: layout.units for layout in found.layouts}
-    most = units[subject.name]
+    subject, *others = found.layouts
     of_tail = found.tail < 1.0  # what was asked for
     ahead = [
-        gain
-        for gain in found.gains
+        (or_nan(gain.mean), gain, other)
+        for gain, other in zip(found.gains, others, strict=True)
         if or_nan(gain.cvar_high if of_tail else gain.high) < -_SAME_APR
-        and units[gain.second] <= most
+        and other.units <= subject.units
     ]
     if not ahead or found.chosen_in is None:
         return []
-    gain = min(ahead, key=lambda gain: or_nan(gain.mean))
+    _, gain, other = min(ahead, key=lambda entry: entry[0])
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
-    other = next(layout for layout in found.layouts if layout.name == gain.second)
     worst = (
         f"; in the worst {percent(found.tail)} of them {percent(other.cvar)}, not "
         f"{percent(subject.cvar)}"
-        if found.tail < 1.0
-        else ""
-    )
+    ) * of_tail
     few = f"the {found.chosen_in} {_worlds(found.chosen_in)} that {subject.name} was chosen in"
     are = "is" if found.chosen_in == 1 else "are"
     return [
@@ -365,50 +292,45 @@ def what_is_uncertain(found: SampledRecord) -> str:
     """Words for what is drawn in the sampled worlds."""
     record = found.uncertainty
     mounting, latency, traffic = record.mounting, record.latency, record.traffic
-    parts = []
-    if any(astuple(mounting)):
-        parts.append(
-            f"units off by {mounting.yaw_sd_deg:g}\N{DEGREE SIGN} in yaw, "
-            f"{mounting.pitch_sd_deg:g}\N{DEGREE SIGN} in pitch and "
-            f"{100.0 * mounting.height_sd_m:g} cm in height"
-        )
-    if "budget" in latency:
-        parts.append(f"latency drawn from the budget {latency['budget']}")
-    elif latency["mean_s"]:
-        parts.append(f"messages {1000.0 * float(latency['mean_s']):g} ms later on average")
-    if record.packet_loss > 0.0:
-        bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
-        parts.append(
-            f"{percent(record.packet_loss)} of the messages lost"
-            + (bursts if record.burst_frames > 1.0 else "")
-        )
-    if record.draws_detections:
-        lasting = record.person_share + record.unit_person_share
-        parts.append(
-            "detections drawn where the detector gives a probability"
-            + (f" ({percent(lasting)} of the noise for a whole run)" if lasting else "")
-        )
-    outages, blinding = record.outages, record.blinding
-    if outages != Outages():
-        parts.append(
+    outages, blinding, low_sun = record.outages, record.blinding, record.blinding.low_sun_share
+    lasting = record.person_share + record.unit_person_share
+    degree, mean_ms = "\N{DEGREE SIGN}", 1000.0 * float(latency.get("mean_s", 0.0))
+    bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
+    bursts *= record.burst_frames > 1.0
+    for_a_run = f" ({percent(lasting)} of the noise for a whole run)" if lasting else ""
+    parts = (
+        (
+            any(astuple(mounting)),
+            f"units off by {mounting.yaw_sd_deg:g}{degree} in yaw, {mounting.pitch_sd_deg:g}"
+            f"{degree} in pitch and {100.0 * mounting.height_sd_m:g} cm in height",
+        ),
+        ("budget" in latency, f"latency drawn from the budget {latency.get('budget')}"),
+        (mean_ms, f"messages {mean_ms:g} ms later on average"),
+        (record.packet_loss > 0.0, f"{percent(record.packet_loss)} of the messages lost{bursts}"),
+        (
+            record.draws_detections,
+            f"detections drawn where the detector gives a probability{for_a_run}",
+        ),
+        (
+            outages != Outages(),
             f"units out of order in {percent(outages.unit_share)} and poles in "
-            f"{percent(outages.pole_share)} of the runs"
-        )
-    if blinding.dirty_share:
-        parts.append(f"{percent(blinding.dirty_share)} of the cameras dirty")
-    if blinding.low_sun_share:
-        parts.append(f"low sun in {percent(blinding.low_sun_share)} of the runs by day")
-    if traffic["taken_share"] > 0.0:
-        parts.append(f"{percent(traffic['taken_share'])} of the parking places taken")
-    if traffic["waiting_share"] > 0.0:
-        parts.append(f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes")
-    if record.road_users.measured:
-        parts.append("people as fast as they were measured")
-    if replace(record.road_users, measured={}) != RoadUsers():
-        parts.append("road users faster or slower, from nearer starts")
-    if found.moving:
-        parts.append(f"vehicles that drive by ({found.traffic_source})")
-    return ", ".join(parts) or "nothing is uncertain"
+            f"{percent(outages.pole_share)} of the runs",
+        ),
+        (blinding.dirty_share, f"{percent(blinding.dirty_share)} of the cameras dirty"),
+        (low_sun, f"low sun in {percent(low_sun)} of the runs by day"),
+        (traffic["taken_share"], f"{percent(traffic['taken_share'])} of the parking places taken"),
+        (
+            traffic["waiting_share"],
+            f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes",
+        ),
+        (record.road_users.measured, "people as fast as they were measured"),
+        (
+            replace(record.road_users, measured={}) != RoadUsers(),
+            "road users faster or slower, from nearer starts",
+        ),
+        (found.moving, f"vehicles that drive by ({found.traffic_source})"),
+    )
+    return ", ".join(words for holds, words in parts if holds) or "nothing is uncertain"
 
 
 def moving_sentence(found: SampledRecord) -> str:
@@ -433,37 +355,28 @@ def is_open(difference: SampledPairRecord) -> bool:
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
 
 
-def _interval(layout: SampledLayoutRecord) -> str:
-    return f"{layout.method}: {percent(layout.low)} to {percent(layout.high)}"
-
-
 def _worlds(count: int) -> str:
     return "world" if count == 1 else "worlds"
 
 
-# ---------- table, and the section of the report
-
-
 def table(found: SampledRecord) -> Table:
     """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
-    return tabulate(
-        "APR in sampled worlds",
-        found.layouts,
-        {
-            "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
-            "planned": lambda one: percent(one.planned),
-            "mean": lambda one: percent(one.mean),
-            "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
-            # the mean of all is there already
-            **({f"worst {100.0 * found.tail:g} %": _of_tail} if found.tail < 1.0 else {}),
-            "worst": lambda one: percent(one.worst),
-        },
-        numeric=range(1, 6),
-    )
+    tail = f"worst {100.0 * found.tail:g} %"
+    columns: dict[str, Callable[[SampledLayoutRecord], str]] = {
+        "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
+        "planned": lambda one: percent(one.planned),
+        "mean": lambda one: percent(one.mean),
+        "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
+        tail: lambda one: f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})",
+        "worst": lambda one: percent(one.worst),
+    }
+    if found.tail == 1.0:  # the mean of all is there already
+        del columns[tail]
+    return tabulate("APR in sampled worlds", found.layouts, columns, numeric=range(1, 6))
 
 
-def _of_tail(one: SampledLayoutRecord) -> str:
-    return f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{100.0 * or_nan(one.cvar_error):.1f})"
+def _points(share: float | None) -> float:
+    return 100.0 * or_nan(share)
 
 
 def sampled_picture(found: SampledRecord) -> Picture:
@@ -482,28 +395,14 @@ def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     return Section("sampled", "If the world is not as planned", [picture, table(found)])
 
 
-# ---------- figures of layouts in sampled worlds: intervals of means and of differences
-
-
-_ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
-_MAX_NAME_LENGTH = 32
-_LEAST_SPAN_POINTS = 1.0
-
-
 def plot_sampled_apr(found: SampledRecord) -> Axes:
-    """A row per layout: its mean, the interval of the mean, and its worst and best world.
-
-    Dot: mean; whisker with caps: its 95 % confidence interval; thin line: from the worst to the
-    best world.
-    """
+    """A row per layout: its mean with the 95 % interval; thin line: from worst to best world."""
     layouts = found.layouts
     axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
     for row, layout in enumerate(layouts):
-        worlds = np.array([or_nan(share) for share in layout.apr_by_sample])
-        axes.hlines(
-            row, 100.0 * worlds.min(), 100.0 * worlds.max(), color="#999999", linewidth=1.0,
-            linestyle=(0, (1.0, 1.5)), zorder=2,
-        )  # fmt: skip
+        worlds = [_points(share) for share in layout.apr_by_sample]
+        dotted: Style = {"color": "#999999", "linewidth": 1.0, "linestyle": (0, (1.0, 1.5))}
+        axes.hlines(row, min(worlds), max(worlds), zorder=2, **dotted)
         _whisker(axes, row, layout)
         to_the_right: Style = {"away_pt": (4.0, 0.0), "xycoords": ("axes fraction", "data")}
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
@@ -518,10 +417,7 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
 
 
 def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
-    """A row per pair of layouts: the mean difference in the same worlds, with its interval.
-
-    Filled dot: the interval leaves out zero; open: it does not, there is no sure difference.
-    """
+    """A row per pair: the mean difference and its interval; open: there is no sure difference."""
     axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
     for row, pair in enumerate(pairs):
         _whisker(axes, row, pair, is_hollow=is_open(pair))
@@ -533,28 +429,24 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
     axes.set_xlim(middle - half, middle + half)
     words = (
-        "difference of the APR in the same worlds (points)\n"
-        "with its 95 % interval; open: may be zero"
+        "difference of the APR in the same worlds (points)\nwith its 95 % interval; open: may be "
     )
-    finish_axes(axes, x=words, grid="x")
+    finish_axes(axes, x=f"{words}zero", grid="x")
     return axes
 
 
 def _whisker(axes: Axes, row: int, estimate: EstimateRecord, *, is_hollow: bool = False) -> None:
-    mean, low, high = (or_nan(share) for share in (estimate.mean, estimate.low, estimate.high))
+    mean, low, high = (_points(share) for share in (estimate.mean, estimate.low, estimate.high))
+    dot: Style = {"markerfacecolor": "white" if is_hollow else BLUE, "markeredgecolor": BLUE}
+    dot |= {"marker": "o", "markersize": 6.0, "linestyle": "none", "color": BLUE}
     axes.errorbar(
-        [100.0 * mean],
+        [mean],
         [row],
-        xerr=[[100.0 * (mean - low)], [100.0 * (high - mean)]],
-        color=BLUE,
-        marker="o",
-        markersize=6.0,
-        markerfacecolor="white" if is_hollow else BLUE,
-        markeredgecolor=BLUE,
-        linestyle="none",
+        xerr=[[mean - low], [high - mean]],
         elinewidth=1.6,
         capsize=4.0,
         zorder=3,
+        **dot,
     )
 
 

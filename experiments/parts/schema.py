@@ -23,6 +23,9 @@ _HEAD = {
     "description": "summary.json of a result folder, and what --json prints: a placement, an "
     "evaluation or a comparison. Shares are 0 to 1. Names end in their unit; no ending: no unit.",
 }
+_UNITS = {"m": "metres", "deg": "degrees", "km/h": "km/h", "m/s^2": "m/s^2"}
+_UNIT = re.compile(r"\. \[(\S+)\]$")
+_ATTRIBUTE = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*\n?|\n)+)", re.M)
 
 
 def build_schema() -> dict[str, Any]:
@@ -82,11 +85,6 @@ def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
         "additionalProperties": False,
         **getattr(kind, "schema_rules", {}),
     }
-
-
-_UNITS = {"m": "metres", "deg": "degrees", "km/h": "km/h", "m/s^2": "m/s^2"}
-_UNIT = re.compile(r"\. \[(\S+)\]$")
-_ATTRIBUTE = re.compile(r"^(\w+(?:, \w+)*) : .*\n((?:    .*\n?|\n)+)", re.M)
 
 
 def _attributes(kind: type) -> dict[str, str]:

@@ -4,20 +4,20 @@ import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from geometry.arrays import FloatArray
-
 from ..figures.axes import root_figure, to_png
 
 _T = TypeVar("_T")
-
-# ---------- what a section holds; text is a paragraph, and markup in it is shown as it is
+MAX_TRUE_COLOUR_BYTES = 300_000
+"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
+_N_COLOURS = 256
+_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,11 +43,10 @@ def tabulate(
     is_open: bool = False,
 ) -> Table:
     """A table with a row per item: each column has a head, and what it says of an item."""
-    rows = [[cell(item) for cell in columns.values()] for item in items]
     return Table(
         caption=caption,
         columns=[*columns],
-        rows=rows,
+        rows=[[cell(item) for cell in columns.values()] for item in items],
         numeric=numeric,
         summary=summary,
         is_open=is_open,
@@ -123,50 +122,26 @@ class Section:
     is_folded: bool = False  # its title alone is in sight
 
 
-# ---------- figures as pictures
-
-
-MAX_TRUE_COLOUR_BYTES = 300_000
-"""PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
-
-_N_COLOURS = 256
-_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
-
-
 def build_picture(
-    drawn: Figure | Axes,
-    *,
-    title: str,
-    caption: str,
-    alt: str,
-    narrow: Figure | Axes | None = None,
+    drawn: Figure | Axes, *, title: str, caption: str, alt: str, narrow: Figure | Axes | None = None
 ) -> Picture:
-    """A figure, or all of the one that some axes are in, with its words.
-
-    Equal figures give equal pictures. `narrow` is the same, drawn for a phone.
-    """
+    """A figure with its words; equal ones give equal pictures. `narrow` is drawn for a phone."""
     figure = root_figure(drawn)
     png = with_palette(to_png(figure))
     width_px, height_px = Image.open(BytesIO(png)).size
+    words: dict[str, Any] = {"title": title, "caption": caption, "alt": alt}
     return Picture(
-        title=title,
-        caption=caption,
-        alt=alt,
+        **words,
         png=base64.b64encode(png).decode(),
         width_px=width_px,
         height_px=height_px,
         width_in=round(float(figure.get_figwidth()), 2),
-        narrow=None
-        if narrow is None
-        else build_picture(narrow, title=title, caption=caption, alt=alt),
+        narrow=None if narrow is None else build_picture(narrow, **words),
     )
 
 
 def with_palette(png: bytes) -> bytes:
-    """A PNG file with at most 256 colours where that spares much and is not seen.
-
-    It is the same file where that is small, would not become smaller, or would look different.
-    """
+    """A PNG file of at most 256 colours, where that spares much and is not seen; else the same."""
     if len(png) <= MAX_TRUE_COLOUR_BYTES:
         return png
     image = Image.open(BytesIO(png)).convert("RGB")
@@ -174,12 +149,9 @@ def with_palette(png: bytes) -> bytes:
     reduced = image.quantize(
         _N_COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
     )
-    error = np.abs(_levels(reduced.convert("RGB")) - _levels(image))
+    levels, before = (np.asarray(one, dtype=float) for one in (reduced.convert("RGB"), image))
+    error = np.abs(levels - before)
     buffer = BytesIO()
     reduced.save(buffer, format="png", optimize=True)
     is_alike = error.max() <= _LARGEST_ERROR and error.mean() <= _LARGEST_MEAN_ERROR
     return buffer.getvalue() if is_alike and buffer.tell() < len(png) else png
-
-
-def _levels(image: Image.Image) -> FloatArray:
-    return np.asarray(image, dtype=np.float64)

@@ -12,7 +12,6 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 
-from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import check_target, write_atomically
 from geometry.frames import to_geographic
@@ -31,15 +30,13 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
-from ..figures.axes import BLUE, VERMILION, drawing_any_name, literal, unit_labels
+from ..figures.axes import BLUE, VERMILION, Style, drawing_any_name, literal, unit_labels
 from ..figures.plan import ALL_ROUND, blind_footprint, draw_scene, ground_footprint, ring_path
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record
 
-# ---------- the mounting sheet: a PDF with one A4 page for each unit, for whoever puts it up
-
-
+_DEGREE = "\N{DEGREE SIGN}"
 _A4_IN = (8.27, 11.69)
 _PLAN_HALF_M = 30.0
 _VIEW_RANGE_M = 35.0
@@ -55,11 +52,7 @@ def mounting_sheet(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
-    """A PDF with an A4 page for each unit: where, how high, where it looks, what it will see.
-
-    The picture shows the run and frame in which the road user is nearest; `tolerances` are in the
-    order of the units.
-    """
+    """A PDF with an A4 page per unit: where, how high, where it looks, what it will see."""
     labels = unit_labels(layout)
     buffer = io.BytesIO()
     metadata = {"Title": f"Mounting sheet: {layout.name}"}
@@ -80,37 +73,19 @@ def _page(
 ) -> Figure:
     scene = setting.scene
     figure = Figure(figsize=_A4_IN)
-    figure.text(
-        0.08,
-        0.955,
-        literal(label if label == unit.id else f"{label}: {unit.id}"),
-        fontsize=20,
-        fontweight="bold",
-    )
-    figure.text(
-        0.08,
-        0.935,
-        literal(f"{scene.name}, layout {layout.name}; {unit.sensor.name}"),
-        fontsize=10,
-        color="#444444",
-    )
-    top = 0.905
+    name = literal(label if label == unit.id else f"{label}: {unit.id}")
+    figure.text(0.08, 0.955, name, fontsize=20, fontweight="bold")
+    what = literal(f"{scene.name}, layout {layout.name}; {unit.sensor.name}")
+    figure.text(0.08, 0.935, what, fontsize=10, color="#444444")
+    top, bottom = 0.905, 0.05
     for head, text in _rows(unit, scene, tolerance):
         figure.text(0.08, top, head, fontsize=10, fontweight="bold", va="top")
-        lines = text.split("\n")
         figure.text(0.30, top, literal(text), fontsize=10, va="top", linespacing=1.35)
-        top -= 0.019 * len(lines) + 0.006
-    bottom = 0.05
+        top -= 0.019 * len(text.split("\n")) + 0.006
     plan_height = min(0.36, top - 0.34)
     _draw_plan(figure.add_axes((0.08, bottom, 0.84, plan_height)), unit, label, scene)
-    _draw_picture(
-        figure.add_axes(
-            (0.08, bottom + plan_height + 0.035, 0.84, top - bottom - plan_height - 0.06)
-        ),
-        unit,
-        setting,
-        compute,
-    )
+    above = (0.08, bottom + plan_height + 0.035, 0.84, top - bottom - plan_height - 0.06)
+    _draw_picture(figure.add_axes(above), unit, setting, compute)
     return figure
 
 
@@ -120,7 +95,7 @@ def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple
     where = f"{x:.2f} m east, {y:.2f} m north in the junction's coordinates"
     if scene.crs:
         lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
-        where += f"\n{lat_deg:.6f}\N{DEGREE SIGN} latitude, {lon_deg:.6f}\N{DEGREE SIGN} longitude"
+        where += f"\n{lat_deg:.6f}{_DEGREE} latitude, {lon_deg:.6f}{_DEGREE} longitude"
     return [
         ("Mount", _mount(unit, scene)),
         ("Where", where),
@@ -149,8 +124,8 @@ def _direction(unit: CandidatePose) -> str:
     yaw_deg = unit.pose.yaw_deg
     point = COMPASS[round(yaw_deg / 45.0) % 8]
     yaw = (
-        f"to the {point}: compass bearing {compass_bearing_deg(yaw_deg):.1f}\N{DEGREE SIGN} "
-        f"(clockwise from north),\nyaw {yaw_deg:.1f}\N{DEGREE SIGN} (counter-clockwise from east)"
+        f"to the {point}: compass bearing {compass_bearing_deg(yaw_deg):.1f}{_DEGREE} "
+        f"(clockwise from north),\nyaw {yaw_deg:.1f}{_DEGREE} (counter-clockwise from east)"
     )
     if not is_ring(unit.sensor):
         return yaw
@@ -165,40 +140,34 @@ def _tilt(unit: CandidatePose) -> str:
         if pitch_deg == 0.0:
             return "none: level, its axis upright"
         side = "down" if pitch_deg < 0.0 else "up"
-        return (
-            f"its front {abs(pitch_deg):.1f}\N{DEGREE SIGN} {side}, its back as much the other way"
-        )
+        return f"its front {abs(pitch_deg):.1f}{_DEGREE} {side}, its back as much the other way"
     if pitch_deg >= 0.0:
-        return f"{pitch_deg:.1f}\N{DEGREE SIGN} above level"
+        return f"{pitch_deg:.1f}{_DEGREE} above level"
     reach_m = height_m / math.tan(math.radians(-pitch_deg))
     return (
-        f"{-pitch_deg:.1f}\N{DEGREE SIGN} below level: the middle of the picture lies on the road "
+        f"{-pitch_deg:.1f}{_DEGREE} below level: the middle of the picture lies on the road "
         f"{reach_m:.1f} m away"
     )
 
 
 def _tolerance_text(tolerance: Tolerance) -> str:
-    def turn(value_deg: float) -> str:
-        return _at_least(value_deg, TURNS_DEG[-1], "\N{DEGREE SIGN}")
+    def at_least(value: float, most: float, unit: str) -> str:
+        if value <= 0.0:
+            return f"less than the smallest step tried (0{unit})"
+        return f"{value:g}{unit}" + (" or more" if value >= most else "")
 
-    def lift(value_m: float) -> str:
-        return _at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm")
-
-    right, left = tolerance.yaw_deg
-    down, up = tolerance.pitch_deg
-    lower, higher = tolerance.height_m
+    right, left, down, up = (
+        at_least(value_deg, TURNS_DEG[-1], _DEGREE)
+        for value_deg in (*tolerance.yaw_deg, *tolerance.pitch_deg)
+    )
+    lower, higher = (
+        at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm") for value_m in tolerance.height_m
+    )
     return (
-        f"{turn(left)} to the left, {turn(right)} to the right\n"
-        f"{turn(up)} up, {turn(down)} down\n"
-        f"{lift(higher)} higher, {lift(lower)} lower\n"
+        f"{left} to the left, {right} to the right\n{up} up, {down} down\n"
+        f"{higher} higher, {lower} lower\n"
         "one thing at a time, the other units as planned; beyond, a run is lost"
     )
-
-
-def _at_least(value: float, most: float, unit: str) -> str:
-    if value <= 0.0:
-        return f"less than the smallest step tried (0{unit})"
-    return f"{value:g}{unit}" + (" or more" if value >= most else "")
 
 
 def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
@@ -209,22 +178,18 @@ def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
     here = shapely.Point(*unit.pose.position_m[:2])
     found = []
     for index, thing in enumerate(scene.instances):
-        if thing.class_name == "ground" or thing.id == unit.site_id:
-            continue
         shape = thing_footprint(scene, index)
-        if shape.is_empty:
+        if thing.class_name == "ground" or thing.id == unit.site_id or shape.is_empty:
             continue
         nearest = shapely.ops.nearest_points(here, shape)[1]
         distance_m = float(here.distance(nearest))
         if 0.3 < distance_m <= _LANDMARK_WITHIN_M:
-            found.append((distance_m, thing, nearest))
+            bearing = math.degrees(math.atan2(nearest.y - here.y, nearest.x - here.x))
+            point = COMPASS[round(bearing / 45.0) % 8]
+            words = f"{distance_m:.2f} m to the {point}: {thing.class_name} {thing.id}"
+            found.append((distance_m, words))
     found.sort(key=lambda entry: entry[0])
-    lines = []
-    for distance_m, thing, nearest in found[:_N_LANDMARKS]:
-        bearing = math.degrees(math.atan2(nearest.y - here.y, nearest.x - here.x))
-        point = COMPASS[round(bearing / 45.0) % 8]
-        lines.append(f"{distance_m:.2f} m to the {point}: {thing.class_name} {thing.id}")
-    return lines
+    return [words for _, words in found[:_N_LANDMARKS]]
 
 
 def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> None:
@@ -237,21 +202,14 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
         style = {"facecolor": BLUE, "alpha": 0.25, "edgecolor": BLUE, "linewidth": 1.5, "zorder": 5}
         axes.add_patch(PathPatch(ring_path(corners, blind), **style))
     if not is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
-        yaw = math.radians(unit.pose.yaw_deg)
-        axes.annotate(
-            "",
-            xy=(x + 9.0 * math.cos(yaw), y + 9.0 * math.sin(yaw)),
-            xytext=(x, y),
-            arrowprops={"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0},
-            zorder=9,
-        )
+        tip = (x + 9.0 * math.cos(_yaw(unit)), y + 9.0 * math.sin(_yaw(unit)))
+        arrow = {"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0}
+        axes.annotate("", xy=tip, xytext=(x, y), arrowprops=arrow, zorder=9)
     axes.plot([x], [y], marker="o", markersize=8, color=VERMILION, zorder=10)
-    axes.annotate(
-        literal(label), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=10, zorder=10,
-        fontweight="bold",
-    )  # fmt: skip
-    middle = _plan_middle(unit, scene)
-    half = _PLAN_HALF_M
+    text: Style = {"fontsize": 10, "fontweight": "bold", "textcoords": "offset points"}
+    axes.annotate(literal(label), (x, y), xytext=(6, 6), zorder=10, **text)
+    junction_m = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    middle, half = 0.5 * (junction_m + unit.pose.position_m[:2]), _PLAN_HALF_M
     axes.set_xlim(middle[0] - 2.0 * half, middle[0] + 2.0 * half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
     axes.set_aspect("equal")
@@ -259,11 +217,8 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
     axes.tick_params(labelsize=7)
 
 
-def _plan_middle(unit: CandidatePose, scene: Scene) -> FloatArray:
-    """Half-way between the mount and the junction's middle."""
-    middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    between: FloatArray = 0.5 * (middle + unit.pose.position_m[:2])
-    return between
+def _yaw(unit: CandidatePose) -> float:
+    return math.radians(unit.pose.yaw_deg)
 
 
 def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Compute) -> None:
@@ -272,44 +227,24 @@ def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Co
         axes.text(0.5, 0.5, "A LiDAR takes no picture.", ha="center", va="center", fontsize=11)
         return
     run, frame = _shown_frame(unit, setting)
+    weather, looking = pick_weather(run.weather, "weather"), (unit.pose, unit.sensor)
     picture = render_picture(
-        setting.scene,
-        run,
-        frame,
-        unit.pose,
-        unit.sensor,
-        weather=pick_weather(run.weather, "weather"),
-        with_vut=True,
-        compute=compute,
+        setting.scene, run, frame, *looking, weather=weather, with_vut=True, compute=compute
     )
     axes.imshow(picture.rgb)
-    axes.set_title(
-        literal(
-            f"What it will see, rendered: {run.id}, {-run.time_s[frame]:.1f} s before the impact"
-        ),
-        fontsize=9,
-        loc="left",
-    )
+    when = f"{run.id}, {-run.time_s[frame]:.1f} s before the impact"
+    axes.set_title(literal(f"What it will see, rendered: {when}"), fontsize=9, loc="left")
 
 
 def _shown_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
     """The run and frame in which the road user is nearest to the middle of the picture."""
-    ahead = np.array(
-        [math.cos(math.radians(unit.pose.yaw_deg)), math.sin(math.radians(unit.pose.yaw_deg))]
-    )
+    ahead = np.array([math.cos(_yaw(unit)), math.sin(_yaw(unit))])
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
     height_m = above_ground(unit, setting.scene).pose.position_m[2]
     aim = unit.pose.position_m[:2] + ahead * height_m / math.tan(tilt)
-    best = (math.inf, setting.runs[0], 0)
-    for run in setting.runs:
-        distance = np.hypot(*(run.vru_position_m - aim).T)
-        frame = int(np.argmin(distance))
-        if distance[frame] < best[0]:
-            best = (float(distance[frame]), run, frame)
-    return best[1], best[2]
-
-
-# ---------- what ``place-rsus sheet`` does: tolerances, then a page for each unit
+    away_m = [np.hypot(*(run.vru_position_m - aim).T) for run in setting.runs]
+    nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
+    return setting.runs[nearest], int(np.argmin(away_m[nearest]))
 
 
 class SheetResult(Record, frozen=True, kw_only=True):
@@ -322,12 +257,7 @@ class SheetResult(Record, frozen=True, kw_only=True):
 
 
 def run_sheet(
-    question: Question,
-    *,
-    layout: Layout,
-    out: Path,
-    compute: Compute,
-    progress: StageProgress,
+    question: Question, *, layout: Layout, out: Path, compute: Compute, progress: StageProgress
 ) -> SheetResult:
     """Write the mounting sheet; InputError if a unit is inside something, or `out` not writable."""
     if out.is_dir():
@@ -346,13 +276,8 @@ def run_sheet(
         out.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(out, pdf)
     except OSError as error:
-        raise InputError(
-            "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file that can be written"
-        ) from None
+        got = Unquoted(f"{out}: {error.strerror or error}")
+        raise InputError("--out", got, "a file that can be written") from None
     progress.kept = f"the sheet is in {out}"
-    return SheetResult(
-        layout=layout.name,
-        written=str(out),
-        units=tuple(tolerances),
-        seconds=progress.finish(),
-    )
+    units, seconds = tuple(tolerances), progress.finish()
+    return SheetResult(layout=layout.name, written=str(out), units=units, seconds=seconds)

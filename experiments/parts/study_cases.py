@@ -28,6 +28,11 @@ from .baselines import Score, build_score
 from .section import Section, Table
 
 STAGE = "study's cases"
+NOTE = (
+    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
+    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
+    "question above. By the evaluator; layouts were not chosen for these runs."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,9 +40,7 @@ class StudyCases:
     """Layouts on the study's cases, as the study drives and reads them."""
 
     runs: Annotated[int, says("Runs of these cases.")]
-    parties: Annotated[
-        tuple[Score, ...], says("The layouts, the first one first, and the vehicle by itself.")
-    ]
+    parties: Annotated[tuple[Score, ...], says("The layouts, then the vehicle alone.")]
 
 
 def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:
@@ -47,18 +50,15 @@ def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:
         build_score(name, item.rsu_all, item.axis, n_units=len(item.layout.units))
         for name, item in evaluations.items()
     ]
-    return StudyCases(
-        runs=first.axis.n_runs,
-        parties=(*layouts, build_score("VUT alone", first.vut, first.axis, n_units=0)),
-    )
+    alone = build_score("VUT alone", first.vut, first.axis, n_units=0)
+    return StudyCases(runs=first.axis.n_runs, parties=(*layouts, alone))
 
 
 def study_question(question: Question) -> Question:
     """A question changed to what the study drives, read as the study does.
 
-    That is its cases by day, at the junction alone, all speeds and approaches, each run alike; a
-    track that is confirmed once lives for ever, and cars are blind. Scene, sensors, detector, links
-    and all else stay as they were asked for.
+    Its cases by day, at the junction alone, all speeds and approaches, each run alike; a confirmed
+    track lives for ever, and cars are blind. All else stays as it was asked for.
     """
     return replace(
         question,
@@ -85,24 +85,19 @@ def on_study_cases(
 ) -> StudyCases | None:
     """Score layouts on the study's cases, where these are a part of what was asked about.
 
-    None at another junction than the study's, where some of its cases are left out, and where its
-    runs are all that was asked about. Evaluations are those in the setting `asked`; `build` makes
-    the setting of a question at the same scene. Raises InputError if no arm carries any of the
-    cases.
+    None at another junction, where some of its cases are left out, and where they are all that was
+    asked about. Evaluations are in the setting `asked`; `build` makes one of another question at
+    the same scene. Raises InputError if no arm carries any of the cases.
     """
-    if find_baseline(asked.scene) is None or not _has_cases(question):
+    given = {case.name for case in select_cases(question.cases, force=question.force).cases}
+    has_cases = {case.name for case in select_cases("study").cases} <= given
+    if find_baseline(asked.scene) is None or not has_cases:
         return None
     rows = study_rows(question, asked)
     study = build(study_question(question)) if rows is None else _part(asked, rows)
     if is_same_question(asked, study):
         return None
     return score_on(study, asked, rows, evaluations, compute=compute)
-
-
-def _has_cases(question: Question) -> bool:
-    """All cases of the study are asked about."""
-    given = select_cases(question.cases, force=question.force).cases
-    return {case.name for case in select_cases("study").cases} <= {case.name for case in given}
 
 
 def score_on(
@@ -124,11 +119,7 @@ def score_on(
 
 
 def study_rows(question: Question, asked: Setting) -> IntArray | None:
-    """Rows of the study's runs among those asked about, (n_runs,), in the study's order.
-
-    None where the question leaves cases, speeds, approaches, daylight or the place at the junction
-    out: then the study's runs are not all there.
-    """
+    """Rows of the study's runs among those asked about, in its order; None where some are not."""
     wanted = {case.name: case for case in select_cases("study").cases}
     given = {case.name: case for case in select_cases(question.cases, force=question.force).cases}
     is_whole = (
@@ -143,15 +134,14 @@ def study_rows(question: Question, asked: Setting) -> IntArray | None:
     )
     if not is_whole:
         return None
-    order = list(wanted)
     rows = [
-        (order.index(run.case.name), row)
+        row
+        for name, case in wanted.items()
         for row, run in enumerate(asked.runs)
-        if run.case.name in wanted
-        and run.vut_speed_kmh in wanted[run.case.name].vut_speeds_kmh
-        and (run.position, run.weather) == (AT_ZERO.name, "day")
+        if (run.case.name, run.position, run.weather) == (name, AT_ZERO.name, "day")
+        and run.vut_speed_kmh in case.vut_speeds_kmh
     ]
-    return np.array([row for _, row in sorted(rows)], dtype=np.int64) if rows else None
+    return np.array(rows, dtype=np.int64) if rows else None
 
 
 def _part(asked: Setting, rows: IntArray) -> Setting:
@@ -170,40 +160,30 @@ def _part(asked: Setting, rows: IntArray) -> Setting:
 
 def is_same_question(one: Setting, other: Setting) -> bool:
     """Two settings have the same runs, in any order, with the same weights, and the same rule."""
-    (names, weight), (other_names, other_weight) = (
-        (np.sort(axis.run_ids), axis.weight[np.argsort(axis.run_ids)])
-        for axis in (one.axis, other.axis)
+    runs, others = (
+        dict(zip(axis.run_ids, axis.weight, strict=True)) for axis in (one.axis, other.axis)
     )
     return (
         one.rule == other.rule
-        and np.array_equal(names, other_names)
-        and np.allclose(weight, other_weight, rtol=1.0e-9, atol=0.0)
+        and runs.keys() == others.keys()
+        and all(math.isclose(runs[name], others[name], rel_tol=1.0e-9) for name in runs)
     )
 
 
 def judge_again(
     evaluations: Sequence[Evaluation], rows: IntArray, part: Setting, judge: Judge
 ) -> list[Evaluation]:
-    """Evaluations on some of their runs, by another braking rule.
-
-    `rows` are the runs of `part` among those evaluated. What was detected stays as it is.
-    """
+    """Evaluations on some of their runs, the `rows`, which are those of `part`, by its rule."""
     axis, rule = evaluations[0].axis, part.rule
     frames = np.concatenate([np.arange(axis.n_frames)[axis.frames_of(row)] for row in rows])
-    return judge_layouts(
-        judge,
-        [
-            Seen(
-                layout=item.layout,
-                units={
-                    unit.id: (item.units[unit.id].detected[frames], unit.latency(rule))
-                    for unit in item.layout.units
-                },
-                vut=(item.vut.detected[frames], rule.latency_s),
-            )
-            for item in evaluations
-        ],
-    )
+
+    def seen(item: Evaluation) -> Seen:
+        detected = {unit.id: item.units[unit.id].detected[frames] for unit in item.layout.units}
+        units = {unit.id: (detected[unit.id], unit.latency(rule)) for unit in item.layout.units}
+        vut = (item.vut.detected[frames], rule.latency_s)
+        return Seen(layout=item.layout, units=units, vut=vut)
+
+    return judge_layouts(judge, [seen(item) for item in evaluations])
 
 
 def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) -> bool:
@@ -217,21 +197,11 @@ def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) 
     )
 
 
-# ---------- the section of the report
-
-
 def section(record: StudyCases | None) -> Section | None:
     """The layouts on the study's cases; None where these are what was asked about."""
     if record is None:
         return None
     return Section("study-cases", "On the study's cases", [NOTE, table(record)])
-
-
-NOTE = (
-    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
-    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
-    "question above. By the evaluator; layouts were not chosen for these runs."
-)
 
 
 def table(record: StudyCases) -> Table:
@@ -241,15 +211,9 @@ def table(record: StudyCases) -> Table:
         caption=f"APR on the study's {count_runs(record.runs)}",
         columns=["case", *(party.name for party in record.parties)],
         rows=[
-            ["all runs", *(percent(party.all) for party in record.parties)],
-            [
-                "runs avoided",
-                *(f"{party.runs_avoided} of {record.runs}" for party in record.parties),
-            ],
-            *(
-                [case, *(percent(party.by_case[case]) for party in record.parties)]
-                for case in cases
-            ),
+            ["all runs", *(percent(one.all) for one in record.parties)],
+            ["runs avoided", *(f"{one.runs_avoided} of {record.runs}" for one in record.parties)],
+            *([case, *(percent(one.by_case[case]) for one in record.parties)] for case in cases),
         ],
         numeric=range(1, 1 + len(record.parties)),
     )

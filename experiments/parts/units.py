@@ -1,20 +1,22 @@
-"""The units of a report's layouts: tables of where they are, and plans."""
+"""The units of layouts: tables of where they are, plans, and the private ground that they see."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Annotated
 
 from geometry.junction import compass_bearing_deg
 from geometry.scene import Scene
 from geometry.terrain import terrain_of
-from placement.candidates import above_ground
+from placement.candidates import CandidatePose, above_ground
+from placement.ground import PrivateGround, private_shares
 from placement.layout import Layout
 from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import compass_word, looking_words, plot_plan
-from ..results.numbers import NOTHING, number
-from ..results.record import build_unit_records
-from .section import Box, Picture, Section, Table, build_picture
+from ..results.numbers import NOTHING, number, percent
+from ..results.record import Record, Share, build_unit_records, says
+from .section import Block, Box, Picture, Section, Table, build_picture
 
 _PLAN_RANGE_M = 35.0
 _MAX_UNITS_IN_WORDS = 40
@@ -24,6 +26,9 @@ _COLUMNS = (
     *("mark", "id", "site", "kind", "where", "east (m)", "north (m)", "height (m)"),
     *("bearing (°)", "tilt down (°)", "yaw (°)", "pitch (°)", "looks to the", "sensor"),
 )
+_MAX_NAMED = 6  # pairs of unit and area in a sentence
+MAX_UNITS, MAX_AREAS = 12, 60
+"""Columns and rows of the table: beyond, only what is seen the most."""
 
 
 def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene) -> Section:
@@ -102,4 +107,103 @@ def _units_in_words(layout: Layout) -> str:
         f"{labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
         f"{number(unit.pose.position_m[1], 1)} m north, {looking_words(unit)}."
         for unit in layout.units
+    )
+
+
+class PrivateAreaRecord(Record, frozen=True, kw_only=True):
+    """An area."""
+
+    name: Annotated[str, says("Name in the file.")]
+    area_m2: Annotated[float, says("Size, in square metres.", ge=0)]
+
+
+class PrivateGroundRecord(Record, frozen=True, kw_only=True):
+    """Views of cameras into areas that they must not look into."""
+
+    areas: Annotated[tuple[PrivateAreaRecord, ...], says("The areas.")]
+    units: Annotated[dict[str, dict[str, Share]], says("Of each unit, by its id.")]
+
+
+def build_private_ground_record(
+    units: Sequence[CandidatePose], scene: Scene, ground: PrivateGround
+) -> PrivateGroundRecord:
+    """Shares of private ground that units see."""
+    shares = private_shares(scene, units, ground)
+    areas = zip(ground.names, ground.area_m2, strict=True)
+    seen = zip(units, shares, strict=True)
+    return PrivateGroundRecord(
+        areas=tuple(PrivateAreaRecord(name=name, area_m2=float(area)) for name, area in areas),
+        units={one.id: dict(zip(ground.names, row.tolist(), strict=True)) for one, row in seen},
+    )
+
+
+def private_ground_sentence(found: PrivateGroundRecord) -> str:
+    """Which unit sees how much of which area."""
+    seen = [
+        f"{unit} sees {percent(share)} of {name}"
+        for unit, shares in found.units.items()
+        for name, share in shares.items()
+        if share > 0.0
+    ]
+    n_areas = len(found.areas)
+    what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
+    if not seen:
+        return f"No camera has {what} in its picture."
+    return f"Of private ground, {'; '.join(seen)}."
+
+
+def private_ground_sentences(
+    found: PrivateGroundRecord | None, others: Mapping[str, PrivateGroundRecord | None]
+) -> list[str]:
+    """The same of a result; `others` are those of layouts compared with it, by name."""
+    if found is None:
+        return []
+    of_others = [f"{name}: {private_ground_sentence(one)}" for name, one in others.items() if one]
+    return [private_ground_sentence(found), *of_others]
+
+
+def private_ground_section(
+    found: PrivateGroundRecord | None, labels: Mapping[str, str]
+) -> Section | None:
+    """What units see of private ground, the most seen first; `labels` are their names by id."""
+    if not found:
+        return None
+    units, areas = found.units, found.areas
+    most_seen = {
+        area.name: max((shares[area.name] for shares in units.values()), default=0.0)
+        for area in areas
+    }
+    seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
+    shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
+    told = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
+    caption = "Share of each private area that a unit sees"
+    if len(shown) < len(units):
+        caption += f"; of {len(units)} units the {len(shown)} that matter most"
+    if len(told) < len(areas):
+        caption += f"; of {len(areas)} areas the {len(told)} that matter most"
+    heads = ["area", "size (m\N{SUPERSCRIPT TWO})", "most, by one unit"]
+    columns = [*heads, *(labels.get(unit_id, unit_id) for unit_id in shown)]
+    rows = []
+    for area in told:
+        shares = (most_seen[area.name], *(units[unit_id][area.name] for unit_id in shown))
+        rows.append([area.name, f"{area.area_m2:.0f}", *map(percent, shares)])
+    table = Table(caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown)))
+    note = (
+        "Seen is what lies in a camera's picture with nothing in between, at the height of "
+        "people's eyes. LiDARs take no pictures."
+    )
+    blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
+    return Section("private-ground", "Private ground", blocks)
+
+
+def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) -> str:
+    """Who sees what, where few do; where many do, only how many."""
+    n_seen = sum(share > 0.0 for share in most_seen.values())
+    n_seeing = sum(max(shares.values()) > 0.0 for shares in found.units.values())
+    if n_seen * n_seeing <= _MAX_NAMED:
+        return private_ground_sentence(found)
+    worst = max(most_seen, key=lambda name: most_seen[name])
+    return (
+        f"{n_seeing} of {len(found.units)} units see something of {n_seen} of "
+        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}."
     )

@@ -2,39 +2,46 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
 from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from ..figures.axes import unit_labels
 from ..parts import added, answer, comparison, dangers, next_unit, proof, road_users, study_cases
-from ..parts.accidents import accidents_section, alone_section
+from ..parts.accidents import accidents_section, alone_section, cases_section, runs_section
+from ..parts.alternatives import failures_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
-from ..parts.failures import failures_section
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
-from ..parts.ground import private_ground_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
 from ..parts.result import EvaluationResult, PlacementResult, Result
-from ..parts.runs import cases_section, runs_section
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
-from ..parts.units import build_plans, units_section
+from ..parts.units import build_plans, private_ground_section, units_section
 from ..side_process import SideProcess, Task
 
 FILE_NAME = "report.html"
+# In the order of questions: what to mount, how sure that is, who remains at risk, what if, what it
+# costs, how it was made.
+_IN_SIGHT = (
+    *("units", "front", "proof", "comparison", "sampled"),
+    *("accidents", "dangers", "failures", "private-ground", "bill"),
+)
+_FOLDED = (
+    *("why", "next-unit", "models", "study-cases", "missed", "added"),
+    *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
+)
 
 
 @cache
@@ -62,11 +69,7 @@ def write_report(
     evaluations: Mapping[str, Evaluation],
     **options: Any,
 ) -> Path:
-    """Write the page of :func:`build_report` to ``report.html`` in `folder`, which must exist.
-
-    The plan and the APR in sampled worlds are written next to it as PNG files. `options` are those
-    of :func:`build_report`.
-    """
+    """Write the page of :func:`build_report`, with plan and APR in sampled worlds as PNG files."""
     page, pictures = build_report(result, setting, evaluations, **options)
     for name, picture in pictures.items():
         write_atomically(folder / f"{name}.png", base64.b64decode(picture.png))
@@ -86,143 +89,73 @@ def build_report(
 ) -> tuple[str, dict[str, Picture]]:
     """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
 
-    Evaluations are by display name: the first one is the subject, one named "greedy" appears in
-    tables and bars only. `command` makes the result again; `bill` knows more of the costs than the
-    scene. Raises InputError if there is no evaluation.
+    The first evaluation is the subject. `command` makes the result again; `bill` knows more of the
+    costs than the scene.
     """
-    side = side or SideProcess()
-    tasks = begin_tasks(side, result, setting, evaluations)
-    subject_name = next(iter(evaluations))
-    shown, _ = _shown(result, evaluations)
+    tasks = begin_tasks(side or SideProcess(), result, setting, evaluations)
+    shown, detailed = _shown(result, evaluations)
+    subject = next(iter(evaluations.values()))
     interactive = interactive_part(setting, shown)
-    for task in reversed(tasks.in_order):
+    for task in reversed(tasks):
         task.take()
-    plans = tasks.plans.result()
-    pictures = {"plan": plans[0]}
-    if not isinstance(result, EvaluationResult) and result.sampled:
-        pictures["sampled_apr"] = sampled_picture(result.sampled)
-    subject = evaluations[subject_name]
-    bill = bill or build_bill(subject.layout, setting.scene)
+    plan, *plans = tasks.plans.result()
+    pictures, bill = {"plan": plan}, bill or build_bill(subject.layout, setting.scene)
+    labels = unit_labels(subject.layout)
+    layouts = {name: item.layout for name, item in shown.items()}
+    sections: list[Section | None] = [
+        units_section({name: layouts[name] for name in detailed}, plans, setting.scene),
+        accidents_section(evaluations, is_optimised=isinstance(result, PlacementResult)),
+        added.section(result.added),
+        road_users.section(result.road_users),
+        tasks.dangers.result(),
+        tasks.margins.result(),
+        tasks.front.result(),
+        study_cases.section(result.study_cases),
+        failures_section(subject, setting.rule, labels),
+        alone_section(detailed),
+        private_ground_section(result.private_ground, labels),
+        bill_section(bill),
+        assumptions_section(result, setting, layouts),
+        cases_section(setting),
+        runs_section(evaluations),
+        again_section(result, command),
+    ]
+    if isinstance(result, PlacementResult):
+        sections += explanation_sections(result.explained, labels)
+        sections += [proof.section(result), proof.agreement_section(result)]
+        sections.append(next_unit.section(result.next_unit, proof.measure_of(result)))
+    if not isinstance(result, EvaluationResult):
+        compared = (result.baselines, result.sampled)
+        sections.append(comparison.section(evaluations, setting.rule, *compared))
+        if result.sampled:
+            pictures["sampled_apr"] = sampled_picture(result.sampled)
+            sections.append(sampled_section(result.sampled, pictures["sampled_apr"]))
     page = page_template().render(
         title=answer.title(result, setting, shown),
         first=build_first_screen(
-            result,
-            setting,
-            subject,
-            bill=bill,
-            plan=plans[0],
-            warnings=answer.warnings(result),
+            result, setting, subject, bill=bill, plan=plan, warnings=answer.warnings(result)
         ),
         answer=answer.words(result, shown),
         assumed=assumption_sentences(result),
-        sections=_in_order(
-            [
-                *_sections(result, setting, evaluations, tasks, pictures.get("sampled_apr")),
-                *_details(result, setting, evaluations, command=command, bill=bill),
-            ]
-        ),
+        sections=_in_order(sections),
         interactive=interactive,
     )
     return page, pictures
 
 
-def _sections(
-    result: Result,
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
-    tasks: "Tasks",
-    sampled: Picture | None,
-) -> list[Section | None]:
-    """The parts of the report, in order."""
-    subject = next(iter(evaluations.values()))
-    _, detailed = _shown(result, evaluations)
-    layouts = {name: item.layout for name, item in detailed.items()}
-    labels = unit_labels(subject.layout)
-    of_proof: list[Section | None] = []
-    of_grid: list[Section | None] = []
-    side_by_side = in_worlds = None
-    if isinstance(result, PlacementResult):
-        of_proof = [
-            proof.section(result),
-            tasks.front.result(),
-            next_unit.section(result.next_unit, proof.measure_of(result)),
-            *explanation_sections(result.explained, labels),
-        ]
-        of_grid = [proof.agreement_section(result)]
-    if not isinstance(result, EvaluationResult):
-        if result.sampled and sampled:
-            in_worlds = sampled_section(result.sampled, sampled)
-        side_by_side = comparison.section(
-            evaluations,
-            setting.rule,
-            result.baselines,
-            result.sampled,
-        )
-    return [
-        units_section(layouts, tasks.plans.result()[1:], setting.scene),
-        *of_proof,
-        accidents_section(evaluations, is_optimised=bool(of_proof)),
-        added.section(result.added),
-        road_users.section(result.road_users),
-        tasks.dangers.result(),
-        side_by_side,
-        study_cases.section(result.study_cases),
-        tasks.margins.result(),
-        failures_section(subject, setting.rule, labels),
-        in_worlds,
-        alone_section(detailed),
-        *of_grid,
-    ]
-
-
-def _details(
-    result: Result,
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
-    *,
-    command: str,
-    bill: BillOfMaterials,
-) -> list[Section | None]:
-    """Parts that need no picture."""
-    layout = next(iter(evaluations.values())).layout
-    shown, _ = _shown(result, evaluations)
-    return [
-        private_ground_section(result.private_ground, unit_labels(layout)),
-        bill_section(bill),
-        assumptions_section(result, setting, {name: item.layout for name, item in shown.items()}),
-        cases_section(setting),
-        runs_section(evaluations),
-        again_section(result, command),
-    ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tasks:
-    """Pictures and sections of a report that a second process may make."""
+class Tasks(NamedTuple):
+    """Pictures and sections of a report that a second process may make, as they are begun."""
 
     plans: Task[list[Picture]]
-    dangers: Task[Section | None]
-    margins: Task[Section | None]
+    dangers: Task[Section]
+    margins: Task[Section]
     front: Task[Section | None]
-
-    @property
-    def in_order(self) -> list[Task[Any]]:
-        """As they were begun."""
-        return [getattr(self, field.name) for field in fields(self)]
 
 
 def begin_tasks(
-    side: SideProcess,
-    result: Result,
-    setting: Setting,
-    evaluations: Mapping[str, Evaluation],
+    side: SideProcess, result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
 ) -> Tasks:
-    """Begin what takes long to draw; once begun, the report that is written takes it from there.
-
-    Arguments as for :func:`build_report`.
-    """
-    if not evaluations:
-        raise InputError("evaluations", Unquoted("none"), "at least one")
+    """Begin what takes long to draw: the report that is written takes it from there."""
     shown, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
     others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
@@ -243,18 +176,6 @@ def _shown(
     shown = {name: item for name, item in evaluations.items() if name not in rows_alone}
     is_comparison = not isinstance(result, PlacementResult) and len(evaluations) > 1
     return shown, shown if is_comparison else dict([next(iter(evaluations.items()))])
-
-
-# In the order of questions: what to mount, how sure that is, who remains at risk, what if, what it
-# costs, how it was made.
-_IN_SIGHT = (
-    *("units", "front", "proof", "comparison", "sampled"),
-    *("accidents", "dangers", "failures", "private-ground", "bill"),
-)
-_FOLDED = (
-    *("why", "next-unit", "models", "study-cases", "missed", "added"),
-    *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
-)
 
 
 def _in_order(sections: Sequence[Section | None]) -> list[Section]:

@@ -17,6 +17,9 @@ from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
 _RAY_PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "embree": ("embreex",)}
+_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
+_AS_THEY_ARE = ("approach", "position", "reason", "is_possible")
+_MOST_GAPS = 6  # that the first sentence names
 
 
 class RefusalRecord(Record, frozen=True, kw_only=True):
@@ -27,13 +30,7 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
     position: Annotated[str, says("Where along the arms: 0, -15, +15 and so on.")] = "0"
     speeds_kmh: Annotated[tuple[float, ...], says("Speeds of the vehicle, in km/h.")]
     reason: Annotated[str, says("Why, in words.")]
-    is_possible: Annotated[
-        bool,
-        says(
-            "The junction has the roads, and the case the speeds: what is missing is room. Only "
-            "such runs count as possible."
-        ),
-    ] = True
+    is_possible: Annotated[bool, says("Only room is missing: it counts as possible.")] = True
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
@@ -43,36 +40,17 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
     detector: Annotated[str, says("What detects: name.")]
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
-    cars: Annotated[
-        Share,
-        says(
-            "Share of the vehicles under test that see, whose own sensors are one more unit in "
-            "every run (--cars); 0: they act on what units tell them, and on nothing else."
-        ),
-    ] = 0.0
+    cars: Annotated[Share, says("Of cars whose own sensors are one more unit (--cars).")] = 0.0
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
     vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
     track_memory_s: Annotated[
         float | None,
         says("How long a confirmed track lives without detections, in seconds; null: for ever."),
     ]
-    not_driven: Annotated[
-        tuple[RefusalRecord, ...], says("What was asked for and has no room in the scene.")
-    ]
-    possible_runs: Annotated[
-        int,
-        says("These, and the runs that the junction has the roads for, but not the room.", ge=1),
-    ]
-    driven: Annotated[
-        tuple[str, ...],
-        says(
-            "How many of the possible runs are driven, what is missing, and why, in sentences; "
-            "empty where nothing is."
-        ),
-    ]
-    without_effect: Annotated[
-        tuple[str, ...], says("What was asked for and changes nothing, in sentences.")
-    ] = ()
+    not_driven: Annotated[tuple[RefusalRecord, ...], says("What has no room in the scene.")]
+    possible_runs: Annotated[int, says("Runs driven, and those that lack only room.", ge=1)]
+    driven: Annotated[tuple[str, ...], says("What possible runs are missing, and why.")]
+    without_effect: Annotated[tuple[str, ...], says("What changes nothing, in words.")] = ()
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
@@ -88,14 +66,11 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
         track_memory_s=finite_or_none(setting.rule.track_memory_s),
         not_driven=tuple(
             RefusalRecord(
-                case=refusal.case.name,
-                approach=refusal.approach,
-                position=refusal.position,
-                speeds_kmh=tuple(refusal.speeds_kmh),
-                reason=refusal.reason,
-                is_possible=refusal.is_possible,
+                case=one.case.name,
+                speeds_kmh=tuple(one.speeds_kmh),
+                **{name: getattr(one, name) for name in _AS_THEY_ARE},
             )
-            for refusal in setting.refusals
+            for one in setting.refusals
         ),
         possible_runs=_count_possible(setting),
         driven=tuple(describe_driven(setting)),
@@ -103,19 +78,16 @@ def build_drives_record(setting: Setting) -> DrivesRecord:
     )
 
 
-_FARTHEST_M = 300.0  # from there no camera of the catalogue sees a road user 40 px high
-
-
 def _without_effect(setting: Setting) -> Iterator[str]:
     """Wishes that change nothing: light, for a detector that knows none."""
     detector = setting.detector
-    weathers = [name for name in dict.fromkeys(setting.axis.weathers) if name != "day"]
-    if not weathers or not isinstance(detector, GeometricDetector):
+    if not isinstance(detector, GeometricDetector):
         return
     alike = []
-    for name in weathers:
+    for name in dict.fromkeys(setting.axis.weathers):
         weather = pick_weather(name, "run: weather")
-        if weather.contrast * float(weather.transmission(_FARTHEST_M)) >= detector.min_contrast:
+        contrast = weather.contrast * float(weather.transmission(_FARTHEST_M))
+        if name != "day" and contrast >= detector.min_contrast:
             alike.append(name)
     if alike:
         changes = "changes" if len(alike) == 1 else "change"
@@ -125,38 +97,23 @@ def _without_effect(setting: Setting) -> Iterator[str]:
         )
 
 
-# ---------- how much of what is possible was driven, in words
-
-
-_MOST_GAPS = 6  # that the first sentence names
-
-
 def describe_driven(setting: Setting) -> list[str]:
-    """How many of the possible runs are driven, what is missing, and why: a line per reason.
-
-    Nothing where everything that was asked for is driven.
-    """
+    """What is missing of the possible runs, and why: a line per reason, if anything is."""
     limits = [*describe_limits(setting), *describe_left_out(setting)]
-    if all(one.limit_kmh is not None or is_set_aside(one) for one in setting.refusals):
+    if not lacking_room(setting):
         return limits
     n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
+    first = f"{n_runs} of {n_possible} possible runs could be driven"
+    if n_runs == n_possible:
+        first = f"All {n_runs} possible runs are driven"
     gaps = list(_gaps(setting))
-    said = "; ".join(gaps[:_MOST_GAPS])
-    if len(gaps) > _MOST_GAPS:
-        said += f"; {len(gaps) - _MOST_GAPS} more below"
-    first = (
-        f"All {n_runs} possible runs are driven"
-        if n_runs == n_possible
-        else f"{n_runs} of {n_possible} possible runs could be driven"
-    )
+    more = [f"{len(gaps) - _MOST_GAPS} more below"] if len(gaps) > _MOST_GAPS else []
+    said = "; ".join([*gaps[:_MOST_GAPS], *more])
     return [f"{first}: {said}." if said else f"{first}.", *_reasons(setting), *limits]
 
 
 def describe_limits(setting: Setting) -> list[str]:
-    """How many runs are left out since the map has lower speed limits; nothing where none is.
-
-    It says which limits these are.
-    """
+    """How many runs the map's speed limits leave out, and which limits; nothing where none is."""
     found = [one for one in setting.refusals if one.limit_kmh is not None]
     if not found:
         return []
@@ -171,9 +128,13 @@ def describe_limits(setting: Setting) -> list[str]:
     ]
 
 
-def is_set_aside(refusal: Refusal) -> bool:
-    """Left out by whom it meets, or laid nowhere: no question of what is possible here."""
-    return refusal.left_out in ("unprotected", "not laid")
+def lacking_room(setting: Setting) -> list[Refusal]:
+    """Refusals for want of roads or room; speed limits, and whom cases meet, are other reasons."""
+    return [
+        one
+        for one in setting.refusals
+        if one.limit_kmh is None and one.left_out not in ("unprotected", "not laid")
+    ]
 
 
 def describe_left_out(setting: Setting) -> Iterator[str]:
@@ -214,13 +175,8 @@ def _gaps(setting: Setting) -> Iterator[str]:
     """Cases that are not driven at all or not from everywhere: the widest gaps first."""
     driven = dict.fromkeys((run.case.name, run.approach) for run in setting.runs)
     for_speed = {run.case.name for run in setting.runs}
-    missing: dict[tuple[str, str], Refusal] = {
-        (one.case.name, one.approach): one
-        for one in setting.refusals
-        if one.limit_kmh is None
-        and not is_set_aside(one)
-        and (one.case.name, one.approach) not in driven
-    }
+    refused = {(one.case.name, one.approach): one for one in lacking_room(setting)}
+    missing = {pair: one for pair, one in refused.items() if pair not in driven}
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
         yield f"no {joined(list(dict.fromkeys(nowhere)))} at all"
@@ -246,9 +202,8 @@ def _gaps(setting: Setting) -> Iterator[str]:
 def _reasons(setting: Setting) -> Iterator[str]:
     """A line per reason: those of most possible runs first, last what is not possible."""
     groups: dict[str, list[Refusal]] = {}
-    for one in setting.refusals:
-        if one.limit_kmh is None and not is_set_aside(one):
-            groups.setdefault(one.reason, []).append(one)
+    for one in lacking_room(setting):
+        groups.setdefault(one.reason, []).append(one)
 
     def count(group: Sequence[Refusal]) -> int:
         return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)

@@ -12,15 +12,20 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 from uuid import uuid4
+
+import msgspec
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import is_abandoned, lock_while_alive, open_file, read_text, write_atomically
 
-from ..progress import signals_held
+from ..progress import WRITING, StageProgress, signals_held
+
+_R = TypeVar("_R", bound=msgspec.Struct)
 
 MARKER = "summary.json"
 LAYOUT_FILE = "layout.json"
@@ -34,9 +39,6 @@ _OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # they come by th
 _CHUNK_BYTES = 1 << 20
 
 
-# ---------- the files that belong to a result
-
-
 def write_manifest(folder: Path) -> None:
     """List all files of a folder with their hashes in its ``SHA256SUMS``."""
     lines = [f"{sha256(path)}  {name}\n" for name, path in _files(folder).items()]
@@ -44,10 +46,7 @@ def write_manifest(folder: Path) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Hashes by file name, as ``SHA256SUMS`` lists them; nothing where there is no such file.
-
-    Raises InputError if the file cannot be read, or is not a list of hashes and names.
-    """
+    """Hashes by file name of ``SHA256SUMS``, if there; InputError if it is no such list."""
     path = folder / MANIFEST
     if not path.exists():
         return {}
@@ -95,14 +94,8 @@ def _is_filled_folder(path: Path) -> bool:
     return path.is_dir() and not path.is_symlink() and any(path.iterdir())
 
 
-# ---------- replaced as a whole, or left as it was
-
-
 def check_result_folder(folder: Path) -> None:
-    """Check, before anything is computed, that a result folder can be written; changes nothing.
-
-    It must be new, empty, or an earlier result as it was written; else InputError says what it is.
-    """
+    """Check that a folder is new, empty or an earlier result, and writable; else InputError."""
     _check_name(folder)
     try:
         real = folder.resolve()
@@ -128,10 +121,9 @@ def check_result_folder(folder: Path) -> None:
 def new_result_folder(folder: Path) -> Iterator[Path]:
     """Fill a temporary folder, then put it in the place of `folder`, which may be a link.
 
-    If the block raises, `folder` stays as it was. What was written so far is kept next to it if
+    If the block raises, `folder` stays as it was; what was written is kept next to it if
     ``summary.json`` is among it, unless the user ends the program. Raises InputError as
-    :func:`check_result_folder`, for much may have changed since the results were asked for; or
-    writing failed: it names the folder in which the results are kept.
+    :func:`check_result_folder`, or if writing failed: it names the folder that is kept.
     """
     check_result_folder(folder)
     real = folder.resolve()
@@ -148,12 +140,7 @@ def new_result_folder(folder: Path) -> Iterator[Path]:
         if isinstance(error, Exception) and (temporary / MARKER).exists():
             kept = _free_name(real, "unfinished")
             temporary.rename(kept)
-            reason = _reason(error)
-            raise InputError(
-                "--out",
-                Unquoted(f"{folder}: {reason}"),
-                f"a folder that can be written to; what was computed is kept in {kept}",
-            ) from error
+            raise unwritable(folder, error, f"; what was computed is kept in {kept}") from error
         shutil.rmtree(temporary, ignore_errors=True)
         with suppress(OSError):
             for parent in made:
@@ -187,18 +174,12 @@ def _check_existing(folder: Path, real: Path) -> None:
             what += f" but no {MANIFEST}"
         elif change == "changed":
             what += ", changed since it was written"
-        raise InputError(
-            "--out",
-            Unquoted(f"{folder}, which {what}"),
-            "a new or empty folder, or one with earlier results and nothing else",
-        )
+        expected = "a new or empty folder, or one with earlier results and nothing else"
+        raise InputError("--out", Unquoted(f"{folder}, which {what}"), expected)
     if real.is_mount() or Path.cwd().is_relative_to(real):
         # Such a folder cannot be replaced, or not without pulling the rug from under a shell.
-        raise InputError(
-            "--out",
-            Unquoted(f"{folder}, the current folder or a mounted one"),
-            "a folder inside it",
-        )
+        got = Unquoted(f"{folder}, the current folder or a mounted one")
+        raise InputError("--out", got, "a folder inside it")
 
 
 def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
@@ -266,11 +247,10 @@ def left_as_it_was(folder: Path) -> str:
     return f"nothing was written to {folder}"
 
 
-def unwritable(folder: Path, error: Exception) -> InputError:
+def unwritable(folder: Path, error: Exception, more: str = "") -> InputError:
     """The error of an ``--out`` that cannot be written."""
-    return InputError(
-        "--out", Unquoted(f"{folder}: {_reason(error)}"), "a folder that can be written to"
-    )
+    got = Unquoted(f"{folder}: {_reason(error)}")
+    return InputError("--out", got, f"a folder that can be written to{more}")
 
 
 def _reason(error: Exception) -> str:
@@ -278,9 +258,6 @@ def _reason(error: Exception) -> str:
         return "a circle of links"
     reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
     return " ".join(str(reason).split())
-
-
-# ---------- files that a command adds to a folder; what else the folder holds stays
 
 
 def check_folder(folder: Path) -> None:
@@ -296,7 +273,7 @@ def check_folder(folder: Path) -> None:
         raise unwritable(folder, error) from None
 
 
-def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
+def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
     """Write files by name, each whole or not at all; InputError if the folder is not writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -304,3 +281,26 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
             write_atomically(folder / name, content)
     except OSError as error:
         raise unwritable(folder, error) from None
+
+
+def expect_files(out: Path | None, progress: StageProgress) -> None:
+    """Check a folder before a job whose result :func:`save_files` puts there, if asked to."""
+    if out is not None:
+        check_folder(out)
+        progress.kept = f"nothing was written to {out}"
+
+
+def save_files(
+    result: _R,
+    out: Path | None,
+    progress: StageProgress,
+    files: Callable[[_R], Mapping[str, str | bytes]],
+) -> _R:
+    """The result with its "seconds"; `files` of it are added to `out`, if asked to."""
+    if out is not None:
+        progress(WRITING, 0, 0)
+    result = msgspec.structs.replace(result, seconds=progress.finish())
+    if out is not None:
+        write_files(out, files(result))
+        progress.kept = f"the results are in {out}"
+    return result

@@ -29,13 +29,6 @@ from placement.evaluation import (
 from placement.layout import Certificate, Layout, layout_records
 from scenarios.aeb import AebRule
 
-
-class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of a result. Each field says what it is; UNSET ones are not written."""
-
-    schema_rules: ClassVar[dict[str, object]] = {}  # of the JSON schema, about several keys
-
-
 Share = Annotated[
     float,
     Meta(ge=-1e-9, le=1.000000001, extra_json_schema={"title": "From 0 to 1, but for rounding."}),
@@ -57,6 +50,12 @@ StageValues = Annotated[
     Meta(extra_json_schema={"propertyNames": {"enum": list(get_args(StageName))}}),
 ]
 """Value of each stage, in the unit that its name ends in."""
+
+
+class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A part of a result. Each field says what it is; UNSET ones are not written."""
+
+    schema_rules: ClassVar[dict[str, object]] = {}  # of the JSON schema, about several keys
 
 
 def to_plain(value: object) -> Any:
@@ -85,47 +84,28 @@ class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
     z_m: Annotated[float, says("Above the road (of a slope: in the junction's middle), in metres.")]
     yaw_deg: Annotated[float, says("Counter-clockwise from east, in degrees.")]
     pitch_deg: Annotated[float, says("Positive up, in degrees.", ge=-90, le=90)]
-    camera: Annotated[
-        str | None, says("Model of the catalogue or of layout.json; either this or lidar.")
-    ] = None
-    lidar: Annotated[
-        str | None, says("Model of the catalogue or of layout.json; either this or camera.")
-    ] = None
+    camera: Annotated[str | None, says("Model in catalogue or layout.json; this or lidar.")] = None
+    lidar: Annotated[str | None, says("Model in catalogue or layout.json; this or camera.")] = None
     fov_deg: Annotated[
         float | None,
-        says(
-            "Horizontal field of view to which a varifocal lens is set, in degrees; missing: as in "
-            "the catalogue."
-        ),
+        says("Horizontal, to which a varifocal lens is set, in degrees; missing: the catalogue's."),
     ] = None
     latency_s: Annotated[
         Annotated[float, Meta(ge=0)] | None,
         says("Of this unit, in seconds; missing: that of the rule."),
     ] = None
     kind: Annotated[str | None, says("Of the site: lamp post, kerb and so on.")] = None
-    place: Annotated[str | None, says("In words: corner, or arm and street; empty: unknown.")] = (
-        None
-    )
-    assumed: Annotated[
-        str | None, says("What is assumed of the site; missing: the map has it where it is.")
-    ] = None
+    place: Annotated[str | None, says("Corner, or arm and street; empty: unknown.")] = None
+    assumed: Annotated[str | None, says("What is assumed of the site; missing: nothing.")] = None
 
 
 class StageRecord(Record, frozen=True, kw_only=True):
     """An objective on the detection table; they are optimised in order, each holding the last."""
 
     name: Annotated[StageName, says("Which objective.")]
-    objective: Annotated[
-        float, says("Of the layout found, in the unit that the name ends in; shares from 0 to 1.")
-    ]
-    bound: Annotated[
-        float | None,
-        says("What no layout can exceed, or go below where least is best; null: unknown."),
-    ]
-    gap: Annotated[
-        float | None,
-        says("Distance of the two over the objective; 0: proven best; null: infinite."),
-    ]
+    objective: Annotated[float, says("Of the layout found, in the unit that the name ends in.")]
+    bound: Annotated[float | None, says("What no layout exceeds, or goes below; null: unknown.")]
+    gap: Annotated[float | None, says("Of the two, over the objective; 0: proven; null: infinite.")]
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
 
 
@@ -138,12 +118,7 @@ def build_unit_records(layout: Layout, scene: Scene | None = None) -> tuple[Unit
     assumed = assumed_sites(scene.notes)
     places = whereabouts(scene, [unit.pose.position_m[:2] for unit in layout.units])
     return tuple(
-        replace(
-            record,
-            kind=kinds.get(record.site),
-            place=place,
-            assumed=assumed.get(record.site),
-        )
+        replace(record, kind=kinds.get(record.site), place=place, assumed=assumed.get(record.site))
         for record, place in zip(records, places, strict=True)
     )
 
@@ -158,69 +133,36 @@ class LayoutValueRecord(Record, frozen=True, kw_only=True):
 
     apr: Annotated[Share, says("APR on the detection table.")]
     apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[
-        float,
-        says("Smallest time to spare of the avoided runs, in seconds; 0 where there is none."),
-    ]
-    mean_margin_s: Annotated[
-        float,
-        says(
-            "Mean time to spare of the avoided runs by weight, in seconds; 0 where there is none."
-        ),
-    ]
+    smallest_margin_s: Annotated[float, says("Least time to spare, in seconds; 0: none.")]
+    mean_margin_s: Annotated[float, says("Mean time to spare, in seconds; 0: none.")]
     cost_eur: Annotated[float, says("Units, and sites once, in EUR.")]
-
-
-# ---------- a layout by the evaluator: APR of every sensing party
 
 
 class PartyAprRecord(Record, frozen=True, kw_only=True):
     """Accident prevention ratio of a sensing party."""
 
     all: Annotated[Share | None, says("APR over all runs, by weight.")]
-    by_case: Annotated[
-        dict[str, Share | None],
-        says("APR of each case, by its name; null where no run of it has weight."),
-    ]
+    by_case: Annotated[dict[str, Share | None], says("APR of each case; null: no run has weight.")]
     by_position: Annotated[
         dict[str, Share | None],
-        says(
-            "APR of each position along the arms, by its name, such as 0, -15 or +15; null where "
-            "no run there has weight. Nothing in results of recordings."
-        ),
+        says("The same of each position along the arms, such as -15; empty of recordings."),
     ] = field(default_factory=dict)
     mean_impact_speed_kmh: Annotated[
         float | None,
-        says(
-            "Mean of the VUT's speed at contact over all runs, by weight; avoided runs count 0. In "
-            "km/h; null where nobody braked bodies, as in results of recordings."
-        ),
+        says("Of the VUT at contact by weight, avoided runs as 0, in km/h; null of recordings."),
     ] = None
-    score: Annotated[
-        Share | None,
-        says("What the runs count by the speeds at contact; only with --score rating-2026."),
-    ] = None
+    score: Annotated[Share | None, says("Only with --score rating-2026.")] = None
 
 
 class EvaluationRecord(Record, frozen=True, kw_only=True):
     """A layout by the evaluator: full perception and emergency braking."""
 
     vut: Annotated[PartyAprRecord, says("The vehicle under test by itself.")]
-    rsu_all: Annotated[
-        PartyAprRecord, says("All units together: in each frame, any of them may detect.")
-    ]
-    vut_and_rsus: Annotated[
-        PartyAprRecord, says("All units and the vehicle's own sensors together.")
-    ]
+    rsu_all: Annotated[PartyAprRecord, says("All units: in each frame, any of them may detect.")]
+    vut_and_rsus: Annotated[PartyAprRecord, says("All units and the vehicle's own sensors.")]
     units: Annotated[dict[str, PartyAprRecord], says("Each unit by itself, by its id.")]
-    vam: Annotated[
-        PartyAprRecord | None,
-        says("Road users that announce themselves; null where there are no such messages."),
-    ] = None
-    all_sources: Annotated[
-        PartyAprRecord | None,
-        says("Units, vehicle and announcements together; null where there are no such messages."),
-    ] = None
+    vam: Annotated[PartyAprRecord | None, says("Road users' own messages; null: none.")] = None
+    all_sources: Annotated[PartyAprRecord | None, says("All together; null: no messages.")] = None
     headline: Annotated[
         PartyAprRecord | None,
         says(
@@ -228,16 +170,8 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
             "with a share of cars that see the weighted sum of that and rsu_all. Null: rsu_all."
         ),
     ] = None
-    apr_without_worst_unit: Annotated[
-        Share | None, says("APR of all units together if the one that is needed most fails.")
-    ]
-    apr_without_worst_site: Annotated[
-        Share | None,
-        says(
-            "APR of all units together if the pole that is needed most fails with all its "
-            "units; null where no pole carries several."
-        ),
-    ] = None
+    apr_without_worst_unit: Annotated[Share | None, says("Of all but the most needed unit.")]
+    apr_without_worst_site: Annotated[Share | None, says("The same of poles, or null.")] = None
 
     @property
     def judged(self) -> PartyAprRecord:
@@ -275,6 +209,7 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
         )
 
     blind, seeing = ratios(evaluation.rsu_all), ratios(evaluation.vut_and_rsus)
+    is_shared = any(len(units) > 1 for units in units_by_site(evaluation.layout).values())
     return EvaluationRecord(
         vut=ratios(evaluation.vut),
         rsu_all=blind,
@@ -283,11 +218,7 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
         units={name: ratios(verdict) for name, verdict in evaluation.units.items()},
         **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
         apr_without_worst_unit=apr_one_failed(evaluation, rule),
-        apr_without_worst_site=(
-            apr_one_site_failed(evaluation, rule)
-            if any(len(units) > 1 for units in units_by_site(evaluation.layout).values())
-            else None
-        ),
+        apr_without_worst_site=apr_one_site_failed(evaluation, rule) if is_shared else None,
     )
 
 

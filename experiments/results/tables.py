@@ -2,7 +2,8 @@
 
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from itertools import product
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -14,10 +15,10 @@ from scenarios.runs import FrameAxis
 if TYPE_CHECKING:
     import pandas as pd
 
-# ---------- tables of verdicts, for other programs: ratios by group, and every run's outcome
-
-
 ALL = "all"
+RunGroup = tuple[str, BoolArray]
+"""Its name, and which runs are in it: (n_runs,) bool."""
+_BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
 
 
 def parties(evaluation: Evaluation) -> dict[str, Verdict]:
@@ -32,10 +33,7 @@ def parties(evaluation: Evaluation) -> dict[str, Verdict]:
 
 
 def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
-    """Last brake time minus (confirmation + latency) of each run in seconds: (n_runs,) float.
-
-    Negative: too late. Minus infinity: never confirmed, or no braking avoids.
-    """
+    """Last brake time less onset, (n_runs,) [s]; negative: too late; -inf: never, or no use."""
     # At most one infinity of each sign: an onset is never -inf, so this is never NaN.
     margin: FloatArray = axis.last_brake_time_s - verdict.onset_time_s
     return margin
@@ -44,11 +42,8 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     """Ratios of every party, by case, approach, position, weather and speed.
 
-    Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr, n_runs, n_avoided.
     "all" stands for every case, approach, position, weather or speed; a single position, weather or
-    speed has no rows of its own. Speeds are those of all approaches, positions and weathers
-    together, positions of all weathers and speeds, either of all approaches or of all cases
-    together. The ratio is missing where none of the runs has weight.
+    speed has no rows of its own. The ratio is missing where none of the runs has weight.
     """
     import pandas as pd
 
@@ -71,79 +66,72 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
 
 
 def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Every run's outcome for every party: a row per layout, party and run.
-
-    Times that do not exist (never confirmed, no braking avoids) are missing; so are
-    speeds where nobody braked bodies.
-    """
+    """Every run's outcome for every party; times and speeds that do not exist are missing."""
     import pandas as pd
 
-    tables = []
-    for name, evaluation in evaluations.items():
-        axis = evaluation.axis
-        for party, verdict in parties(evaluation).items():
-            tables.append(
-                pd.DataFrame(
-                    {
-                        "layout": name,
-                        "party": party,
-                        "run": axis.run_ids,
-                        "case": axis.cases,
-                        "approach": axis.approaches,
-                        "position": axis.positions,
-                        "weather": axis.weathers,
-                        "vut_speed_kmh": axis.vut_speed_kmh,
-                        "weight": axis.weight,
-                        "last_brake_time_s": _missing(axis.last_brake_time_s),
-                        "confirmation_time_s": _missing(verdict.confirmation_time_s),
-                        "margin_s": _missing(margin_s(verdict, axis)),
-                        "is_avoided": verdict.is_avoided,
-                        "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
-                        / np.diff(axis.run_start),
-                        "impact_speed_kmh": np.nan
-                        if verdict.impact_speed_kmh is None
-                        else verdict.impact_speed_kmh,
-                    }
-                )
+    return pd.concat(
+        [
+            pd.DataFrame(
+                {
+                    "layout": name,
+                    "party": party,
+                    "run": axis.run_ids,
+                    "case": axis.cases,
+                    "approach": axis.approaches,
+                    "position": axis.positions,
+                    "weather": axis.weathers,
+                    "vut_speed_kmh": axis.vut_speed_kmh,
+                    "weight": axis.weight,
+                    "last_brake_time_s": _missing(axis.last_brake_time_s),
+                    "confirmation_time_s": _missing(verdict.confirmation_time_s),
+                    "margin_s": _missing(margin_s(verdict, axis)),
+                    "is_avoided": verdict.is_avoided,
+                    "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
+                    / np.diff(axis.run_start),
+                    "impact_speed_kmh": np.nan
+                    if verdict.impact_speed_kmh is None
+                    else verdict.impact_speed_kmh,
+                }
             )
-    return pd.concat(tables, ignore_index=True)
-
-
-def _several(words: Sequence[str]) -> tuple[str, ...]:
-    """Each word once; none where there is but one."""
-    different = tuple(dict.fromkeys(words))
-    return different if len(different) > 1 else ()
+            for name, evaluation in evaluations.items()
+            for axis in [evaluation.axis]
+            for party, verdict in parties(evaluation).items()
+        ],
+        ignore_index=True,
+    )
 
 
 def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
     """Groups of runs by their words, each with its runs; none is empty."""
+    speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
     of_run = {
         "case": np.array(axis.cases),
         "approach": np.array(axis.approaches),
         "position": np.array(axis.positions),
         "weather": np.array(axis.weathers),
-        "vut_speed_kmh": np.array([f"{speed:g}" for speed in axis.vut_speed_kmh]),
+        "vut_speed_kmh": np.array(speeds),
     }
-    cases = (ALL, *dict.fromkeys(axis.cases))
+
+    def each(words: Sequence[str]) -> list[str]:
+        return [*dict.fromkeys(words)]
+
+    def several(words: Sequence[str]) -> list[str]:
+        return each(words) if len(each(words)) > 1 else []
+
+    cases, arms = [ALL, *each(axis.cases)], each(axis.approaches)
+    positions, weathers = several(sort_positions(axis.positions)), several(axis.weathers)
+    ascending = several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
     wanted = [
-        (case, approach, ALL, weather, ALL)
-        for case in cases
-        for approach in (ALL, *dict.fromkeys(axis.approaches))
-        for weather in (ALL, *_several(axis.weathers))
+        *product(cases, [ALL, *arms], [ALL], [ALL, *weathers], [ALL]),
+        *product(cases, [ALL], [ALL], [ALL], ascending),
+        *product(cases, [ALL], positions, [ALL], [ALL]),
+        *((ALL, arm, position, ALL, ALL) for arm in arms for position in positions),
     ]
-    speeds = _several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
-    wanted += [(case, ALL, ALL, ALL, speed) for case in cases for speed in speeds]
-    positions = _several(sort_positions(axis.positions))
-    wanted += [(case, ALL, position, ALL, ALL) for case in cases for position in positions]
-    arms = dict.fromkeys(axis.approaches)
-    wanted += [(ALL, arm, position, ALL, ALL) for arm in arms for position in positions]
     groups = []
     for words in wanted:
         group = dict(zip(of_run, words, strict=True))
-        mask: BoolArray = np.ones(axis.n_runs, dtype=bool)
-        for key, word in group.items():
-            if word != ALL:
-                mask &= of_run[key] == word
+        masks = [of_run[key] == word for key, word in group.items() if word != ALL]
+        mask = np.logical_and.reduce([np.ones(axis.n_runs, dtype=bool), *masks])
         if mask.any():
             groups.append((group, mask))
     return groups
@@ -153,49 +141,25 @@ def _missing(times_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(times_s), times_s, np.nan)
 
 
-# ---------- groups of runs that tables have rows for: by case, by speed of the car, by direction
-
-
-RunGroup = tuple[str, BoolArray]
-"""Its name, and which runs are in it: (n_runs,) bool."""
-
-
-def groups_by_case(axis: FrameAxis) -> list[RunGroup]:
-    """A group per case, in the order in which the cases first appear."""
-    return _equal(axis.cases)
-
-
-def groups_by_direction(axis: FrameAxis) -> list[RunGroup]:
-    """A group per approach from which the car comes, in the order in which they first appear."""
-    return _equal(axis.approaches)
-
-
-def groups_by_position(axis: FrameAxis) -> list[RunGroup]:
-    """A group per position along the arms, in the order in which the car passes them."""
-    return _equal(axis.positions, sort_positions(axis.positions))
-
-
-def groups_by_speed(axis: FrameAxis) -> list[RunGroup]:
-    """A group per speed of the car, the slowest first."""
-    speeds = axis.vut_speed_kmh
-    return [(f"{speed:g}", speeds == speed) for speed in np.unique(speeds)]
-
-
-def _equal(words: Sequence[str], order: Sequence[str] | None = None) -> list[RunGroup]:
-    of_run = np.array(words)
-    return [(word, of_run == word) for word in order or dict.fromkeys(words)]
+def groups_by(
+    axis: FrameAxis, what: Literal["case", "direction", "position", "speed"]
+) -> list[RunGroup]:
+    """A group per case or direction as they first appear, or per position or speed, ascending."""
+    speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
+    ascending = [f"{speed:g}" for speed in np.unique(axis.vut_speed_kmh)]
+    words, order = {
+        "case": (axis.cases, axis.cases),
+        "direction": (axis.approaches, axis.approaches),
+        "position": (axis.positions, sort_positions(axis.positions)),
+        "speed": (speeds, ascending),
+    }[what]
+    return [(word, np.array(words) == word) for word in dict.fromkeys(order)]
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Lines of a table in Markdown."""
     lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
     return [*lines, *("| " + " | ".join(row) + " |" for row in rows)]
-
-
-# ---------- cells of CSV: a text that looks like a formula must not run as one
-
-
-_BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
 
 
 def csv_text(table: "pd.DataFrame") -> str:

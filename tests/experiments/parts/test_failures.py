@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from partial_pages import render_section, tables_of
 
-from experiments.parts.failures import (
+from experiments.parts.alternatives import (
     MAX_ROWS,
     failure_sentences,
     failure_table,

@@ -5,7 +5,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from msgspec import UNSET
 from partial_pages import bullets_of, render_section, tables_of
 from small_tables import avoiding_problem
 
@@ -117,4 +116,4 @@ def test_a_settled_front_and_sizes_that_cannot_be_are_said(candidates):
 
 
 def test_without_a_front_there_is_no_section():
-    assert front_section(UNSET) is None
+    assert front_section(None) is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.figures.axes import to_png
-from experiments.parts.margins import MAX_COLUMNS, plot_margin_strip, plot_margins
+from experiments.parts.margins import MAX_COLUMNS, plot_margins
 from placement.evaluation import Verdict
 
 
@@ -43,7 +43,7 @@ def marks(axes, *, is_filled):
 
 
 def test_every_run_has_one_mark_where_its_margin_is(axis):
-    axes = plot_margin_strip(verdict(axis, [-0.6, 0.3, np.inf]), axis)
+    (axes,) = plot_margins([("all", verdict(axis, [-0.6, 0.3, np.inf]))], axis)
     places, n_edge = marks(axes, is_filled=True)
     assert places == pytest.approx([500.0])
     assert n_edge == 0
@@ -57,7 +57,7 @@ def test_every_run_has_one_mark_where_its_margin_is(axis):
 
 def test_runs_without_weight_are_not_drawn(axis):
     axis = replace(axis, weight=np.array([0.0, 1.0, 0.0]))
-    axes = plot_margin_strip(verdict(axis, [-0.6, -0.3, np.inf]), axis)
+    (axes,) = plot_margins([("all", verdict(axis, [-0.6, -0.3, np.inf]))], axis)
     assert marks(axes, is_filled=True) == (pytest.approx([100.0]), 0)
     assert marks(axes, is_filled=False) == ([], 0)
 

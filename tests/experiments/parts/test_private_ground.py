@@ -7,7 +7,7 @@ import pytest
 from shapely import box
 from small_results import assemble_without_runs
 
-from experiments.parts.ground import (
+from experiments.parts.units import (
     build_private_ground_record,
     private_ground_sentence,
 )

@@ -2,7 +2,7 @@ import msgspec
 from msgspec import UNSET
 from partial_pages import render_section, tables_of
 
-from experiments.parts.ground import (
+from experiments.parts.units import (
     MAX_AREAS,
     MAX_UNITS,
     PrivateGroundRecord,

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.parts.refinement import build_refinement_record, refinement_sentences
+from experiments.parts.explanation import build_refinement_record, refinement_sentences
 from experiments.results.record import to_plain
 from geometry.catalogue import pick_sensor
 from geometry.poses import Pose

@@ -24,7 +24,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from experiments.export.json import to_json_text
 from experiments.jobs.placement import run_evaluation
-from experiments.parts.ground import build_private_ground_record
+from experiments.parts.units import build_private_ground_record
 from experiments.planner import server
 from experiments.planner.plan import Variant
 from experiments.planner.server import build_app

@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.parts.accidents import apr_group_tables, apr_table, unit_apr_table
-from experiments.parts.runs import run_table
+from experiments.parts.accidents import apr_group_tables, apr_table, run_table, unit_apr_table
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
