@@ -146,6 +146,8 @@ _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
 _CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
 _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
+_CONTACT_PARTS, _CONTACT_ROUNDS = 17, 2
+_SHORT_S = 1.0e-4
 
 
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
@@ -214,24 +216,6 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     return -np.inf if safe_s <= start else min(safe_s, 0.0)
 
 
-def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> BoolArray:
-    """True if the footprints touch although the VUT brakes from `onset_s` on, for each onset.
-
-    At or after the impact it is too late; an infinite onset is never.
-
-    Notes
-    -----
-    Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
-    come nearest in between: no shortcut of :func:`last_brake_time_s` is used.
-    """
-    onset = np.asarray(onset_s, dtype=np.float64)
-    touches = np.asarray(onset >= 0.0)
-    is_asked = ~touches
-    looks = _contact_looks(encounter, onset[is_asked], rule)[1]
-    touches[is_asked] = np.isfinite(looks)
-    return touches
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
     """First contacts of the footprints for onsets of braking, each of the onsets' shape."""
@@ -247,12 +231,13 @@ class Contacts:
 def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Contacts:
     """When the footprints first touch if the VUT brakes from `onset_s` on, and how fast it is.
 
-    Who is said to touch is :func:`has_contact`'s matter. An onset at or after the impact, or none,
-    leaves the VUT its speed.
+    An onset at or after the impact, or none, leaves the VUT its speed.
 
     Notes
     -----
-    The first look at which they touch is narrowed down to 4 microseconds.
+    Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
+    come nearest in between: no shortcut of :func:`last_brake_time_s` is used. The first look at
+    which they touch is narrowed down to 4 microseconds.
     """
     onset = np.asarray(onset_s, dtype=np.float64)
     time_s, speed = np.zeros(onset.shape), np.full(onset.shape, encounter.vut_motion.speed_mps)
@@ -277,10 +262,6 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
     closing = speed.copy()
     closing[touched] -= _target_ahead_mps(encounter, onset[touched], time_s[touched], rule)
     return Contacts(time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0))
-
-
-_CONTACT_PARTS, _CONTACT_ROUNDS = 17, 2
-_SHORT_S = 1.0e-4
 
 
 def _target_ahead_mps(
@@ -380,8 +361,10 @@ def _contact_looks(
         encounter.vut_reach * encounter.vut_motion.speed_mps
         + encounter.vru_reach * encounter.vru_motion.speed_mps
     )
-    looks = _looks_s(encounter, rule, _FINE_STEP_S)
-    standstill_s, step_s = looks[-1], _FINE_STEP_S
+    # Times since the onset at which to look, until the VUT stands.
+    standstill_s = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
+    looks = np.linspace(0.0, standstill_s, int(standstill_s / _FINE_STEP_S) + 2)
+    step_s = _FINE_STEP_S
     # A look in so many first: what is farther apart there cannot touch before the next one of them.
     apart_m = _separation_m(encounter, onset_s[:, None], looks[::_FIRST_LOOKS], rule)
     is_near = apart_m <= closing_mps * step_s * (_FIRST_LOOKS + 1)
@@ -412,12 +395,6 @@ def _contact_looks(
         separation = _separation_m(encounter, onset_s[row, None], times, rule)
     note()
     return before_s, at_s
-
-
-def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:
-    """Times since the onset at which to look, until the VUT stands, (n,)."""
-    standstill = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
-    return np.linspace(0.0, standstill, int(standstill / step_s) + 2)
 
 
 def _separation_m(

@@ -1,8 +1,8 @@
 """Ways of road users: along lanes, straight or bent, and through the junction into other arms."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -42,34 +42,41 @@ _LEAST_FREE_M = 0.1  # in lanes that are narrower than the VUT, by the map
 _CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
 
 
-class Way(Protocol):
-    """A line that road users follow, through the junction and along the lane of an arm.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StraightWay:
+    """Along a straight line, whose point is the origin of stations.
 
-    Stations count along it from the lane's mouth, ahead in the way's direction.
+    Stations count along a way from the lane's mouth, ahead in the way's direction.
     """
+
+    line: Line
 
     def tangent(self, station_m: float) -> Line:
         """The straight line that touches it; its point is at the station."""
-        ...
+        return Line(point_m=self.line.at(station_m), direction=self.line.direction)
 
     def direction(self, station_m: float) -> Line:
         """As :meth:`tangent`; but its point may be any on it."""
-        ...
+        return self.line
 
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
         """Station and point (2,) at which it crosses a straight line, nearest to the mouth.
 
         Raises CannotCarryError: it does not.
         """
-        ...
+        try:
+            point = self.line.crossing_with(line)
+        except np.linalg.LinAlgError:
+            raise CannotCarryError(DO_NOT_MEET) from None
+        return float(self.line.coordinates(point)[0]), point
 
     def point(self, station_m: float, left_m: float) -> FloatArray:
         """The point some metres to the left of a station, (2,)."""
-        ...
+        return self.line.at(station_m, left_m)
 
     def station_of(self, point_m: FloatArray) -> float:
         """Station of its point that is nearest to a point (2,)."""
-        ...
+        return float(self.line.coordinates(point_m)[0])
 
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
@@ -78,79 +85,34 @@ class Way(Protocol):
 
         It is needed so far back from the station and so far ahead; beyond it may go straight.
         """
-        ...
-
-    def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """A vehicle's path that begins with the middle of its footprint at a station."""
-        ...
-
-    def vru_path(self, station_m: float) -> Path:
-        """Path of a pedestrian or cyclist that begins at a station."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StraightWay:
-    """Along a straight line, whose point is the origin of stations."""
-
-    line: Line
-
-    def tangent(self, station_m: float) -> Line:
-        """See :meth:`Way.tangent`."""
-        return Line(point_m=self.line.at(station_m), direction=self.line.direction)
-
-    def direction(self, station_m: float) -> Line:
-        """See :meth:`Way.direction`."""
-        return self.line
-
-    def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """See :meth:`Way.crossing`."""
-        try:
-            point = self.line.crossing_with(line)
-        except np.linalg.LinAlgError:
-            raise CannotCarryError(DO_NOT_MEET) from None
-        return float(self.line.coordinates(point)[0]), point
-
-    def point(self, station_m: float, left_m: float) -> FloatArray:
-        """See :meth:`Way.point`."""
-        return self.line.at(station_m, left_m)
-
-    def station_of(self, point_m: FloatArray) -> float:
-        """See :meth:`Way.station_of`."""
-        return float(self.line.coordinates(point_m)[0])
-
-    def offset(
-        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
-    ) -> "tuple[Way, float]":
-        """See :meth:`Way.offset`."""
         beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
         return StraightWay(line=beside), 0.0
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """See :meth:`Way.vut_path`."""
+        """A vehicle's path that begins with the middle of its footprint at a station."""
         return self.vru_path(station_m)
 
     def vru_path(self, station_m: float) -> Path:
-        """See :meth:`Way.vru_path`."""
+        """Path of a pedestrian or cyclist that begins at a station."""
         return StraightPath(start_m=self.line.at(station_m), yaw_deg=self.line.yaw_deg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CurvedWay:
-    """Along a course."""
+    """Along a course; its methods are those of :class:`StraightWay`."""
 
     course: Course
 
     def tangent(self, station_m: float) -> Line:
-        """See :meth:`Way.tangent`."""
+        """See :meth:`StraightWay.tangent`."""
         return self.course.tangent(station_m)
 
     def direction(self, station_m: float) -> Line:
-        """See :meth:`Way.direction`."""
+        """See :meth:`StraightWay.direction`."""
         return self.course.tangent(station_m)
 
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """See :meth:`Way.crossing`."""
+        """See :meth:`StraightWay.crossing`."""
         stations = self.course.crossings_m(line)
         if not len(stations):
             raise CannotCarryError(DO_NOT_MEET)
@@ -158,17 +120,17 @@ class CurvedWay:
         return station, self.course.at(station)[0]
 
     def point(self, station_m: float, left_m: float) -> FloatArray:
-        """See :meth:`Way.point`."""
+        """See :meth:`StraightWay.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
 
     def station_of(self, point_m: FloatArray) -> float:
-        """See :meth:`Way.station_of`."""
+        """See :meth:`StraightWay.station_of`."""
         return self.course.station_of(point_m)
 
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """See :meth:`Way.offset`."""
+        """See :meth:`StraightWay.offset`."""
         try:
             end_m = min(station_m + ahead_m, self.course.end_m)
             near = self.course.between(station_m - back_m, end_m)
@@ -180,7 +142,7 @@ class CurvedWay:
         return CurvedWay(course=course), course.station_of(self.point(station_m, left_m))
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """See :meth:`Way.vut_path`."""
+        """See :meth:`StraightWay.vut_path`."""
         return TowedPath(
             course=self.course,
             start_m=station_m + vut.front_axle_ahead_m,
@@ -189,8 +151,11 @@ class CurvedWay:
         )
 
     def vru_path(self, station_m: float) -> Path:
-        """See :meth:`Way.vru_path`."""
+        """See :meth:`StraightWay.vru_path`."""
         return CoursePath(course=self.course, start_m=station_m)
+
+
+Way = StraightWay | CurvedWay
 
 
 def straight_line(lane: Lane, *, is_in: bool) -> Line:
@@ -228,24 +193,11 @@ def free_aside_m(vut: Actor, *lanes: Lane) -> float:
     return float(np.clip(room_m, _LEAST_FREE_M, load_way_rules().max_ease_aside_m))
 
 
-def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> Way:
-    """The way along a lane, in its driving direction: straight where the lane is, as far as asked.
-
-    Straight means that it leaves its line by at most `max_bend_m` within `length_m` of its mouth.
-    """
-    if off_line_m(lane, is_in=is_in, length_m=length_m) <= max_bend_m:
+def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
+    """The way along a lane, in its driving direction: straight where the lane is so far."""
+    if off_line_m(lane, is_in=is_in, length_m=length_m) <= load_way_rules().max_lane_bend_m:
         return StraightWay(line=straight_line(lane, is_in=is_in))
     return CurvedWay(course=follow_lane(lane.centreline_m, is_in=is_in))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WayAcross:
-    """The way along a lane, through the junction, and along a lane by which it is left."""
-
-    way: Way  # its stations count from the mouth of the lane that leads out
-    entry: Lane
-    leaving: Lane
-    begin_m: float  # station at which the first lane begins
 
 
 def way_across(
@@ -253,26 +205,28 @@ def way_across(
     leaving: Lane,
     connection: Lane | None,
     *,
-    max_bend_m: float,
     free_m: float | None = None,
-) -> WayAcross:
-    """The way from a lane into the junction straight on into a lane out of it.
+) -> tuple[Way, float]:
+    """The way from a lane into the junction straight on into a lane out of it, and its begin.
 
-    Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
-    lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
-    none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the gentlest
-    that leaves the lanes' middles by no more, and such a curve by no more than a metre. Raises
-    CannotCarryError: the lane out of the junction does not lie ahead.
+    Stations count from the mouth of the lane out of it; its begin is that at which the first lane
+    begins. Straight, where all its lanes stay on the first one's line; else
+    along the lanes' bends, and between them on the junction's own lane `connection`, or, where the
+    map has none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the
+    gentlest that leaves the lanes' middles by no more, and such a curve by no more than a metre.
+    Raises CannotCarryError: the lane out of the junction does not lie ahead.
     """
     chains = [entry.centreline_m, leaving.centreline_m]
     if connection is not None:
         chains.insert(1, connection.centreline_m)
     line = straight_line(entry, is_in=True)
-    if np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max() <= max_bend_m:
+    if (
+        np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max()
+        <= load_way_rules().max_lane_bend_m
+    ):
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
-        begin_m = -mouth_m - lane_length_m(entry)
-        return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
+        return way, -mouth_m - lane_length_m(entry)
     between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
     before, after = entry.centreline_m, leaving.centreline_m
     if free_m is not None:
@@ -283,12 +237,7 @@ def way_across(
     else:
         course = follow_connection(before, between, after, is_origin_behind=True)
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
-    return WayAcross(
-        way=CurvedWay(course=course),
-        entry=entry,
-        leaving=leaving,
-        begin_m=-across_m - lane_length_m(entry),
-    )
+    return CurvedWay(course=course), -across_m - lane_length_m(entry)
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
@@ -357,17 +306,14 @@ def arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
     best, best_cosine = None, np.cos(np.radians(load_way_rules().max_skew_deg))
     for arm in junction.arms.values():
         cosine = float(_outwards(arm, 15.0) @ vut_line.direction)
-        if arm is not approach and cosine >= best_cosine and _lies_ahead(arm, vut_line):
+        is_in_line = arm is not approach and cosine >= best_cosine
+        mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
+        mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
+        ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
+        # One of its lanes begins or ends no farther aside than ahead.
+        if is_in_line and (np.abs(left_m) <= ahead_m).any():
             best, best_cosine = arm, cosine
     return best
-
-
-def _lies_ahead(arm: Arm, vut_line: Line) -> bool:
-    """True if one of an arm's lanes begins or ends no farther aside of a line than ahead."""
-    mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
-    mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
-    ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
-    return bool((np.abs(left_m) <= ahead_m).any())
 
 
 def _outwards(arm: Arm, length_m: float) -> FloatArray:
@@ -380,12 +326,10 @@ def _outwards(arm: Arm, length_m: float) -> FloatArray:
 def straight_lane(junction: Junction, arm: Arm) -> Lane:
     """The lane at the kerb from which cars drive straight on; that at the kerb if none may."""
     ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
-    if ahead is None or not ahead.exit_lanes:
-        return arm.entry_lanes[0]
-    try:
-        return joints(junction, arm, ahead, "through")[0][0]
-    except NoRoadError:
-        return arm.entry_lanes[0]
+    if ahead is not None and ahead.exit_lanes:
+        with suppress(NoRoadError):
+            return joints(junction, arm, ahead, "through")[0][0]
+    return arm.entry_lanes[0]
 
 
 def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> list[Joint]:
@@ -412,14 +356,14 @@ def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> lis
     free = marked or [lane for lane in before if not lane.turns]
     if not free:
         raise NoRoadError(f"by their markings no lane from the {arm.name} leads {_LEADS[movement]}")
-    return [(lane, None, other) for lane in free for other in _in_order(lane, after, movement)]
-
-
-def _in_order(lane: Lane, after: Sequence[Lane], movement: Movement) -> list[Lane]:
     if movement != "through":
-        return list(after)
-    line = straight_line(lane, is_in=True)
-    return sorted(after, key=lambda other: abs(float(line.coordinates(other.centreline_m[0])[1])))
+        return [(lane, None, other) for lane in free for other in after]
+    found: list[Joint] = []
+    for lane in free:
+        line = straight_line(lane, is_in=True)
+        aside_m = [abs(float(line.coordinates(other.centreline_m[0])[1])) for other in after]
+        found += [(lane, None, after[index]) for index in np.argsort(aside_m, kind="stable")]
+    return found
 
 
 def _has_connections(junction: Junction) -> bool:
@@ -442,7 +386,6 @@ class Turning:
     turn_m: float  # its length
     path_with: Callable[[float], Path]  # some metres before it
     is_straight: bool  # but for the turn
-    bend_per_m: float  # largest curvature of the turn
 
 
 _AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
@@ -482,7 +425,6 @@ def on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> T
         turn_m=turn.length_m,
         path_with=path_with,
         is_straight=True,
-        bend_per_m=1.0 / turn.radius_m,
     )
 
 
@@ -532,7 +474,6 @@ def _towed(
         turn_m=turn_m,
         path_with=path_with,
         is_straight=False,
-        bend_per_m=course.between(0.0, turn_m).max_bend_per_m,
     )
 
 

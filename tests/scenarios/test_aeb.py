@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from dragged import has_contact
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracles import (
@@ -24,7 +25,6 @@ from scenarios.aeb import (
     _separation_m,
     confirmation_mask,
     find_contacts,
-    has_contact,
     held_frames,
     is_in_time,
     last_brake_time_s,
