@@ -207,7 +207,7 @@ def _farther(case: Case, away_m: float) -> Case:
     """A turning case whose VRU crosses the exit arm so much farther from the junction. [m]."""
     assert case.vru_line is not None
     left_m = case.vru_line.left_m + away_m
-    return replace(case, vru_line=replace(case.vru_line, left_m=left_m))
+    return replace(case, vru_line=replace(case.vru_line, outside_kerb_m=left_m))
 
 
 def _without(scene: Scene, classes: Sequence[str]) -> Scene:
