@@ -141,7 +141,6 @@ FORMAT = ExportFormat(
     write=to_cpm_uper,
     content="the same messages as bytes (UPER); extra: v2x",
     is_binary=True,
-    needs_crs=True,
     shows_runs=True,
     options=("release",),
     told=tell_load,

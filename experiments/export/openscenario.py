@@ -17,14 +17,7 @@ from numpy.typing import ArrayLike
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    pick,
-    take,
-    take_number,
-    take_text,
-)
+from geometry.files import Table, load_toml, pick, take, take_number, take_text
 from geometry.terrain import Terrain, on_ground
 from geometry.weather import pick_weather
 from scenarios.runs import Run
@@ -143,27 +136,13 @@ _SPEED_STEP_S = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Track:
-    """Places of a body's reference point, from the first frame (time 0) to the impact.
+    """Places of a body's reference point, from the first frame (time 0) to the impact."""
 
-    Attributes
-    ----------
-    name : str
-        Of the entity.
-    time_s : (n,) float
-        Ascending. [s]
-    position_m : (n, 3) float
-        World frame. [m]
-    yaw_deg : (n,) float
-        Without jumps by full turns. [deg]
-    speed_mps : float
-        With which it leaves the first frame. [m/s]
-    """
-
-    name: str
-    time_s: FloatArray
-    position_m: FloatArray
-    yaw_deg: FloatArray
-    speed_mps: float
+    name: str  # of the entity
+    time_s: FloatArray  # (n,); ascending
+    position_m: FloatArray  # (n, 3); world frame
+    yaw_deg: FloatArray  # (n,); without jumps by full turns
+    speed_mps: float  # with which it leaves the first frame
 
 
 def to_openscenario(run: Run, *, road_network: str) -> str:
@@ -273,7 +252,6 @@ def _build_parameters(run: Run, impact_s: float) -> Any:
 
 
 def _build_properties(run: Run) -> Any:
-    avoidable = bool(np.isfinite(run.last_brake_time_s))
     properties = load_xosc().Properties()
     for name, value in {
         "run": run.id,
@@ -284,7 +262,7 @@ def _build_properties(run: Run) -> Any:
         "weather": run.weather,
         "vut_speed_kmh": f"{run.vut_speed_kmh:g}",
         "vru_speed_kmh": f"{run.case.vru_speed_kmh:g}",
-        "is_avoidable_by_braking": str(avoidable).lower(),
+        "is_avoidable_by_braking": str(bool(np.isfinite(run.last_brake_time_s))).lower(),
     }.items():
         properties.add_property(name, value)
     return properties
@@ -303,14 +281,26 @@ def _build_storyboard(run: Run, impact_s: float) -> Any:
             triggeringpoint="stop",
         ),
     )
-    act = xosc.Act("unbraked", _build_start("start of the act"))
+
+    def at_start(name: str) -> Any:
+        condition = xosc.SimulationTimeCondition(0.0, xosc.Rule.greaterOrEqual)
+        return xosc.ValueTrigger(name, 0.0, xosc.ConditionEdge.none, condition)
+
+    act = xosc.Act("unbraked", at_start("start of the act"))
     for track in tracks:
         event = xosc.Event(f"{track.name} sets off", xosc.Priority.override)
-        event.add_trigger(_build_start(f"start of {track.name}"))
+        positions = [
+            _world_position(point_m, yaw_deg)
+            for point_m, yaw_deg in zip(track.position_m, track.yaw_deg, strict=True)
+        ]
+        times_s = (track.time_s.round(DECIMALS) + 0.0).tolist()
+        trajectory = xosc.Trajectory(f"{track.name} unbraked", False)
+        trajectory.add_shape(xosc.Polyline(times_s, positions))
+        event.add_trigger(at_start(f"start of {track.name}"))
         event.add_action(
             f"{track.name} follows its frames",
             xosc.FollowTrajectoryAction(
-                _build_trajectory(track),
+                trajectory,
                 xosc.FollowingMode.position,
                 xosc.ReferenceContext.absolute,
                 1.0,
@@ -325,12 +315,6 @@ def _build_storyboard(run: Run, impact_s: float) -> Any:
         act.add_maneuver_group(group)
     storyboard.add_act(act)
     return storyboard
-
-
-def _build_start(name: str) -> Any:
-    xosc = load_xosc()
-    condition = xosc.SimulationTimeCondition(0.0, xosc.Rule.greaterOrEqual)
-    return xosc.ValueTrigger(name, 0.0, xosc.ConditionEdge.none, condition)
 
 
 def _build_init(run: Run, tracks: tuple[_Track, ...]) -> Any:
@@ -408,18 +392,6 @@ def _reference_m(
     yaw_rad = np.radians(yaw_deg)
     ahead = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
     return on_ground(position_m + reference_ahead_m(actor) * ahead, terrain)
-
-
-def _build_trajectory(track: _Track) -> Any:
-    xosc = load_xosc()
-    positions = [
-        _world_position(point_m, yaw_deg)
-        for point_m, yaw_deg in zip(track.position_m, track.yaw_deg, strict=True)
-    ]
-    times_s = (track.time_s.round(DECIMALS) + 0.0).tolist()
-    trajectory = xosc.Trajectory(f"{track.name} unbraked", False)
-    trajectory.add_shape(xosc.Polyline(times_s, positions))
-    return trajectory
 
 
 def _world_position(point_m: FloatArray, yaw_deg: float) -> Any:

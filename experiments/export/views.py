@@ -18,18 +18,10 @@ NOTE = f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m fro
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """Area that a camera sees, or road that no camera sees.
+    """Area that a camera sees, or road that no camera sees."""
 
-    Attributes
-    ----------
-    unit : str
-        Its id; empty: what no camera sees.
-    area : shapely geometry
-        Polygons without overlap.
-    """
-
-    unit: str
-    area: Any
+    unit: str  # its id; empty: what no camera sees
+    area: Any  # shapely's polygons without overlap
 
     def record(self) -> dict[str, Any]:
         """Fields of it in a table."""

@@ -58,21 +58,12 @@ def _split_place(place: str, arms: Sequence[str]) -> tuple[str, str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WatchedRun:
-    """A run, and what a layout's units detect of whoever the VUT meets.
-
-    Attributes
-    ----------
-    run : Run
-        What happens.
-    detected : mapping of unit's id to (n_frames,) bool
-        Frames in which the evaluator's detector finds the road user.
-    rule : AebRule
-        From detected frames to braking.
-    """
+    """A run, and what a layout's units detect of whoever the VUT meets."""
 
     run: Run
+    # by unit's id (n_frames,): frames in which the evaluator's detector finds the road user
     detected: Mapping[str, BoolArray]
-    rule: AebRule
+    rule: AebRule  # from detected frames to braking
 
 
 def watch_run(
