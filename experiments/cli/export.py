@@ -5,22 +5,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
 from ..export import FORMAT_NAMES
 from ..progress import StageProgress, tell, write_out
 from .options import (
     JUDGED,
     SectionedCommand,
-    job_options,
+    asking,
     layout_option,
     option,
-    question_options,
     quiet_option,
     scene_option,
 )
-from .running import begin, load_one_layout, print_result, unwritable
+from .running import Job, load_one_layout, unwritable
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -175,30 +171,19 @@ Examples:
 )
 @layout_option
 @option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
-@question_options(*JUDGED)
-@job_options()
-@click.pass_obj
-def sheet(
-    progress: StageProgress,
-    *,
-    layout_names: tuple[str, ...],
-    out: Path,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-) -> None:
+@asking(*JUDGED, has_cache=False)
+def sheet(job: Job, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.
 
     Where, how high, where it looks in words and degrees, what it will see (rendered), a plan, the
     nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
     """
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names, question)
+    job = job.begin()
+    layout = job.layout(layout_names)
     from ..parts.sheet import run_sheet
 
-    summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
-    print_result(summary, progress, as_json, lambda: sheet_text(summary))
+    summary = run_sheet(job.question, layout=layout, out=out, **job.means)
+    job.print(summary, lambda: sheet_text(summary))
 
 
 def sheet_text(summary: "SheetResult") -> str:

@@ -6,21 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
-from ..progress import StageProgress
 from ..results.numbers import percent
-from .options import (
-    JUDGED,
-    SectionedCommand,
-    folder_option,
-    job_options,
-    layout_option,
-    option,
-    question_options,
-)
-from .running import begin, load_one_layout, print_result
+from .options import JUDGED, SectionedCommand, asking, folder_option, layout_option, option
+from .running import Job
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
@@ -62,21 +50,15 @@ Examples:
     help="Longest latency shown; default: 0.5, or as far as the budget reaches.",
 )
 @folder_option("latency.csv and latency.png")
-@question_options(*(name for name in JUDGED if name not in ("latency_budget", "cars")))
-@job_options()
-@click.pass_obj
+@asking(*(name for name in JUDGED if name not in ("latency_budget", "cars")), has_cache=False)
 def latency(
-    progress: StageProgress,
+    job: Job,
     *,
     layout_names: tuple[str, ...],
     budget: str | None,
     vut_latency_s: float | None,
     max_latency_s: float | None,
     out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
 ) -> None:
     """How much latency a layout bears: accidents prevented against the time to braking.
 
@@ -84,21 +66,20 @@ def latency(
     long as the budget says: exposure, detector, the wait for the next collective perception
     message (CPM), radio, decision.
     """
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names, question)
+    job = job.begin()
+    layout = job.layout(layout_names)
     from ..parts.latency import run_latency
 
     summary = run_latency(
-        question,
+        job.question,
         layout=layout,
         budget=budget,
         vut_latency_s=vut_latency_s,
         max_latency_s=max_latency_s,
         out=out,
-        compute=compute,
-        progress=progress,
+        **job.means,
     )
-    print_result(summary, progress, as_json, lambda: latency_text(summary, out))
+    job.print(summary, lambda: latency_text(summary, out))
 
 
 _COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VUT alone"}

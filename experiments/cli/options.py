@@ -4,7 +4,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -25,7 +25,7 @@ from placement.question import (
     save_question,
 )
 
-from .running import cache_folder, check_address_space
+from .running import Job, cache_folder, check_address_space
 
 ASKED = "What is asked"
 MOUNTED = "What may be mounted, and where"
@@ -281,15 +281,10 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
     limit: Any = limits[0] if limits else Meta()
     settings: dict[str, Any] = {
+        **asdict(shown),
         "default": default,
         "show_default": bool(default),
         "help": help_of(field),
-        "section": shown.section,
-        "is_common": shown.is_common,
-        "is_path": shown.is_path,
-        "takes_infinity": shown.takes_infinity,
-        "needs": shown.needs,
-        "excludes": shown.excludes,
         "metavar": shown.metavar or None,
         "expected": limit.description or "",
     }
@@ -426,14 +421,8 @@ _save_question_option = option(
 # ---------- options that several commands share
 
 
-def _be_verbose(context: click.Context, param: click.Parameter, is_verbose: bool) -> None:
-    if is_verbose:
-        context.obj.tell_more()
-
-
-def _show_traceback(context: click.Context, param: click.Parameter, is_shown: bool) -> None:
-    if is_shown:
-        context.obj.shows_tracebacks = True
+def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: bool) -> None:
+    context.obj.shows_tracebacks = is_shown
 
 
 json_option = option(
@@ -447,7 +436,7 @@ _verbose_option = option(
     "--verbose",
     is_flag=True,
     expose_value=False,
-    callback=_be_verbose,
+    callback=lambda context, _, is_given: is_given and context.obj.tell_more(),
     section=PROGRAM,
     is_common=False,
     help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
@@ -558,6 +547,32 @@ def job_options(*, has_cache: bool = False) -> Decorator:
     return decorate
 
 
+def asking(
+    *names: str, defaults: dict[str, Any] | None = None, has_cache: bool = True
+) -> Decorator:
+    """Options of a command that asks something and computes; the command gets them as one `job`.
+
+    See :func:`question_options` and :func:`job_options`.
+    """
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_job(
+            *, question: Question, compute: Compute, as_json: bool, quiet: bool, **values: Any
+        ) -> Any:
+            progress = click.get_current_context().find_root().obj
+            job = Job(
+                progress=progress, question=question, compute=compute, as_json=as_json, quiet=quiet
+            )
+            return command(job, **values)
+
+        return question_options(*names, defaults=defaults)(
+            job_options(has_cache=has_cache)(with_job)
+        )
+
+    return decorate
+
+
 def folder_option(files: str) -> Decorator:
     """``--out``, a folder for some files, named in its help; nothing is written without it."""
     return option("--out", type=click.Path(path_type=Path), help=f"Folder for {files}; else none.")
@@ -626,12 +641,8 @@ class SectionedCommand(click.Command):
         _write_sections(self, ctx, formatter)
 
 
-class SectionedGroup(click.Group):
+class SectionedGroup(SectionedCommand, click.Group):
     """A group with options of its own, listed in sections, and commands."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.params = _with_help_all(self.params)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write commands first: whoever looks for one need not pass by the options."""
@@ -657,17 +668,10 @@ def with_option_names(message: str, group: click.Group) -> str:
     return re.sub(r"\A([a-z0-9_]+)(?=:| in )", name, message)
 
 
-def _option_names(group: click.Group) -> Iterator[tuple[str, str]]:
+def _option_names(command: click.Command) -> Iterator[tuple[str, str]]:
     """Names of parameters with those of their options, of a group after those of its commands."""
-    for command in group.commands.values():
-        if isinstance(command, click.Group):
-            yield from _option_names(command)
-        else:
-            yield from _names_of(command)
-    yield from _names_of(group)
-
-
-def _names_of(command: click.Command) -> Iterator[tuple[str, str]]:
+    for one in command.commands.values() if isinstance(command, click.Group) else ():
+        yield from _option_names(one)
     for param in command.params:
         if isinstance(param, click.Option) and param.name is not None:
-            yield param.name, max(param.opts, key=len)
+            yield param.name, option_name(param)

@@ -5,11 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
 from ..parts import Part
-from ..progress import StageProgress
 from ..results.numbers import cars_words, several
 from .options import (
     ASKED,
@@ -17,14 +13,13 @@ from .options import (
     MOUNTED,
     Decorator,
     SectionedCommand,
+    asking,
     fields_in,
     folder_option,
-    job_options,
     layout_option,
     option,
-    question_options,
 )
-from .running import begin, command_line, load_one_layout, print_result
+from .running import Job, command_line
 from .terminal import answer_text, driven_lines
 
 if TYPE_CHECKING:
@@ -40,9 +35,8 @@ _ASKED = fields_in(ASKED, MOUNTED, but=("budget", "target", "least", "survive", 
 
 
 def front_options(*asked: str) -> Decorator:
-    """Options of a question for commands that look for several layouts, each with its own time."""
-    defaults = {"time_limit_s": _TIME_LIMIT_S}
-    return question_options(*asked, *_SOUGHT, *JUDGED, defaults=defaults)
+    """Options of commands that look for several layouts, each with its own time."""
+    return asking(*asked, *_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S})
 
 
 @click.command(
@@ -79,39 +73,25 @@ Examples:
 )
 @folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
-@job_options(has_cache=True)
-@click.pass_obj
-def pareto(
-    progress: StageProgress,
-    *,
-    max_units: int,
-    by: str,
-    all_stages: bool,
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-) -> None:
+def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | None) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share of
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
-    question = begin(progress, question, quiet=quiet)
+    job = job.begin()
     from ..parts.front import run_pareto
 
     summary = run_pareto(
-        question,
+        job.question,
         by=by,
         max_units=max_units,
         all_stages=all_stages,
         out=out,
-        compute=compute,
         command=command_line(),
-        progress=progress,
+        **job.means,
     )
-    print_result(summary, progress, as_json, lambda: front_text(summary, out))
+    job.print(summary, lambda: front_text(summary, out))
 
 
 def front_text(summary: "FrontResult", out: Path | None) -> str:
@@ -128,8 +108,15 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
         ),
         Part(words=summary.sentences),
     ]
+    return _with_head(summary, parts, out, "pareto.csv, pareto.json and pareto.png")
+
+
+def _with_head(
+    summary: "FrontResult | RetrofitResult", parts: list[Part], out: Path | None, files: str
+) -> str:
+    """An answer with what is driven before it, and the files that were written behind it."""
     if out is not None:
-        parts.append(Part(words=[f"Written to {out}: pareto.csv, pareto.json and pareto.png."]))
+        parts.append(Part(words=[f"Written to {out}: {files}."]))
     head = driven_lines(summary.driven, summary.without_effect)
     return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
 
@@ -161,38 +148,27 @@ Examples:
 )
 @folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
-@job_options(has_cache=True)
-@click.pass_obj
 def retrofit(
-    progress: StageProgress,
-    *,
-    layout_names: tuple[str, ...],
-    visit_eur: float | None,
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
+    job: Job, *, layout_names: tuple[str, ...], visit_eur: float | None, out: Path | None
 ) -> None:
     """What to change about units that are mounted: remove, re-aim or add one, each priced.
 
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
     re-aims and additions together for the money, too.
     """
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names, question)
+    job = job.begin()
+    layout = job.layout(layout_names)
     from ..parts.retrofit import run_retrofit
 
     summary = run_retrofit(
-        question,
+        job.question,
         layout=layout,
         visit_eur=visit_eur,
         out=out,
-        compute=compute,
         command=command_line(),
-        progress=progress,
+        **job.means,
     )
-    print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
+    job.print(summary, lambda: retrofit_text(summary, out))
 
 
 def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
@@ -213,7 +189,4 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
         ),
         Part(words=summary.sentences),
     ]
-    if out is not None:
-        parts.append(Part(words=[f"Written to {out}: retrofit.csv and retrofit.json."]))
-    head = driven_lines(summary.driven, summary.without_effect)
-    return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
+    return _with_head(summary, parts, out, "retrofit.csv and retrofit.json")

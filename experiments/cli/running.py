@@ -4,6 +4,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from .terminal import answer_text
 _LEAST_BYTES = 2_000_000_000
 
 if TYPE_CHECKING:
+    from placement.compute import Compute
     from placement.layout import Layout
     from placement.question import Question
 
@@ -44,8 +46,6 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
     progress.start(quiet=quiet)
     if not (map_options(question) or Path(question.scene).is_file()):
         return question
-    from dataclasses import replace
-
     from geometry.scene_files import has_scene
 
     if has_scene(Path(question.scene)) and not map_options(question):
@@ -74,6 +74,38 @@ def load_one_layout(names: Sequence[str], question: "Question | None" = None) ->
 
     scene = load_scene(question.scene)
     return find_layout(names[0], "--layout", scene=scene, sensors=question.sensors)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """A call of a command that asks something and computes."""
+
+    progress: StageProgress
+    question: "Question"
+    compute: "Compute"
+    as_json: bool
+    quiet: bool
+
+    def begin(self) -> "Job":
+        """Show what happens from here on; the job with its map imported, see :func:`begin`."""
+        return replace(self, question=begin(self.progress, self.question, quiet=self.quiet))
+
+    def layout(self, names: Sequence[str]) -> "Layout":
+        """The layout of ``--layout``, given once; see :func:`load_one_layout`."""
+        return load_one_layout(names, self.question)
+
+    @property
+    def means(self) -> dict[str, Any]:
+        """What functions that compute take beside what they are asked."""
+        return {"compute": self.compute, "progress": self.progress}
+
+    def print(self, result: Any, text: Callable[[], str]) -> None:
+        """End the command, see :func:`print_result`."""
+        print_result(result, self.progress, self.as_json, text)
+
+    def print_answer(self, result: Any, parts: Callable[[], Iterable[Part]]) -> None:
+        """End a command that answers, see :func:`print_answer`."""
+        print_answer(result, self.progress, self.as_json, parts)
 
 
 def command_line() -> str:
