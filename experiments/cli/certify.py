@@ -7,19 +7,19 @@ import click
 
 from placement.question import N_BLOCKS, N_JUDGED, N_SAMPLES
 
-from .options import JUDGED, MOUNTED, SectionedCommand, asking, fields_in, folder_option, option
+from . import options
 from .running import Job, command_line
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
     from ..parts.certified import CertifiedResult
 
-_ASKED = ("budget", "budget_cost", *fields_in(MOUNTED))
+_ASKED = ("budget", "budget_cost", *options.fields_in(options.MOUNTED))
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion", "samples", "uncertainty", "traffic")
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus certify --budget 3 --detector response
@@ -27,7 +27,7 @@ Examples:
   place-rsus certify --budget 3 --detector response --out results/certified
   place-rsus verify results/certified""",
 )
-@option(
+@options.option(
     "--blocks",
     "n_blocks",
     type=click.IntRange(min=2),
@@ -37,7 +37,7 @@ Examples:
     show_default=True,
     help="Blocks of --samples worlds each; a layout and a bound is found in each.",
 )
-@option(
+@options.option(
     "--judge",
     "n_judged",
     type=click.IntRange(min=2),
@@ -47,8 +47,8 @@ Examples:
     show_default=True,
     help="Fresh worlds to choose among these layouts in, and as many others to judge the best in.",
 )
-@folder_option("layout.json and certified.json")
-@asking(*_ASKED, *_SOUGHT, *JUDGED, defaults={"samples": N_SAMPLES})
+@options.folder_option("layout.json and certified.json")
+@options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
 def certify(job: Job, *, n_blocks: int, n_judged: int, out: Path | None) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.
 

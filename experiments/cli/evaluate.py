@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import JUDGED, SectionedCommand, asking, folder_option, layout_option, option
+from . import options
 from .recording import check_recording_options, recording_options, recording_table
 from .running import Job, command_line
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus evaluate --layout carlancap-12
   place-rsus evaluate --layout results/latest/layout.json --out results/mine
   place-rsus evaluate --recording ncap_data""",
 )
-@layout_option
+@options.layout_option
 @recording_options
-@folder_option("a report")
-@asking("no_look", *JUDGED)
+@options.folder_option("a report")
+@options.asking("no_look", *options.JUDGED)
 def evaluate(
     job: Job,
     *,
@@ -71,7 +71,7 @@ def evaluate(
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus compare results/latest/layout.json carlancap-12
@@ -79,15 +79,15 @@ Examples:
   place-rsus compare a.json b.json --samples 60     is the difference sure?""",
 )
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
-@option(
+@options.option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
+@options.option(
     "--report",
     "--out",
     "out",
     type=click.Path(path_type=Path),
     help="Folder for a report; else none.",
 )
-@asking("samples", "uncertainty", "traffic", "no_look", *JUDGED)
+@options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
     job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None
 ) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..results.numbers import percent
-from .options import JUDGED, SectionedCommand, asking, folder_option, layout_option, option
+from . import options
 from .running import Job
 from .terminal import driven_lines, sentences, table
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus latency --layout carlancap-12
@@ -26,14 +26,14 @@ Examples:
   place-rsus latency --layout mine.json --budget mine.toml --json
   place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2""",
 )
-@layout_option
-@option(
+@options.layout_option
+@options.option(
     "--budget",
     metavar="NAME|FILE",
     help="study (one number, 25 ms), cpm-100ms, cpm-50ms, or a .toml file with parts of one's own; "
     "default: study.",
 )
-@option(
+@options.option(
     "--vut-latency",
     "vut_latency_s",
     type=click.FloatRange(min=0.0),
@@ -41,7 +41,7 @@ Examples:
     expected="seconds, at least 0",
     help="Of the VUT's own sensors, which wait for no message; default: that of all others.",
 )
-@option(
+@options.option(
     "--max",
     "max_latency_s",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -49,8 +49,10 @@ Examples:
     expected="seconds, more than 0",
     help="Longest latency shown; default: 0.5, or as far as the budget reaches.",
 )
-@folder_option("latency.csv and latency.png")
-@asking(*(name for name in JUDGED if name not in ("latency_budget", "cars")), has_cache=False)
+@options.folder_option("latency.csv and latency.png")
+@options.asking(
+    *(name for name in options.JUDGED if name not in ("latency_budget", "cars")), has_cache=False
+)
 def latency(
     job: Job,
     *,

@@ -7,18 +7,7 @@ import click
 
 from ..parts import Part
 from ..results.numbers import cars_words, several
-from .options import (
-    ASKED,
-    JUDGED,
-    MOUNTED,
-    Decorator,
-    SectionedCommand,
-    asking,
-    fields_in,
-    folder_option,
-    layout_option,
-    option,
-)
+from . import options
 from .running import Job, command_line
 from .terminal import answer_text, driven_lines
 
@@ -31,16 +20,20 @@ _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
 # A front has every APR and every number of units: what asks for one of them has no place here.
-_ASKED = fields_in(ASKED, MOUNTED, but=("budget", "target", "least", "survive", "give_up"))
+_ASKED = options.fields_in(
+    options.ASKED, options.MOUNTED, but=("budget", "target", "least", "survive", "give_up")
+)
 
 
-def front_options(*asked: str) -> Decorator:
+def front_options(*asked: str) -> options.Decorator:
     """Options of commands that look for several layouts, each with its own time."""
-    return asking(*asked, *_SOUGHT, *JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S})
+    return options.asking(
+        *asked, *_SOUGHT, *options.JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S}
+    )
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus pareto --max 8                        what each further unit buys
@@ -49,7 +42,7 @@ Examples:
   place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
   place-rsus pareto --max 5 --out results/pareto --json""",
 )
-@option(
+@options.option(
     "--max",
     "max_units",
     type=click.IntRange(min=1),
@@ -59,19 +52,19 @@ Examples:
     show_default=True,
     help="Most units, beside those of --keep.",
 )
-@option(
+@options.option(
     "--by",
     type=click.Choice(("units", "cost")),
     default="units",
     show_default=True,
     help="What there is more and more of: units, or money for units and sites.",
 )
-@option(
+@options.option(
     "--all-stages",
     is_flag=True,
     help="Optimise time to spare and cost, too, not only the APR with and without a failure.",
 )
-@folder_option("pareto.csv, pareto.json and pareto.png")
+@options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | None) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
@@ -125,11 +118,11 @@ def _with_head(
 
 
 # Existing units are --layout; what is added is asked for by money alone.
-_ADDED = ("budget_cost", *fields_in(MOUNTED, but=("keep", "within", "force_site")))
+_ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus retrofit --layout carlancap-12
@@ -137,8 +130,8 @@ Examples:
   place-rsus retrofit --layout mine.json --sensors carla-ncap-lidar
   place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
 )
-@layout_option
-@option(
+@options.layout_option
+@options.option(
     "--visit-cost",
     "visit_eur",
     type=click.FloatRange(min=0.0),
@@ -146,7 +139,7 @@ Examples:
     expected="euros, at least 0",
     help="Of a re-aim or a removal; default: people and a lift, by the project's assumptions.",
 )
-@folder_option("retrofit.csv and retrofit.json")
+@options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
 def retrofit(
     job: Job, *, layout_names: tuple[str, ...], visit_eur: float | None, out: Path | None

@@ -8,16 +8,7 @@ from placement.compute import Compute
 from placement.question import Question
 
 from ..progress import StageProgress
-from .options import (
-    JUDGED,
-    PLANNED,
-    SectionedGroup,
-    is_given,
-    job_options,
-    option,
-    option_name,
-    question_options,
-)
+from . import options
 from .recording import check_recording_options, recorded_placement_table, recording_options
 from .running import begin, command_line, print_answer, print_result
 
@@ -25,7 +16,7 @@ DEFAULT_OUT = Path("results/latest")
 
 
 @click.group(
-    cls=SectionedGroup,
+    cls=options.SectionedGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="""\b
@@ -58,7 +49,7 @@ Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the i
 cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
-@option(
+@options.option(
     "--out",
     type=click.Path(path_type=Path),
     default=DEFAULT_OUT,
@@ -66,8 +57,8 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
 @recording_options
-@question_options(*PLANNED, *JUDGED)
-@job_options(has_cache=True)
+@options.question_options(*options.PLANNED, *options.JUDGED)
+@options.job_options(has_cache=True)
 @click.pass_context
 def cli(
     context: click.Context,
@@ -88,7 +79,9 @@ def cli(
     """
     if context.invoked_subcommand is not None:
         given = [
-            option_name(param) for param in context.command.params if is_given(str(param.name))
+            options.option_name(param)
+            for param in context.command.params
+            if options.is_given(str(param.name))
         ]
         if given:
             raise click.UsageError(
@@ -106,7 +99,7 @@ def cli(
         progress.start(quiet=quiet)
         from ..parts import recording as recording_job
 
-        folder = out if is_given("out") else None
+        folder = out if options.is_given("out") else None
         summary = recording_job.run_recorded_placement(
             question,
             folder=recording,
@@ -120,7 +113,7 @@ def cli(
     from ..jobs import READY
     from ..side_process import side_process
 
-    asks_much = not (is_given("cases") or question.speeds or question.approaches)
+    asks_much = not (options.is_given("cases") or question.speeds or question.approaches)
     with side_process(asks_much and compute.workers > 1, **READY) as side:  # loads meanwhile
         from ..jobs import placement
 

@@ -15,15 +15,7 @@ from placement.question import Question
 
 from ..progress import StageProgress, tell, write_out
 from ..results.numbers import several
-from .options import (
-    ONLY_DRIVEN,
-    SectionedCommand,
-    json_option,
-    one_run_options,
-    option,
-    question_options,
-    quiet_option,
-)
+from . import options
 from .running import begin, print_result, unwritable
 from .terminal import sentences, table
 
@@ -236,15 +228,15 @@ def scenarios() -> None:
 
 @scenarios.command(
     "list",
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west
   place-rsus scenarios list --cases CPNA --along-arms 0,20,40""",
 )
-@question_options(*ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
-@json_option
-@quiet_option
+@options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def list_scenarios(
     progress: StageProgress, *, question: Question, as_json: bool, quiet: bool
@@ -286,13 +278,13 @@ Examples:
   place-rsus scenarios show CPNCO-50 --approach east --speed 40
   place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
 )
-@one_run_options()
-@option(
+@options.one_run_options()
+@options.option(
     "--out",
     type=click.Path(path_type=Path),
     help="Film strip (.png, .svg, .pdf) or animation (.gif); default: a .png in results/scenarios.",
 )
-@quiet_option
+@options.quiet_option
 @click.pass_obj
 def show(
     progress: StageProgress, *, question: Question, position: str, out: Path | None, quiet: bool
@@ -322,13 +314,25 @@ Examples:
   place-rsus --scene junction --cases near.toml --budget 3""",
 )
 @click.argument("paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path))
-@option("--ttc", "ttc_s", type=float, metavar="S", help="Longest time to collision; default: 2.")
-@option("--within", "within_m", type=float, metavar="M", help="Also pairs that come so near.")
-@option("--rate", "rate_hz", type=float, metavar="HZ", help="Of CSV files that count frames.")
-@option("--columns", default="", metavar="WHAT=NAME,..", help="Of CSV files: id=..,time=..,x=..")
-@option("--class", "class_name", default="", metavar="CLASS", help="Of CSV files without classes.")
-@option("--name", default="", help="What names of cases begin with; default: the first FILE's.")
-@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.option(
+    "--ttc", "ttc_s", type=float, metavar="S", help="Longest time to collision; default: 2."
+)
+@options.option(
+    "--within", "within_m", type=float, metavar="M", help="Also pairs that come so near."
+)
+@options.option(
+    "--rate", "rate_hz", type=float, metavar="HZ", help="Of CSV files that count frames."
+)
+@options.option(
+    "--columns", default="", metavar="WHAT=NAME,..", help="Of CSV files: id=..,time=..,x=.."
+)
+@options.option(
+    "--class", "class_name", default="", metavar="CLASS", help="Of CSV files without classes."
+)
+@options.option(
+    "--name", default="", help="What names of cases begin with; default: the first FILE's."
+)
+@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 def take_recordings(
     *,
     paths: tuple[Path, ...],
@@ -387,8 +391,8 @@ def take_recordings(
 Examples:
   place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
 )
-@one_run_options()
-@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.one_run_options()
+@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @click.pass_obj
 def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file."""

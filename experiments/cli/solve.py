@@ -7,7 +7,7 @@ import click
 
 from ..parts import Part
 from ..progress import StageProgress
-from .options import SectionedCommand, is_given, json_option, option, quiet_option
+from . import options
 from .running import print_result, unwritable
 from .terminal import answer_text, sentences
 
@@ -32,7 +32,7 @@ def _target(text: str) -> float | None:
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus solve scp41.txt                       all rows at least cost
@@ -42,7 +42,7 @@ Examples:
   place-rsus solve results/latest/instance.npz --budget 2""",
 )
 @click.argument("file", type=click.Path(path_type=Path))
-@option(
+@options.option(
     "--budget",
     "budget_units",
     type=click.IntRange(min=1),
@@ -50,14 +50,14 @@ Examples:
     expected="a whole number of columns, at least 1",
     help="Cover as much as so many columns can.",
 )
-@option(
+@options.option(
     "--budget-cost",
     type=click.FloatRange(min=0.0),
     metavar="COST",
     expected="an amount of money, at least 0",
     help="Cover as much as columns for so much money can.",
 )
-@option(
+@options.option(
     "--target",
     type=_target,
     metavar="max|SHARE",
@@ -65,7 +65,7 @@ Examples:
     help="Cover that share of the rows, or all that can be covered (max), at least cost; max is "
     "the default.",
 )
-@option(
+@options.option(
     "--track-memory",
     "track_memory_s",
     type=float,
@@ -75,7 +75,7 @@ Examples:
     help="Of placement problems: how long a track lives without detections, in place of the file's "
     "own; inf: for ever, as the study reads it.",
 )
-@option(
+@options.option(
     "--solver",
     default="auto",
     show_default=True,
@@ -83,7 +83,7 @@ Examples:
     help="Of placement problems: auto: what proves soonest; HIGHS: that solver alone; greedy: no "
     "proof. Covering problems are HiGHS' alone.",
 )
-@option(
+@options.option(
     "--time-limit",
     "time_limit_s",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -93,7 +93,7 @@ Examples:
     show_default=True,
     help="When it is up, the best answer found and its gap are given.",
 )
-@option(
+@options.option(
     "--gap",
     type=click.FloatRange(min=0.0),
     metavar="SHARE",
@@ -102,7 +102,7 @@ Examples:
     show_default=True,
     help="Relative distance of objective and bound that is good enough.",
 )
-@option(
+@options.option(
     "--format",
     "format_name",
     type=click.Choice(("auto", "orlib", "gecco", "rail", "sts")),
@@ -112,14 +112,14 @@ Examples:
     "instances, by columns; gecco: the camera placement competition of GECCO 2020; sts: Steiner "
     "triples; auto: by the content.",
 )
-@option(
+@options.option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="FILE",
     help="Write the covering problem in OR-Library's format (orlib).",
 )
-@json_option
-@quiet_option
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def solve(
     progress: StageProgress,
@@ -152,7 +152,7 @@ def solve(
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
         solution = solve.run_solve_windows(
             file,
-            target=float("inf") if target is None and is_given("target") else target,
+            target=float("inf") if target is None and options.is_given("target") else target,
             track_memory_s=track_memory_s,
             progress=progress,
             **asked,
@@ -180,7 +180,7 @@ def solve(
 
 
 def _check_one_question() -> None:
-    given = [words for name, words in _QUESTIONS.items() if is_given(name)]
+    given = [words for name, words in _QUESTIONS.items() if options.is_given(name)]
     if len(given) > 1:
         known = ", ".join(_QUESTIONS.values())
         raise click.UsageError(f"{given[1]}: got it beside {given[0]}; expected one of {known}")
