@@ -63,7 +63,7 @@ def _serve(setting: Setting, question: Question, variant: Variant, folder: Path)
 
     work = Work(question=question, scratch=folder, compute=Compute())
     server = RunningServer(
-        lambda: Session(work, setting, plan=Plan(variants=(variant,))), host="127.0.0.1", port=0
+        lambda: Session(work, setting, begun=Plan(variants=(variant,))), host="127.0.0.1", port=0
     )
     server.start()
     try:

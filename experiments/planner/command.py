@@ -132,7 +132,7 @@ def plan(
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
         server = RunningServer(
-            lambda: Session(work, setting, plan=begun, save=save),
+            lambda: Session(work, setting, begun=begun, save=save),
             host=host,
             port=port,
             keeps_open=keep_open,

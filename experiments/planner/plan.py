@@ -211,18 +211,8 @@ class ChooseSensors(_Request, tag="sensors"):
     names: list[str]
 
 
-Message = (
-    Change
-    | Undo
-    | Redo
-    | Revert
-    | Ask
-    | Cancel
-    | TakeProposal
-    | DropProposal
-    | ShowCoverage
-    | ChooseSensors
-)
+_Other = Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
+Message = Change | Undo | Redo | Revert | _Other
 _DECODER = msgspec.json.Decoder(Message)
 
 
@@ -337,15 +327,22 @@ def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> 
     return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
 
 
+def find_site(site_id: str, scene: Scene) -> Site | None:
+    """A site by its id; None: there is none."""
+    return next((site for site in scene.sites if site.id == site_id), None)
+
+
+def mount_range_m(pose: Pose, site_id: str, scene: Scene) -> tuple[float, float, float]:
+    """Height of the foot of a pose's site, or of the ground below it, and heights above it."""
+    site = find_site(site_id, scene)
+    if site is None:
+        return float(ground_height_m(scene, pose.position_m[:2])), 0.5, 50.0
+    return float(site.position_m[2]), *site.height_range_m.tolist()
+
+
 def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
     """A pose at another height above the foot of its site, or above the ground below it."""
-    site = next((site for site in scene.sites if site.id == site_id), None)
-    if site is None:
-        foot_m = float(ground_height_m(scene, pose.position_m[:2]))
-        low_m, high_m = 0.5, 50.0
-    else:
-        foot_m = float(site.position_m[2])
-        low_m, high_m = site.height_range_m.tolist()
+    foot_m, low_m, high_m = mount_range_m(pose, site_id, scene)
     if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
         at = f"the range of {site_id}" if site_id else "above the ground"
         raise InputError("height", height_m, f"{low_m:g} .. {high_m:g} m, {at}")
@@ -355,8 +352,8 @@ def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
 
 def _remove_unit(state: PlanState, change: RemoveUnit, stock: Stock) -> PlanState:
     units = state.variant.units
-    index = _find(units, change.unit)
-    return state.with_units([*units[:index], *units[index + 1 :]])
+    _find(units, change.unit)
+    return state.with_units([unit for unit in units if unit.id != change.unit])
 
 
 def _add_variant(state: PlanState, change: AddVariant, stock: Stock) -> PlanState:
@@ -414,26 +411,23 @@ _CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
 
 
 def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
-    for index, unit in enumerate(units):
-        if unit.id == unit_id:
-            return index
-    raise InputError("unit", unit_id, "one that is mounted there")
+    ids = [unit.id for unit in units]
+    if unit_id not in ids:
+        raise InputError("unit", unit_id, "one that is mounted there")
+    return ids.index(unit_id)
 
 
 def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:
     """A site that may carry one more unit."""
-    site = next((site for site in scene.sites if site.id == site_id), None)
+    site = find_site(site_id, scene)
     if site is None:
         raise InputError("site", site_id, f"a site of {scene.name}")
     if site.use == "forbidden":
         raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:
-        raise InputError(
-            f"site {site_id}",
-            Unquoted(f"a unit more than the {n_there} there"),
-            f"at most {site.capacity_units}",
-        )
+        got = Unquoted(f"a unit more than the {n_there} there")
+        raise InputError(f"site {site_id}", got, f"at most {site.capacity_units}")
     return site
 
 
@@ -564,13 +558,11 @@ def background_message(background: Background | None) -> dict[str, Any]:
     """Message about the image: its address, size and points; an empty address: none."""
     if background is None:
         return {"type": "background", "address": ""}
-    lie = background.lie
-    return {
-        "type": "background",
-        "address": f"background?{id(background)}",  # another one is not taken from a cache
-        "size": [lie.width_px, lie.height_px],
-        "points": [msgspec.structs.astuple(point) for point in lie.points],
-    }
+    lie, points = background.lie, map(msgspec.structs.astuple, background.lie.points)
+    # By its number: another one is not taken from a cache.
+    address = f"background?{id(background)}"
+    size = [lie.width_px, lie.height_px]
+    return {"type": "background", "address": address, "size": size, "points": list(points)}
 
 
 def build_background(content: bytes, lie: bytes, where: str) -> Background:
@@ -585,8 +577,7 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
     return _checked(Background(lie=found, image=content), where)
 
 
-def read_background(record: Any, where: str) -> Background:
-    """A background from a plan's file. Raises InputError as :func:`build_background` does."""
+def _read_background(record: Any, where: str) -> Background:
     try:
         found = msgspec.convert(record, Background)
     except msgspec.ValidationError as error:
@@ -610,11 +601,9 @@ def _checked(background: Background, where: str) -> Background:
     apart_px = math.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
     apart_m = math.hypot(second.east_m - first.east_m, second.north_m - first.north_m)
     if apart_px < _LEAST_APART_PX or apart_m < _LEAST_APART_M:
-        raise InputError(
-            f"{where}: points",
-            Unquoted(f"points {apart_px:.1f} px and {apart_m:.2f} m from each other"),
-            f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m",
-        )
+        got = Unquoted(f"points {apart_px:.1f} px and {apart_m:.2f} m from each other")
+        expected = f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m"
+        raise InputError(f"{where}: points", got, expected)
     return background
 
 
@@ -669,13 +658,9 @@ def read_plan(text: bytes, where: str) -> Plan:
             encoded = msgspec.json.encode(record)
             variants.append(_read_variant(record, encoded, at, f"{index + 1}"))
     background = document.get("background")
-    return Plan(
-        variants=tuple(variants),
-        scene_name=_scene_of(document),
-        background=None
-        if background is None
-        else read_background(background, f"{where}: background"),
-    )
+    if background is not None:
+        background = _read_background(background, f"{where}: background")
+    return Plan(variants=tuple(variants), scene_name=_scene_of(document), background=background)
 
 
 def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:

@@ -59,6 +59,14 @@ _INLINE = (
     "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
 
+_POLICY = "content-security-policy"
+_GUARDED = {
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
 # ---------- who may ask
 
 
@@ -118,13 +126,9 @@ def page_files() -> dict[str, tuple[bytes, str]]:
         if Path(item.name).suffix in kinds
     }
     report = files("experiments.report") / "templates"
-    shared = [
-        (report / name).read_text(encoding="utf-8")
-        for name in ("run_numbers.js", "plan_drawing.js")
-    ]
-    names = ("element", "drawGround", "drawScale", "addPatterns", "MARKS")
-    exported = f"export {{ {', '.join(names)} }};\n"
-    found["shared.js"] = ("\n".join([*shared, exported]).encode(), "text/javascript")
+    shared = [(report / name).read_bytes() for name in ("run_numbers.js", "plan_drawing.js")]
+    exported = b"export { element, drawGround, drawScale, addPatterns, MARKS };\n"
+    found["shared.js"] = (b"\n".join([*shared, exported]), "text/javascript")
     return found
 
 
@@ -147,8 +151,8 @@ class Pages:
     def routes(self) -> list[Route | WebSocketRoute]:
         """All of them."""
         return [
-            Route("/", self._index),
-            Route("/files/{name}", self._file),
+            Route("/", self._answer(self._file)),
+            Route("/files/{name}", self._answer(self._file)),
             WebSocketRoute("/live", self._live),
             Route("/layout.json", self._answer(self._layout)),
             Route("/plan.json", self._answer(self._plan)),
@@ -169,24 +173,24 @@ class Pages:
         """An answer, or the sentence that says why there is none."""
 
         async def answer(request: Request) -> Response:
+            response: Response
             try:
-                return _guarded(await make(request))
+                response = await make(request)
             except (InputError, TaskError) as error:
-                return _guarded(JSONResponse({"problem": str(error)}, 400))
+                response = JSONResponse({"problem": str(error)}, 400)
             except Cancelled:
-                return _guarded(JSONResponse({"problem": "it was stopped"}, 409))
+                response = JSONResponse({"problem": "it was stopped"}, 409)
+            response.headers.setdefault(_POLICY, _STRICT)
+            response.headers.update(_GUARDED)
+            return response
 
         return answer
 
-    async def _index(self, request: Request) -> Response:
-        content, kind = page_files()["index.html"]
-        return _guarded(Response(content, media_type=kind))
-
     async def _file(self, request: Request) -> Response:
-        found = page_files().get(request.path_params["name"])
+        found = page_files().get(request.path_params.get("name", "index.html"))
         if found is None:
-            return _guarded(Response("no such file\n", 404, media_type="text/plain"))
-        return _guarded(Response(found[0], media_type=found[1]))
+            return Response("no such file\n", 404, media_type="text/plain")
+        return Response(found[0], media_type=found[1])
 
     # ---------- the line on which browsers and session talk
 
@@ -234,7 +238,7 @@ class Pages:
     async def _watch(self, request: Request) -> Response:
         run_id = request.query_params.get("run", "")
         page = await self._session.call("watch", self._session.layout(), run_id)
-        return _inline(page)
+        return Response(page, media_type="text/html", headers={_POLICY: _INLINE})
 
     async def _private(self, request: Request) -> Response:
         return JSONResponse(await self._session.private_view(request.query_params.get("unit", "")))
@@ -268,9 +272,8 @@ class Pages:
         return Response(picture, media_type="image/jpeg")
 
     async def _report(self, request: Request) -> Response:
-        content = await self._session.call(
-            "report", self._session.layout(), "place-rsus plan", is_long=True
-        )
+        asked = self._session.layout(), "place-rsus plan"
+        content = await self._session.call("report", *asked, is_long=True)
         return _download(content, "report.zip", "application/zip")
 
     async def _sheet(self, request: Request) -> Response:
@@ -383,27 +386,9 @@ async def _send_all(
             return
 
 
-def _inline(page: str) -> Response:
-    """A page that is one file, scripts and styles in it."""
-    response = Response(page, media_type="text/html")
-    response.headers["content-security-policy"] = _INLINE
-    return response
-
-
 def _download(content: bytes, name: str, kind: str) -> Response:
-    response = Response(content, media_type=kind)
-    response.headers["content-disposition"] = f'attachment; filename="{name}"'
-    return response
-
-
-def _guarded(response: Response) -> Response:
-    headers = response.headers
-    headers.setdefault("content-security-policy", _STRICT)
-    headers["x-content-type-options"] = "nosniff"
-    headers["referrer-policy"] = "no-referrer"
-    headers["cross-origin-resource-policy"] = "same-origin"
-    headers["cache-control"] = "no-store"
-    return response
+    disposition = {"content-disposition": f'attachment; filename="{name}"'}
+    return Response(content, media_type=kind, headers=disposition)
 
 
 def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> ASGIApp:
@@ -465,7 +450,7 @@ class RunningServer:
 
     def wait(self) -> None:
         """Wait until it has ended."""
-        while self._thread.is_alive():
+        while self.is_alive:
             self._thread.join(0.5)
 
     def stop(self) -> str:
