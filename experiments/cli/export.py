@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMAT_NAMES
-from ..progress import StageProgress, tell, write_out
+from ..progress import StageProgress, tell
 from . import options
-from .running import Job, load_one_layout, unwritable
+from .running import Job, load_one_layout, write_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -122,16 +122,8 @@ def export(
         missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
-    if out is None:
-        write_out(content)
-        return
-    from geometry.files import write_atomically
-
-    try:
-        write_atomically(out, content)
-    except OSError as error:
-        raise unwritable(out, error) from None
-    if chosen.told is not None and isinstance(content, bytes) and not quiet:
+    write_result(out, content)
+    if out is not None and chosen.told is not None and isinstance(content, bytes) and not quiet:
         tell(chosen.told(content), err=True)
 
 

@@ -98,26 +98,22 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
     from ..parts.latency import APR_LEVELS, STEP_S
 
     parties, budget = summary.parties, summary.budget
+    latencies_s, main = summary.latencies_s, [parties[name] for name in _COLUMNS]
     rows = [round(latency_s / STEP_S) for latency_s in _SHOWN_S]
     at = [
-        [_ms(summary.latencies_s[row]), *(percent(parties[name].apr[row]) for name in _COLUMNS)]
+        [_ms(latencies_s[row]), *(percent(party.apr[row]) for party in main)]
         for row in rows
-        if row < len(summary.latencies_s)
+        if row < len(latencies_s)
     ]
     longest = [
-        [
-            f"{100.0 * level:g} %",
-            *(_longest(parties[name].longest_s(summary.latencies_s, level)) for name in _COLUMNS),
-        ]
+        [f"{100.0 * level:g} %", *(_longest(one.longest_s(latencies_s, level)) for one in main)]
         for level in APR_LEVELS
     ]
     names = _COLUMNS | {name: _OTHERS.get(name, name) for name in parties if name not in _COLUMNS}
     within = [
-        [
-            words,
-            *map(percent, (parties[name].at_best, parties[name].at_mean, parties[name].at_worst)),
-        ]
+        [words, *map(percent, (party.at_best, party.at_mean, party.at_worst))]
         for name, words in names.items()
+        for party in [parties[name]]
     ]
     lines = [
         *driven_lines(summary.driven, summary.without_effect),

@@ -422,7 +422,8 @@ _save_question_option = option(
 
 
 def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: bool) -> None:
-    context.obj.shows_tracebacks = is_shown
+    if is_shown:
+        context.obj.shows_tracebacks = True
 
 
 json_option = option(

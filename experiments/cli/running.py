@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geometry.files import user_cache_folder
+from geometry.files import user_cache_folder, write_atomically
 
 from ..parts import Part
-from ..progress import StageProgress, tell
+from ..progress import StageProgress, tell, write_out
 from .terminal import answer_text
 
 _LEAST_BYTES = 2_000_000_000
@@ -154,6 +154,17 @@ def check_address_space() -> None:
         raise click.UsageError(
             f"ulimit -v: got {limit // 1000:,} kB; expected {_LEAST_BYTES // 1000:,} or no limit"
         )
+
+
+def write_result(out: Path | None, content: str | bytes) -> None:
+    """Write a content to a file, or to stdout. Raises click.UsageError: it cannot be written."""
+    if out is None:
+        write_out(content)
+        return
+    try:
+        write_atomically(out, content)
+    except OSError as error:
+        raise unwritable(out, error) from None
 
 
 def unwritable(path: object, error: OSError) -> click.UsageError:

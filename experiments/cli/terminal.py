@@ -131,12 +131,8 @@ def table(
             no_wrap=widths is None and not is_left,
         )
     for row in rows:
-        shown.add_row(
-            *(
-                Text(cell, overflow="fold", no_wrap=index >= n_left)
-                for index, cell in enumerate(row)
-            )
-        )
+        cells = enumerate(row)
+        shown.add_row(*(Text(cell, overflow="fold", no_wrap=n >= n_left) for n, cell in cells))
     output = StringIO()
     Console(file=output, width=width - indent, color_system=None).print(shown)
     lines = (line.rstrip() for line in output.getvalue().splitlines())
