@@ -95,10 +95,7 @@ class Accidents:
     what: tuple[Accident, ...]  # Of each
 
     def near(self, place_deg: tuple[float, float], within_m: float) -> list[Accident]:
-        """Accidents no farther than so many metres from a place (latitude, longitude).
-
-        Raises InputError: there is none.
-        """
+        """Accidents within so many metres of a place; InputError: there is none."""
         distance_m = _distances_m(self.place_deg, place_deg)
         rows = np.flatnonzero(distance_m <= within_m)
         if not len(rows):
@@ -323,8 +320,7 @@ _SAME, _ONCOMING, _WAYS = 0, 4, 8
 def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) -> str:
     """Event of a car and another vehicle; empty: unknown, or nothing of what is driven.
 
-    Directions are those of the compass, clockwise from 1, north; traffic keeps left, so that the
-    near side is the left.
+    Directions are those of the compass, clockwise from 1, north; the near side is the left.
     """
     if turn := _turn(car, rules):
         return turn

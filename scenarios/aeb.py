@@ -92,8 +92,7 @@ def _load_tables() -> Table:
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
     """Time in seconds from the onset of braking to standstill.
 
-    With deceleration a and build-up b it is v / a + b / 2, or sqrt(2 v b / a) where that comes
-    within the build-up.
+    v / a + b / 2 with deceleration a and build-up b; within the build-up sqrt(2 v b / a).
     """
     full_s = np.asarray(speed_mps, dtype=np.float64) / rule.deceleration_mps2
     return np.where(
@@ -292,13 +291,9 @@ def last_onsets_s(
 ) -> FloatArray:
     """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
 
-    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake time: no
-    earlier onset leads to contact. Returns (n_limits,): not before `avoids_until_s`; 10
-    microseconds later it is too late. 0 where the impact without braking is slower, minus infinity
-    if even braking at the VUT's start leaves too much.
-
-    Notes
-    -----
+    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake time. Returns
+    (n_limits,): not before `avoids_until_s`, and 10 microseconds later it is too late; 0 where the
+    impact without braking is slower, minus infinity if braking at the VUT's start leaves too much.
     Swept in steps of 25 ms: an earlier onset that leaves more for less than that is overlooked.
     """
     begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
@@ -477,15 +472,11 @@ def live_confirmation_time_s(
 ) -> FloatArray:
     """When the track of one run that is alive at `until_s` was confirmed, in seconds.
 
-    (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then. With an
-    infinite ``rule.track_memory_s`` it is the first confirmation up to `until_s`: the study's
-    reading. `until_s` is the last brake time less the latency, or infinite to ask for the first
-    confirmation of all.
-
-    Notes
-    -----
-    Monotone in the detections: further ones never make it later. Of a run it decides the avoidance
-    (finite or not) and the margin, `until_s` less it.
+    (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then. `until_s` is
+    the last brake time less the latency, or infinite to ask for the first confirmation of all; with
+    an infinite ``rule.track_memory_s`` it is the first one up to `until_s`: the study's reading.
+    More detections never make it later. It decides the avoidance (finite or not) and the margin,
+    `until_s` less it.
     """
     times = np.asarray(time_s, dtype=np.float64)
     frames = np.asarray(detected, dtype=bool) & (times <= until_s + TIME_TOLERANCE_S)

@@ -198,10 +198,7 @@ class Case:
         return self.name.partition("-")[0]
 
     def vru_speeds_kmh(self, vut_speed_kmh: float | None = None) -> tuple[float, ...]:
-        """Speeds of the VRU, ascending: those that go with a speed of the VUT, or all.
-
-        With a speed of the VUT that the protocol does not drive go those of the nearest one.
-        """
+        """Speeds of the VRU, ascending: with the driven speed nearest to one of the VUT, or all."""
         if not self.pairs_kmh:
             return (self.vru_speed_kmh,)
         if vut_speed_kmh is None:
@@ -399,17 +396,10 @@ def load_unlaid_cases() -> dict[str, Case]:
 def load_own_cases(path: str | Path) -> dict[str, Case]:
     """A user's own cases, by name.
 
-    Parameters
-    ----------
-    path : str or Path
-        TOML as ``data/cases.toml``: a table for each case. With ``as = "CPNA-25"`` it is like that
-        case, of this file or of the package's, but for what it says itself.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has no case, a case has the name of one of the package's, or a
-        field is missing or not of its kind.
+    TOML as ``data/cases.toml``: a table for each case. With ``as = "CPNA-25"`` it is like that
+    case, of this file or of the package's, but for what it says itself. Raises InputError: the file
+    cannot be read or has no case, a case has the name of one of the package's, or a field is
+    missing or not of its kind.
 
     Examples
     --------
@@ -605,25 +595,14 @@ _HIGHEST_KMH = 250.0
 
 
 def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tuple[Case, ...]:
-    """Cases by the words of a user.
+    """Cases by the words of a user, each once, in the order named.
 
-    Parameters
-    ----------
-    text : str
-        A set ("default", "study", "protocol-4.5.1", "protocol-2026", "junction", "all"), names, or
-        files of one's own cases (.toml), with commas between. The part of a name before its last
-        "-" stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75, "CPNA-2026" for all
-        impact points of 2026.
-    where : str
-        For the error message about an unknown name.
-    case_range : str
-        "extended" adds cases and speeds of Euro NCAP's extended range, 2026. A case that belongs to
-        that range alone, and is named in full, is picked anyway.
-
-    Returns
-    -------
-    cases : tuple of Case
-        Each once, in the order named.
+    `text`: a set ("default", "study", "protocol-4.5.1", "protocol-2026", "junction", "all"), names,
+    or files of one's own cases (.toml), with commas between. The part of a name before its last "-"
+    stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75, "CPNA-2026" for all impact
+    points of 2026. `where` is for the error message about an unknown name. `case_range` "extended"
+    adds cases and speeds of Euro NCAP's extended range, 2026; one that belongs to that range alone,
+    and is named in full, is picked anyway.
 
     Examples
     --------

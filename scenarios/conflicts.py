@@ -43,16 +43,12 @@ def time_to_collision_s(
     *,
     sizes: FootprintSizes,
 ) -> FloatArray:
-    """Time until two rectangles touch that move straight on without turning.
+    """Time in seconds until two rectangles touch that move straight on without turning.
 
-    Exact: along each of the sides' four normals they overlap from one time to another, and they
-    touch while they overlap along all of them. `offset_m` (..., 2) leads from the middle of a to
-    that of b, and changes by `closing_mps` (..., 2) a second.
-
-    Returns
-    -------
-    ttc_s : (...) float
-        0 where they touch already, infinite where they never will. [s]
+    0 where they touch already, infinite where they never will. `offset_m` (..., 2) leads from the
+    middle of a to that of b, and changes by `closing_mps` (..., 2) a second. Exact: along each of
+    the sides' four normals they overlap from one time to another, and they touch while they overlap
+    along all of them.
 
     Examples
     --------
@@ -101,27 +97,13 @@ def find_encounters(
 ) -> tuple[tuple[FoundEncounter, ...], Counter[str]]:
     """Pairs of a vehicle and a VRU that come near one another, and why others are left out.
 
-    Parameters
-    ----------
-    tracks : sequence of Track
-        On one clock, in one frame.
-    ttc_s : float, optional
-        Pairs count whose least time to collision is at most this. [s]
-    within_m : float, optional
-        Others count, too, whose bodies come at most so near. [m]
+    `tracks` are on one clock, in one frame. Pairs count whose least time to collision is at most
+    `ttc_s`, and others whose bodies come at most so near, `within_m`. Returned by vehicle, then by VRU,
+    in the order of `tracks`; and how many that come so near cannot be replayed, by reasons.
 
-    Returns
-    -------
-    found : tuple of FoundEncounter
-        By vehicle, then by VRU, in the order of `tracks`.
-    left_out : Counter of str
-        Of pairs that come so near: reasons why they cannot be replayed.
-
-    Notes
-    -----
-    Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in which they
-    move. The least time to collision is looked for while the vehicle drives forwards, and until the
-    bodies first touch: those who walk beside a car are thinner than these boxes.
+    Notes ----- Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
+    which they move. The least time to collision is looked for while the vehicle drives forwards,
+    and until the bodies first touch: those who walk beside a car are thinner than these boxes.
     """
     vut = pick_actor("vut", "vut")
     bodies = load_trajectory_rules().bodies
@@ -287,10 +269,7 @@ def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> Recorde
 
 
 def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> str:
-    """Encounters as a TOML file of cases: of kind "recorded", NAME-VEHICLE-VRU each.
-
-    Raises InputError: two of them would have the same name.
-    """
+    """Encounters as a TOML file of cases: of kind "recorded", NAME-VEHICLE-VRU each, each once."""
     import tomlkit
 
     table: dict[str, Any] = {}

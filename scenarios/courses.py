@@ -76,11 +76,7 @@ class Course:
         return Line(point_m=point, direction=np.array([np.cos(yaw), np.sin(yaw)]))
 
     def offset(self, left_m: float) -> "Course":
-        """The line that runs some metres to the left of it.
-
-        Its origin is next to this one's. Raises InputError: it bends more sharply than that, so
-        that no line runs there.
-        """
+        """The line some metres to the left, with its origin; InputError: it bends too sharply."""
         if left_m == 0.0:
             return self
         if self.max_bend_per_m * abs(left_m) >= 1.0:
@@ -365,10 +361,9 @@ class Turn:
         return position, self.side * np.degrees(angle)
 
     def turned_by(self, angle_deg: float) -> "Turn":
-        """Turn with another arc, for lanes that meet at another angle.
+        """Turn with the arc for lanes that meet at another angle, 0 to 180 degrees, or InputError.
 
-        Where the clothoids alone would turn further, they are shorter and there is no arc. Raises
-        InputError: the angle is not between 0 and 180 degrees.
+        Where the clothoids alone would turn further, they are shorter and there is no arc.
         """
         if not 0.0 < angle_deg < 180.0:
             raise InputError("angle_deg", angle_deg, "0 < degrees < 180")
@@ -442,9 +437,8 @@ def load_turns() -> dict[str, TurnAtSpeed]:
 def pick_turn(side: str, speed_kmh: float) -> Turn:
     """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
 
-    Faster than all tabulated speeds: that of the fastest, as the protocol rules for 25 km/h; slower
-    than all: that of the slowest. Raises InputError: the side is unknown, the speed not positive,
-    or between two tabulated ones.
+    Beyond the tabulated speeds that of the nearest one, as the protocol rules for 25 km/h. Raises
+    InputError: the side is unknown, the speed not positive, or between two tabulated ones.
     """
     sign = pick(_SIDES, side, "turn")
     by_speed = {

@@ -51,10 +51,7 @@ class Encounter:
         object.__setattr__(self, "_sizes", sizes)
 
     def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
-        """Separation of the footprints after distances along their paths, which broadcast.
-
-        Zero or less means that they touch; see :func:`geometry.footprints.footprint_separation`.
-        """
+        """Separation of the footprints after distances that broadcast; up to zero: they touch."""
         separation: FloatArray = self.gaps_m(vut_distance_m, vru_distance_m).max(axis=0)
         return separation
 
@@ -111,10 +108,7 @@ class Encounter:
 
 
 def first_contact_s(encounter: Encounter) -> float:
-    """When the bodies first touch without braking, within a tenth of a microsecond.
-
-    Infinite if they do not touch within ten minutes of the earlier one's start.
-    """
+    """When the bodies first touch without braking, to 0.1 us; infinite: not within ten minutes."""
     vut, vru = encounter.vut_motion, encounter.vru_motion
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
 

@@ -81,10 +81,7 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
 def is_way_free(
     body: Actor, motion: Motion, scene: Scene, obstruction: Sequence[PlacedActor]
 ) -> bool:
-    """True if nothing of the scene but poles, and nothing parked, is in a body's way to the impact.
-
-    Looked at along the middle and both flanks of the way, as by :func:`make_room`.
-    """
+    """True if no thing of the scene but poles, and nothing parked, is in a way to the impact."""
     import shapely
 
     segments = _way(motion, body)
@@ -335,10 +332,7 @@ def hide(
     vru_way: Way,
     vru_m: float,
 ) -> Staging:
-    """An encounter with its obstruction in place, where the protocol has it.
-
-    The ways cross at stations `vut_m` and `vru_m`.
-    """
+    """An encounter with its obstruction in place; the ways cross at the stations."""
     vut_line, vru_line = vut_way.direction(vut_m), vru_way.direction(vru_m)
     vut, vru = encounter.vut, encounter.vru
     if obstruction.kind == "beside-vut":
@@ -362,11 +356,10 @@ def hide(
 def park(
     encounter: Encounter, obstruction: Obstruction, *, row_way: Way, bumper_m: float, side: float
 ) -> Staging:
-    """An encounter with a row of cars parked beside a lane, noses as the VUT's.
+    """An encounter with a row of cars parked beside a lane, noses as the VUT's, flush to the road.
 
     `row_way` is the middle of the lane in the VUT's direction, `bumper_m` the station of the first
-    front bumper; `side` is +1 to the left of it, -1 to the right. The sides towards the road are
-    flush.
+    front bumper; `side` is +1 to the left of it, -1 to the right.
     """
     line = row_way.direction(bumper_m)
     left_m = {
@@ -397,10 +390,9 @@ def _row(
 def _beside_vut(
     obstruction: Obstruction, *, vut: Actor, vut_way: Way, vut_m: float, vru: Actor, side: float
 ) -> tuple[PlacedActor, ...]:
-    """Cars parked along the VUT's way, on the side from which the VRU comes.
+    """Cars parked along the VUT's way, on the side from which the VRU comes, noses as the VUT's.
 
-    Their common centreline is such that the widest keeps the side gap; noses as the VUT's, the
-    first one nearest to the VRU's line.
+    Their common centreline is such that the widest keeps the side gap.
     """
     widest_m = max(actor.width_m for actor in obstruction.bodies)
     left_m = side * (0.5 * vut.width_m + obstruction.side_gap_m + 0.5 * widest_m)
@@ -421,10 +413,7 @@ def _beside_vut(
 def _beside_vru(
     obstruction: Obstruction, *, vru_way: Way, vru_m: float, vru: Actor, side: float
 ) -> tuple[PlacedActor, ...]:
-    """Cars or a wall next to the VRU's way, between it and the coming VUT.
-
-    The sides towards the VRU are flush; cars' noses look away from the VUT's way.
-    """
+    """Cars, noses away from the VUT's way, or a wall between the VRU's way and the coming VUT."""
     bodies = []
     rear_m = obstruction.first_gap_m
     wall = obstruction.wall_size_m

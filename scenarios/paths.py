@@ -41,10 +41,7 @@ class StraightPath:
         object.__setattr__(self, "direction", _unit_vector(self.yaw_deg))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position (..., 2) of the middle of the footprint and heading after a distance.
-
-        The distance may be negative or beyond the path's end.
-        """
+        """Middle of the footprint (..., 2) and heading after a distance, also beyond the ends."""
         distance = np.asarray(distance_m, dtype=np.float64)
         position: FloatArray = self.start_m + distance[..., None] * self.direction
         return position, np.full(distance.shape, self.yaw_deg)
@@ -54,8 +51,8 @@ class StraightPath:
 class TurnPath:
     """A vehicle's way: straight on, round a turn, and straight on without end.
 
-    Distances are those of the front axle's centre, which follows the line: the protocol's control
-    point. The rear axle is dragged behind it and never slips sideways.
+    Distances are those of the front axle's centre, the protocol's control point, which follows the
+    line. The rear axle is dragged behind it and never slips sideways.
     """
 
     start_m: FloatArray  # (2,); east, north of the front axle's centre at distance 0
@@ -154,10 +151,9 @@ class CoursePath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TowedPath:
-    """A vehicle's way along a course, which the centre of its front axle follows.
+    """A vehicle's way along a course, which its front axle follows, as on a :class:`TurnPath`.
 
-    The rear axle is dragged behind it and never slips sideways, as on a :class:`TurnPath`. Far
-    behind, where the course is straight, the body is aligned with it.
+    Far behind, where the course is straight, the body is aligned with it.
     """
 
     course: Course  # the line
@@ -277,10 +273,7 @@ class Motion:
 
     @property
     def acceleration_mps2(self) -> float:
-        """The most that its speed changes, up or down, in a second.
-
-        v^2 / (2 a) over the acceleration distance a; 0 where there is none.
-        """
+        """The most its speed changes in a second: v^2 / (2 a) over the acceleration distance."""
         if self.acceleration_distance_m == 0.0:
             return self.deceleration_mps2
         gained = self.speed_mps**2 / (2.0 * self.acceleration_distance_m)

@@ -128,10 +128,7 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
 
 
 def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
-    """Positions by the words of a user: `along_arms` if it says something, else by the `cases`.
-
-    Raises InputError as :func:`read_along_arms`.
-    """
+    """Positions by the words of a user: `along_arms` if it says something, else by the `cases`."""
     if along_arms.strip():
         return build_positions(read_along_arms(along_arms, "along_arms"))
     return (AT_ZERO,) if is_study_set(cases) else build_positions(load_position_rules().default_m)
@@ -179,11 +176,7 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 # ---------- positions of cases
 def is_bound(case: Case) -> bool:
-    """True if a case has one place: the VUT turns, the VRU's road is there, or it was recorded.
-
-    All others - people who cross the VUT's lane, those who move ahead in it - may happen anywhere
-    along an arm.
-    """
+    """True if a case has one place: the VUT turns, the VRU's road is there, or it was recorded."""
     if case.kind in ("turning", "recorded"):
         return True
     return case.vru_line is not None and case.vru_line.along != "crosswalk"

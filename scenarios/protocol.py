@@ -141,10 +141,7 @@ class _Place:
     is_checked: bool  # the way is known to follow its lanes
 
     def meeting_point(self) -> tuple[float, FloatArray]:
-        """Station and point (2,) at which the VUT's way and a crossing VRU's meet.
-
-        Raises NoRoadError where no lane of the map lies.
-        """
+        """Station and point (2,) where a crossing VRU is met; NoRoadError: no lane is there."""
         station_m, point_m = self.way.crossing(self.crosswalk)
         if self.ahead_m == 0.0:
             return station_m, point_m
@@ -163,10 +160,9 @@ _Lay = Callable[[], _Place]  # or raises CannotCarryError
 
 
 def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
-    """Places on the arm from which the VUT comes, the protocol's first.
+    """Places on the arm from which the VUT comes, the protocol's first; then along a lane's bends.
 
-    Where the lane bends, also along its bends; where the corner leaves no kerb to park at before
-    the crosswalk, nearest before it.
+    Where the corner leaves no kerb to park at before the crosswalk, nearest before it.
     """
     case, arm = asked.case, asked.arm
     lane = straight_lane(asked.junction, arm) if is_bound(case) else arm.entry_lanes[0]
@@ -197,10 +193,7 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
 
 
 def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
-    """Places on the way straight through the junction, by lane from the kerb, then on gentler ways.
-
-    Behind the junction they count from the crosswalk of the arm ahead.
-    """
+    """Places on the way straight through, counted behind it from the arm ahead's crosswalk."""
     arm = asked.arm
     ahead = arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
@@ -316,10 +309,7 @@ def _set_off(
     vru_begin_s: float | None = None,
     brakes_s: float = np.inf,
 ) -> Encounter:
-    """Both set off at `begin_s`, or the VRU at its own time; it begins at a station of its way.
-
-    A vehicle that is met tows its rear axle.
-    """
+    """Both set off at `begin_s`, or the VRU at its own time, from a station of its way."""
     vru = asked.case.vru
     return set_off(
         asked.case,
@@ -334,10 +324,9 @@ def _set_off(
 
 
 def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[Way, float, float]:
-    """The lane next to which cars park on the side from which a vehicle comes.
+    """The lane next to which cars park on the side from which a vehicle comes, as the VUT drives.
 
-    In the VUT's direction; the station of the first one's bumper; and +1 to the left of it, -1 to
-    the right.
+    The station of the first one's bumper; and +1 to the left of the lane, -1 to the right.
     """
     arm, row = asked.arm, asked.case.obstruction
     assert row is not None
@@ -518,10 +507,7 @@ def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], Turning]) -> Stagin
 def _turned(
     asked: _Asked, turning: Turning, vut_distance_m: float, vru_s: float
 ) -> tuple[Path, float]:
-    """The VUT's path through a turn, and when it begins: with a straight part before it.
-
-    `vut_distance_m`: from where the turn begins to the impact; `vru_s`: the VRU needs so long.
-    """
+    """The VUT's path through a turn with a straight part before it, and when it begins."""
     speed_mps = asked.vut_speed_kmh * MPS_PER_KMH
     begin_s = -max(vru_s, vut_distance_m / speed_mps + load_way_rules().start_before_curve_s)
     straight_m = -begin_s * speed_mps - vut_distance_m
@@ -585,7 +571,7 @@ def _turning_way(asked: _Asked, target: Arm, turning: Turning) -> tuple[Way, flo
 
 
 def _kerb(case: Case, arm: Arm) -> tuple[Lane, bool, float]:
-    """Where cyclists ride next to the VUT's approach road, on the side to which it turns.
+    """Where cyclists ride beside the approach road on the side of the turn.
 
     A lane, whether it leads into the junction, and metres to the left of its middle.
     """

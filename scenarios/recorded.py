@@ -46,10 +46,7 @@ class RecordedEncounter:
     def as_recorded(
         self, *, vut: Actor, vut_speed_mps: float, vru: Actor, vru_speed_mps: float
     ) -> Encounter:
-        """The bodies on their ways at constant speeds, at the times that the ways say.
-
-        A body whose way is shorter than it is seen stands at its first point before.
-        """
+        """The bodies on their ways at constant speeds, at the times that the ways say."""
         return Encounter(
             vut=vut,
             vut_motion=_motion(self.vut, vut_speed_mps, self.known_s),

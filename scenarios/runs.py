@@ -188,14 +188,9 @@ class FrameAxis:
 
 
 def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
-    """Lay the frames of runs end to end.
+    """Lay the frames of runs end to end, with weights (n_runs,) that sum to 1.
 
-    The weights (n_runs,) are shares that sum to 1.
-
-    Raises
-    ------
-    InputError
-        There is no run, or the weights do not fit.
+    Raises InputError: there is no run, or the weights do not fit.
     """
     if not runs:
         raise InputError("runs", Unquoted("none"), "at least one run")
@@ -384,14 +379,11 @@ def build_runs(
         are known for a case, they are taken; all else follows the rules of the protocol.
     cases : iterable of Case
         What is driven, at the speeds that each says.
-    vut : Actor
-        The vehicle under test.
-    rule : AebRule
-        Braking and frame rate.
-    approaches : sequence of str, optional
-        Arms from which the VUT comes; by default all.
-    weathers : sequence of str
-        Every run is driven once in each. See ``WEATHERS``.
+    vut, rule : Actor, AebRule
+        The vehicle under test, its braking and frame rate.
+    approaches, weathers : sequence of str
+        Arms from which the VUT comes, by default all; every run is driven once in each of
+        ``WEATHERS``.
     positions : sequence of Position
         Where along the arms; cases that are bound to the junction have one place.
     is_spread : bool
@@ -403,10 +395,9 @@ def build_runs(
 
     Returns
     -------
-    runs : tuple of Run
-        In the order of cases, approaches, positions, speeds, weathers.
-    refusals : tuple of Refusal
-        What could not be laid, with the reason.
+    runs, refusals : tuple of Run, tuple of Refusal
+        In the order of cases, approaches, positions, speeds, weathers; what could not be laid, and
+        why.
 
     Raises
     ------

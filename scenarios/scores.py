@@ -52,10 +52,7 @@ class Criterion(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_criteria(score: str) -> tuple[Criterion, ...]:
-    """Criteria of a score, from ``data/scores.toml``; none of "avoided".
-
-    Raises InputError if there is no such score.
-    """
+    """Criteria of a score from ``data/scores.toml``, none of "avoided"; or InputError."""
     if score == AVOIDED:
         return ()
     tables = load_toml(files(__package__) / "data" / "scores.toml")

@@ -266,9 +266,9 @@ Settle = Callable[[Staging], Staging]
 def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> Staging:
     """The first of some stagings that a car can drive, settled where it has room.
 
-    `lays`: each returns a staging or raises CannotCarryError. `settle`: makes room for a staging.
-    Where there is no kerb the next one is tried. Raises CannotCarryError: none fits; the reason is
-    that of the one that came farthest.
+    Each of `lays` returns a staging or raises CannotCarryError, `settle` makes room for it: where
+    there is no kerb the next one is tried. Raises the error of the one that came farthest: none
+    fits.
     """
     errors: list[CannotCarryError] = []
     for lay in lays:

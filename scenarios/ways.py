@@ -60,10 +60,7 @@ class StraightWay:
         return self.line
 
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """Station and point (2,) at which it crosses a straight line, nearest to the mouth.
-
-        Raises CannotCarryError: it does not.
-        """
+        """Station and point (2,) where it crosses a line, nearest to the mouth, or raises."""
         try:
             point = self.line.crossing_with(line)
         except np.linalg.LinAlgError:
@@ -262,10 +259,7 @@ def reversed_way(way: Way) -> Way:
 
 
 def meeting_m(one: Way, other: Way) -> tuple[float, float]:
-    """Stations of two ways at which they cross nearest to their origins.
-
-    Raises CannotCarryError: they do not.
-    """
+    """Stations of two ways at which they cross nearest to their origins, or CannotCarryError."""
     station = other_station = 0.0
     for _ in range(_MAX_STEPS):
         other_station, _ = other.crossing(one.tangent(station))
@@ -284,10 +278,7 @@ Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of 
 
 
 def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
-    """The arm to the left or right of the VUT; None if there is none.
-
-    One about at a right angle, or else the one that is nearest to it.
-    """
+    """The arm to a side of the VUT, about at a right angle or else nearest to it; or None."""
     side = vut_line.left if to_left else -vut_line.left
     rules = load_way_rules()
     for skew_deg, length_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):

@@ -189,8 +189,7 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 def load_points() -> dict[tuple[tuple[str, ...], str], float]:
     """Points by cases (what our names begin with) and weather, from the installed package.
 
-    Raises MissingExtraError: the package is not installed. InputError: the package does not know a
-    score any more.
+    Raises MissingExtraError: it is not installed. InputError: it does not know a score any more.
     """
     try:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
@@ -331,10 +330,7 @@ _BY_WORD = ("run", "case", CRASH_TYPES, RATING)
 
 
 def default_weights(cases: str) -> str:
-    """The word for :func:`weigh` where the user gives none, by the words for the cases.
-
-    The runs of the study's set count the same, as in the study; else all cases do.
-    """
+    """The word for :func:`weigh` by default: of the study's set "run", else "case"."""
     return "run" if is_study_set(cases) else "case"
 
 
@@ -346,7 +342,7 @@ def weigh(
     near: tuple[float, float] | None = None,
     within_m: float | None = None,
 ) -> FloatArray:
-    """Weights by the word of a user.
+    """Weights by the word of a user, (n_runs,); they sum to 1.
 
     Parameters
     ----------
@@ -355,21 +351,15 @@ def weigh(
     how : str
         "run": every run the same, as in the study; "case": every case the same, see
         :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
-        :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points,
-        see :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the
+        :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points, see
+        :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the
         accidents around a place, see :func:`scenarios.weights.weight_by_accidents`; else a CSV
         file, see :func:`scenarios.weights.weight_from_csv`.
     refused : sequence of Refusal
         What was asked for next to the runs, and could not be laid: "case" alone looks at it.
-    near : (float, float), optional
-        Latitude and longitude of the place. [deg]
-    within_m : float, optional
-        How far from there accidents count; default: that of ``data/accidents.toml``. [m]
-
-    Returns
-    -------
-    weight : (n_runs,) float
-        Sums to 1.
+    near, within_m : (float, float), float, optional
+        Latitude and longitude of the place [deg], and how far from there accidents count [m];
+        default: that of ``data/accidents.toml``.
 
     Raises
     ------
@@ -396,10 +386,7 @@ def weigh(
 
 
 def check_weights(how: str) -> None:
-    """Check what can be checked of the word of a user without runs, see :func:`weigh`.
-
-    Raises InputError or MissingExtraError as :func:`weigh` does.
-    """
+    """Check the word of a user as far as it goes without runs; raises as :func:`weigh`."""
     if how == RATING:
         load_points()
     if how in _BY_WORD:

@@ -112,8 +112,8 @@ class _Recorder:
 def measure_casting(setting: Setting, candidates: Sequence[CandidatePose]) -> Figures:
     """Number of the table's rays, and their time against bare Embree.
 
-    Ours are cast as when the table is built, all of one mount in one thread. Bare Embree gets the
-    same rays in one call per scene and thread, with everything prepared.
+    Ours are cast as when the table is built; bare Embree gets them in one call per scene and
+    thread.
     """
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
     mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:_N_MOUNTS]

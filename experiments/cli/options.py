@@ -354,10 +354,7 @@ def _refuse_program_of_file(question: Question) -> None:
 
 
 def one_run_options() -> Decorator:
-    """The argument and the options that name a single run, and how it brakes.
-
-    The command gets them as one `question`, and the `position` of the run.
-    """
+    """The argument and options that name a run: the command gets `question` and `position`."""
     naming = (
         click.argument("cases", metavar="CASE"),
         option("--approach", "approaches", required=True, metavar="ARM", help="Such as east."),
@@ -506,10 +503,7 @@ _rays_option = option(
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:
-    """Options that say how to compute; the command gets them as one `compute`.
-
-    `has_cache`: the command builds detection tables, which can be kept.
-    """
+    """Options that say how to compute, as a `compute`; `has_cache`: it builds tables."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
@@ -537,10 +531,7 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
 
 
 def job_options(*, has_cache: bool = False) -> Decorator:
-    """The last options of a command that computes: what it prints, what it tells, and how.
-
-    The command gets `as_json`, `quiet` and `compute`; `has_cache` as in :func:`compute_options`.
-    """
+    """The last options of a command that computes: it gets `as_json`, `quiet` and `compute`."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         return _decorate(command, [json_option, quiet_option, compute_options(has_cache=has_cache)])
@@ -551,10 +542,7 @@ def job_options(*, has_cache: bool = False) -> Decorator:
 def asking(
     *names: str, defaults: dict[str, Any] | None = None, has_cache: bool = True
 ) -> Decorator:
-    """Options of a command that asks something and computes; the command gets them as one `job`.
-
-    See :func:`question_options` and :func:`job_options`.
-    """
+    """Options of a command that asks something and computes; it gets them as one `job`."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)

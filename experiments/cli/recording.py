@@ -52,10 +52,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_recording_options(recording: Path | None) -> None:
-    """Refuse options that say nothing next to a recording.
-
-    Raises click.UsageError: says which.
-    """
+    """Refuse options that say nothing next to a recording, by click.UsageError."""
     if recording is None:
         return
     for param in click.get_current_context().command.params:

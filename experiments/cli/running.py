@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class Session(StageProgress):
     """The context object of all commands: progress, and the importer of maps.
 
-    The importer is handed in by the program, so that no command depends on all formats of maps. It
-    returns the folder of the scene, and what was imported in words.
+    It is handed in by the program, so that no command depends on all formats of maps, and returns
+    the folder of the scene, and what was imported in words.
     """
 
     def __init__(self, import_map: Callable[..., tuple[str, str]]) -> None:
@@ -58,10 +58,9 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 
 
 def load_one_layout(names: Sequence[str], question: "Question | None" = None) -> "Layout":
-    """The layout of a command that takes ``--layout`` once.
+    """The layout of ``--layout``, given once, else click.UsageError; InputError: there is none.
 
     With a question, a list of units with places on earth may stand in its place: CSV, or JSON.
-    Raises click.UsageError if it is given several times or not at all, InputError if there is none.
     """
     if len(names) != 1:
         given = f"{len(names)} layouts" if names else "nothing"
@@ -141,10 +140,7 @@ def cache_folder() -> Path:
 
 
 def check_address_space() -> None:
-    """Refuse a limit of address space in which libraries end by a segmentation fault.
-
-    Raises click.UsageError: it is below 2 GB: a small question reserves 2.3 where it may.
-    """
+    """Refuse, by click.UsageError, a limit of address space in which libraries end by a fault."""
     try:
         import resource
     except ImportError:  # Windows

@@ -100,10 +100,7 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
 
 
 def scenario_table(rows: Sequence[DrivenRow]) -> str:
-    """The rows as a table, a line per case and approach.
-
-    Below it: who meets the VUT in each case; where; and what is not driven or laid, and why.
-    """
+    """The rows as a table, then who meets the VUT, where, and what is not driven, and why."""
     from scenarios.cases import load_unlaid_cases
 
     unlaid = [entry for entry in rows if entry.case in load_unlaid_cases()]

@@ -124,7 +124,7 @@ def camera_matrix(camera: CameraModel) -> FloatArray:
 def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:
     """Rotation from a sensor's own frame to the world: x, y, z, w.
 
-    A camera's own frame is x right, y down, z ahead; a LiDAR's x ahead, y left, z up.
+    A camera's is x right, y down, z ahead; a LiDAR's x ahead, y left, z up.
     """
     rotation = camera_rotation if isinstance(sensor, CameraModel) else body_rotation
     return quaternion(rotation(pose.yaw_deg, pose.pitch_deg))

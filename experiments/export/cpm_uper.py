@@ -36,10 +36,7 @@ def _codecs(release: str) -> tuple[Any, Any]:
 
 
 def encode(message: dict[str, Any], release: str = RELEASES[0]) -> bytes:
-    """Bytes of a message of :func:`.cpm.build_stations`, unsigned and without headers of the net.
-
-    Raises MissingExtraError if asn1tools is not installed.
-    """
+    """Bytes of a message of :func:`.cpm.build_stations`, unsigned, without headers of the net."""
     uper, jer = _codecs(release)
 
     def to_bytes(name: str, value: object) -> bytes:

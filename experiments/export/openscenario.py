@@ -31,10 +31,7 @@ TABLE = "openscenario.toml"
 
 @cache
 def load_xosc() -> Any:
-    """The library's module for OpenSCENARIO.
-
-    Raises MissingExtraError if it is not installed.
-    """
+    """The library's module for OpenSCENARIO, or MissingExtraError."""
     try:
         return importlib.import_module("scenariogeneration.xosc")
     except ImportError:
@@ -69,11 +66,10 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
 
 
 def reference_ahead_m(actor: Actor) -> float:
-    """Distance of a body's point of reference ahead of the middle of its box.
+    """Distance of a body's point of reference ahead of the middle of its box, in metres.
 
-    The rear axle of cars, motorcycles and bicycles; 0, the middle itself, of pedestrians and walls.
-    [m] Raises InputError if ``data/openscenario.toml`` knows neither its name nor its class, or a
-    car has no axles.
+    The rear axle of cars, motorcycles and bicycles; 0, the middle, of pedestrians and walls. Raises
+    InputError if ``data/openscenario.toml`` does not know it, or a car has no axles.
     """
     body, _ = _body(actor)
     return _axles_m(actor)[1] if body["entity"] == "Vehicle" else 0.0
@@ -184,8 +180,7 @@ def to_openscenario(run: Run, *, road_network: str) -> str:
 def validate_openscenario(text: str) -> None:
     """Check a file against the schema of OpenSCENARIO 1.3.1, which comes with scenariogeneration.
 
-    Raises InputError if it is not XML, or the schema rejects it; says where and why. Raises
-    MissingExtraError if scenariogeneration is not installed.
+    Raises InputError where it is not XML, or the schema rejects it; or MissingExtraError.
     """
     expected = f"XML that {_SCHEMA} accepts"
     try:

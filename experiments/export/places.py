@@ -51,10 +51,7 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
 
 
 def map_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points of the world frame, (n, 2), in the coordinates of the scene's map.
-
-    In ``scene.source_crs``, or ``scene.crs`` where that is empty; east or longitude first.
-    """
+    """Points of the world frame, (n, 2), in the map's ``source_crs``, or else ``crs``."""
     if not scene.source_crs:
         return points_m
     return transform(points_m, scene.crs, scene.source_crs)
@@ -70,20 +67,16 @@ def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
 
 
 def require_crs(crs: str, format_name: str) -> None:
-    """Refuse a scene that does not say where on earth it lies.
-
-    Raises InputError if `crs` is empty.
-    """
+    """Raise InputError for a scene that does not say where on earth it lies."""
     if not crs:
         expected = "one that says where on earth it lies"
         raise InputError(format_name, Unquoted("a scene without crs"), expected)
 
 
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
-    """Points of the world frame in WGS 84.
+    """Points of the world frame, (n, 2) or (n, 3), in WGS 84: longitude, latitude, (n, 2) degrees.
 
-    From (n, 2) or (n, 3) metres to longitude and latitude, (n, 2) degrees. Raises
-    InputError if pyproj does not know `crs`, or the points lie outside of where it is defined.
+    Raises InputError if pyproj does not know `crs`, or they lie outside of where it is defined.
     """
     from pyproj.exceptions import CRSError, ProjError
 

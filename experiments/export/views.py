@@ -34,10 +34,7 @@ class View:
 
 
 def find_views(layout: Layout, scene: Scene) -> list[View]:
-    """Views of a layout's cameras, in its order, then the road that none sees; world frame.
-
-    LiDARs have none. Nothing drives or parks.
-    """
+    """Views of a layout's cameras, in its order, then the road that none sees; world frame."""
     views = []
     seen: BoolArray | None = None
     for unit in layout.units:

@@ -26,11 +26,9 @@ _RUN_ID = (
 
 
 def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
-    """The run that an id names, laid on a junction.
+    """The run that an id names, see :attr:`scenarios.runs.Run.id`, laid on a junction.
 
-    It reads "case/approach/speed", by day, or "case/approach/speed/weather"; see
-    :attr:`scenarios.runs.Run.id`. `weather` takes the place of the id's. Raises InputError if some
-    part is unknown, and says what is known.
+    `weather` takes the place of the id's. Raises InputError if some part is unknown.
     """
     parts = run_id.split("/")
     if len(parts) not in (3, 4) or not all(parts):
@@ -69,10 +67,7 @@ class WatchedRun:
 def watch_run(
     layout: Layout, scene: Scene, run_id: str, *, compute: Compute = DEFAULT_COMPUTE
 ) -> WatchedRun:
-    """Run that an id names, watched by a layout with the default detector.
-
-    Raises InputError if the id names no run of the scene.
-    """
+    """Run that an id names, or InputError, watched by a layout with the default detector."""
     from placement.evaluator.evaluate import unit_key, watch
 
     run, rule = find_run(run_id, scene), load_aeb_rule()

@@ -186,7 +186,7 @@ def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") 
 def _redirect(address: str, folder: Path) -> str:
     """Address of a file that leads to the page and that only its owner can read.
 
-    Programs' command lines can be read by everybody on the machine: the token is not for them.
+    Everybody on the machine can read command lines: the token is not for them.
     """
     from geometry.files import write_atomically
 

@@ -155,10 +155,7 @@ def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
 
 
 def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] | None:
-    """Cost of units and their sites, as the bill of materials has it; None of nothing.
-
-    "sensors", "sites" and "all" are amounts in words; "assumed" says what is assumed of sites.
-    """
+    """Cost of units and their sites in words, as the bill of materials has it; None of nothing."""
     if not units:
         return None
     bill = build_bill(Layout(name="cost", units=tuple(units)), scene)
@@ -174,10 +171,7 @@ def _sum(amounts: Sequence[float | None]) -> float | None:
 
 
 def layout_text(state: PlanState, scene: Scene) -> str:
-    """The variant that is worked on as the layout file that ``--layout`` takes.
-
-    Raises InputError if nothing is mounted.
-    """
+    """The current variant as the layout file of ``--layout``; InputError: nothing is mounted."""
     return to_json(state.variant.layout(scene))
 
 
@@ -269,8 +263,7 @@ def private_record(
 ) -> list[dict[str, Any]]:
     """Private areas that units have in their pictures, those that are seen the most first.
 
-    For each its name and the share that each unit sees, as `evaluate` reports; "isTooMuch" where
-    that is more than ``--no-look-share`` allows.
+    The share that each unit sees, as `evaluate` reports; "isTooMuch": more than is allowed.
     """
     shares = sight.shares(units)
     most = shares.max(axis=0, initial=0.0)

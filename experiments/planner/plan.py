@@ -1,8 +1,4 @@
-"""The plan: variants of layouts, every way to change them, undo and redo, and its file.
-
-Pure values: what browsers ask for is a value, too. A plan may have an image of one's own below it,
-laid by two points that are known in both.
-"""
+"""The plan as pure values: variants, every way to change them, undo and redo, and its file."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -51,10 +47,7 @@ def check_count(n: int, where: str, most: int) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variant:
-    """A layout that is being planned; unlike a :class:`placement.layout.Layout` it may be empty.
-
-    Raises InputError if it has too many units.
-    """
+    """A layout that is being planned, and may be empty; InputError: it has too many units."""
 
     name: str
     units: tuple[CandidatePose, ...] = ()
@@ -86,10 +79,7 @@ class PlanState:
         return not any(variant.units for variant in self.variants)
 
     def with_units(self, units: Sequence[CandidatePose]) -> "PlanState":
-        """The state with other units in the variant that is worked on.
-
-        Raises InputError if there are too many.
-        """
+        """The state with other units in the current variant; InputError: too many."""
         return self.with_variant(replace(self.variant, units=tuple(units)))
 
     def with_variant(self, variant: Variant) -> "PlanState":
@@ -240,7 +230,7 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
     """The state after a change.
 
     Raises InputError: there is no such unit, site, sensor or variant; a site is full or forbidden;
-    a number is not one that can be mounted. The state is then as it was.
+    a number is not one that can be mounted.
     """
     return _CHANGES[type(change)](state, change, stock)
 
@@ -509,10 +499,7 @@ class History:
 
 
 def begin_history(variants: Sequence[Variant], workspace: Any = None) -> History:
-    """A history of one state with these variants, the first one worked on; or with an empty one.
-
-    Raises InputError as :func:`add_variant`.
-    """
+    """A history of one state with these variants, the first one current; or with an empty one."""
     first = variants[0] if variants else Variant(name="Variant 1")
     state = PlanState(variants=(first,), workspace=workspace)
     for variant in variants[1:]:
@@ -632,10 +619,7 @@ def check_plan(plan: Plan, scene: Scene) -> None:
 
 
 def read_plan(text: bytes, where: str) -> Plan:
-    """A plan from the text of a plan's or a layout's file, layouts as ``--layout`` reads them.
-
-    `where` is the file's name, for error messages. Raises InputError if it is neither.
-    """
+    """A plan from a plan's or a layout's file, named for messages; InputError: it is neither."""
     try:
         document = msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:

@@ -91,10 +91,7 @@ class Workspace:
             self.known.popitem(last=False)
 
     def numbers_by_table(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
-        """Numbers by the detection table; not for several threads at once.
-
-        Raises Cancelled soon after `is_over` was set.
-        """
+        """Numbers by the detection table, by one thread; Cancelled soon after `is_over` was set."""
         if not units:
             return {"source": "none"}
         rows = []
@@ -211,8 +208,8 @@ def sensor_words(sensors: str) -> dict[str, str]:
 class Session:
     """The plan, the browsers that show it, and the processes that work for it.
 
-    All methods but :meth:`stop` are called from the server's event loop. `begun` is there to begin
-    with, and `save` gets it whenever it rests.
+    All methods but :meth:`stop` are called from the server's event loop. It begins with a plan, and
+    `save` gets it whenever it rests.
     """
 
     def __init__(
@@ -383,7 +380,7 @@ class Session:
     def open_plan(self, opened: Plan, source: str) -> None:
         """Add variants from a file; an only one that is empty gives way to them.
 
-        `source` is the file's name, for variants whose own name is taken. Raises InputError if a
+        `source`, the file's name, tells those apart whose own name is taken. Raises InputError if a
         unit cannot be mounted in this scene, or there are too many.
         """
         plan.check_plan(opened, self.setting.scene)
@@ -477,10 +474,7 @@ class Session:
         return plan.first_units(self._stock(), model)
 
     async def private_view(self, unit_id: str) -> list[list[int]]:
-        """Places of private ground that a unit has in its picture, in centimetres.
-
-        Raises InputError if there is no such unit.
-        """
+        """Places of private ground in a unit's picture, centimetres; InputError: no such unit."""
         unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
         if unit is None:
             raise InputError("unit", unit_id, "one that is mounted there")
@@ -570,10 +564,7 @@ class Session:
         }
 
     def save_plan(self) -> str:
-        """Write the plan to its file, if there is one; returns an error in words.
-
-        An empty plan makes no file.
-        """
+        """Write the plan to its file, if there is one and it is not empty; an error in words."""
         save = self.workspace.save
         is_empty = self.workspace.background is None and self.history.state.is_empty
         if save is None or (is_empty and not save.exists()):
@@ -659,10 +650,7 @@ class Session:
         return self.history.state.variant.layout(self.setting.scene)
 
     async def call(self, method: str, *args: Any, is_long: bool = False) -> Any:
-        """Result of a task, by the evaluator's process, or the optimiser's if it takes long.
-
-        Raises TaskError, or Cancelled.
-        """
+        """Result of a task by the evaluator's process, or the optimiser's; TaskError, Cancelled."""
         worker, who = (self._advice, "optimiser") if is_long else (self._exact, "evaluator")
         try:
             return await worker.call(method, *args, on_progress=self._stages(who))
@@ -670,10 +658,9 @@ class Session:
             self._do(who, "")
 
     async def open_scene(self, path: str, title: str = "") -> None:
-        """Go on in another scene, from nothing; Undo leads back.
+        """Go on in another scene, from nothing; Undo leads back. TaskError: it has no runs.
 
-        Raises TaskError if it has no runs. Where the plan has a file, that of the new scene gets
-        another one.
+        Where the plan has a file, that of the new scene gets another one.
         """
         work = replace(self.work, question=replace(self.work.question, scene=path))
         exact = self._make_worker(work)

@@ -198,10 +198,7 @@ def _crosswalk_m(tracks: Sequence[Track], cars: Sequence[Track]) -> FloatArray:
 def with_crowd(
     setting: Setting, found: Mapping[str, FoundEncounter], clips: Mapping[str, Sequence[Track]]
 ) -> Setting:
-    """The setting with everybody else of the clip in each run, as bodies that hide.
-
-    Who would touch the VUT or the VRU as they are replayed is left out of that run.
-    """
+    """The setting with everybody else of the clip in each run, but who would touch the two."""
     runs = []
     for run in setting.runs:
         clip = run.case.name.split("-")[0].removeprefix("dut")

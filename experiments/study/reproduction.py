@@ -46,10 +46,7 @@ _NEARLY_ALL = 0.9
 
 
 class PublishedFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure of the study: quantity as :func:`quantities` names it, case, and share of 1.
-
-    It was used to set a dimension of ours, or is only compared; and depends on one of ours most.
-    """
+    """A figure of the study: quantity as :func:`quantities` names it, case, and share of 1."""
 
     quantity: str
     case: str

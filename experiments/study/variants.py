@@ -80,10 +80,7 @@ def _with_narrow(
 
 
 def move_walls(scene: Scene, by_m: float) -> Scene:
-    """Move every wall towards the middle of a junction, by so much along both roads. [m].
-
-    All else stands where it stood.
-    """
+    """Every wall moved towards the middle of a junction, by metres along both roads."""
     vertices = scene.vertices_m.copy()
     middle = scene.outline_m.mean(axis=0)
     for index, instance in enumerate(scene.instances):
