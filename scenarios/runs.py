@@ -2,18 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from geometry.actors import Actor, MovingActor, PlacedActor
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    float_array,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
@@ -253,7 +247,12 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
     """
     n_frames = np.diff(axis.run_start)
     last_brake_s = axis.last_brake_time_s.repeat(n_frames)
-    known_s = _known_s(arrival_s, axis, rule)
+    # When the VUT knows of the window of frames that ends in each one, (n_frames,).
+    known_s = np.full(axis.n_frames, np.inf)
+    if axis.n_frames >= rule.n_confirmations:
+        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, rule.n_confirmations)
+        known_s[rule.n_confirmations - 1 :] = windows.max(axis=1)
+    known_s[~_is_within_run(axis, rule.n_confirmations)] = np.inf
     is_known = np.asarray(is_in_time(known_s, last_brake_s, latency_s=0.0))
     arrives = np.asarray(is_in_time(arrival_s, last_brake_s, latency_s=0.0))
     is_live = is_known & _held(arrives, axis, rule)
@@ -272,16 +271,6 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
         onset_s=onset_s,
         is_in_time=has_live,
     )
-
-
-def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArray:
-    """When the VUT knows of the window of frames that ends in each one, (n_frames,)."""
-    known = np.full(axis.n_frames, np.inf)
-    if axis.n_frames >= rule.n_confirmations:
-        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, rule.n_confirmations)
-        known[rule.n_confirmations - 1 :] = windows.max(axis=1)
-    known[~_is_within_run(axis, rule.n_confirmations)] = np.inf
-    return known
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
@@ -434,7 +423,11 @@ def build_runs(
                     rule=rule,
                 )
                 laid, refused = drive.lay(turn if is_spread else None)
-                runs += [_in_weather(run, one) for run in laid for one in dict.fromkeys(weathers)]
+                runs += [
+                    run if one == run.weather else replace(run, id=f"{run.id}/{one}", weather=one)
+                    for run in laid
+                    for one in dict.fromkeys(weathers)
+                ]
                 refusals += refused
     return tuple(runs), tuple(refusals)
 
@@ -463,14 +456,19 @@ def _highest_limit_kmh(junction: Junction) -> float | None:
 def left_out_case(case: Case, approach: str, reason: str, left_out: LeftOut) -> Refusal:
     """Refusal of a case at all its speeds, whatever the junction looks like."""
     pairs = [(vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)]
+    return _refusal(case, approach, pairs, reason=reason, is_possible=False, left_out=left_out)
+
+
+def _refusal(
+    case: Case, approach: str, pairs: Sequence[tuple[float, float]], **fields: Any
+) -> Refusal:
+    """Refusal of a case at speeds of the VUT and whoever it meets that go together."""
     return Refusal(
         case=case,
         approach=approach,
         speeds_kmh=tuple(vut for vut, _ in pairs),
         vru_speeds_kmh=tuple(vru for _, vru in pairs) if case.pairs_kmh else (),
-        reason=reason,
-        is_possible=False,
-        left_out=left_out,
+        **fields,
     )
 
 
@@ -518,12 +516,11 @@ class _Drive:
             reasons.setdefault(missing, []).extend(pairs)
             limits[above] = limit_kmh
         return runs, [
-            Refusal(
-                case=self.case,
-                approach=self.approach,
+            _refusal(
+                self.case,
+                self.approach,
+                pairs,
                 position=self.position.name,
-                speeds_kmh=tuple(vut for vut, _ in pairs),
-                vru_speeds_kmh=tuple(vru for _, vru in pairs) if self.case.pairs_kmh else (),
                 reason=reason,
                 is_possible=is_possible,
                 limit_kmh=limits.get((reason, is_possible)),
@@ -540,26 +537,21 @@ class _Drive:
 
     def _pairs(self, turn: int | None) -> list[tuple[float, float]]:
         """Speeds of the VUT and of whoever it meets, ascending."""
-        speeds_kmh = self.case.vut_speeds_kmh
+        case = self.case
+        speeds_kmh = case.vut_speeds_kmh
         if turn is not None:
-            impact_turn = (0, 1) if is_bound(self.case) else self.case.impact_turn
-            speeds_kmh = spread_speeds(
-                speeds_kmh, self.position, turn=turn, impact_turn=impact_turn
-            )
-        return [
-            (speed_kmh, vru_speed_kmh)
-            for speed_kmh in speeds_kmh
-            for vru_speed_kmh in self.case.vru_speeds_kmh(speed_kmh)
-        ]
+            points = (0, 1) if is_bound(case) else case.impact_turn
+            speeds_kmh = spread_speeds(speeds_kmh, self.position, turn=turn, impact_turn=points)
+        return [(vut, vru) for vut in speeds_kmh for vru in case.vru_speeds_kmh(vut)]
 
     def _stage(self, case: Case, speed_kmh: float) -> Staging:
-        scene, position = self.scene, self.position
+        scene = self.scene
         if case.recorded is not None:
             return self._stage_recorded(case, case.recorded, speed_kmh)
-        at_zero = position == AT_ZERO
-        placement = find_placement(scene.name, case, self.approach) if at_zero else None
-        if placement is not None:
-            return stage_published(placement, vut_speed_kmh=speed_kmh, vut=self.vut)
+        if self.position == AT_ZERO:
+            placement = find_placement(scene.name, case, self.approach)
+            if placement is not None:
+                return stage_published(placement, vut_speed_kmh=speed_kmh, vut=self.vut)
 
         def settle(staging: Staging) -> Staging:
             return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
@@ -571,7 +563,7 @@ class _Drive:
             self.approach,
             vut_speed_kmh=speed_kmh,
             vut=self.vut,
-            position=position,
+            position=self.position,
             settle=settle,
         )
 
@@ -620,9 +612,3 @@ class _Drive:
             terrain=terrain_of(self.scene),
             last_brake_time_s=last_brake_time_s(encounter, self.rule),
         )
-
-
-def _in_weather(run: Run, weather: str) -> Run:
-    if weather == run.weather:
-        return run
-    return replace(run, id=f"{run.id}/{weather}", weather=weather)

@@ -260,6 +260,12 @@ _LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
 
 
 # ---------- XML
+_COMMONROAD_STATE = (
+    *("time/exact", "position/point/x", "position/point/y"),
+    "orientation/exact",
+)
+
+
 def _xml_samples(path: Path) -> Iterator[_Sample]:
     root = read_xml(path, expected="CommonRoad or SUMO")
     if root.tag == "fcd-export":
@@ -285,10 +291,7 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
                 place = f"{here}, state {number}"
                 time, x, y, yaw = (
                     _number(state.findtext(name), f"{place}: {name.split('/')[0]}")
-                    for name in (
-                        *("time/exact", "position/point/x", "position/point/y"),
-                        "orientation/exact",
-                    )
+                    for name in _COMMONROAD_STATE
                 )
                 word = (thing.findtext("type") or "").strip()
                 name = f"{thing.get('id')}"

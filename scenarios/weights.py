@@ -71,6 +71,11 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
         weight[members] = amount / len(members)
     if not weight.any():
         raise InputError(f"{path}: weight", Unquoted("0 in all rows"), "one weight more than 0")
+    return _shares(weight)
+
+
+def _shares(weight: FloatArray) -> FloatArray:
+    """Weights that sum to 1."""
     shares: FloatArray = weight / weight.sum()
     return shares
 
@@ -157,10 +162,6 @@ class _Score(Struct, frozen=True, kw_only=True):
     weather: str
 
 
-class _Rating(Struct, frozen=True, kw_only=True):
-    scores: tuple[_Score, ...]
-
-
 def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
@@ -169,9 +170,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     score, such as all in the rain, weigh nothing. The weights sum to 1. Raises MissingExtraError:
     the package is not installed. InputError: no run has points.
     """
-    points = load_points()
     weight = np.zeros(len(runs))
-    for (cases, weather), score in points.items():
+    for (cases, weather), score in load_points().items():
         members = [
             index
             for index, run in enumerate(runs)
@@ -181,8 +181,7 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     if not weight.any():
         driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))
         raise InputError("weights", RATING, f"a run that has points in 2026; driven: {driven}")
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return _shares(weight)
 
 
 @cache
@@ -198,9 +197,9 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
             f"`weights` {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
     where = "rating_2026.toml"
-    table = read_table(load_toml(files(__package__) / "data" / where), _Rating, where)
+    tables = load_toml(files(__package__) / "data" / where)["scores"]
     points = {}
-    for index, score in enumerate(table.scores):
+    for index, score in enumerate(read_table(tables, tuple[_Score, ...], where)):
         if score.name not in TOTAL_SCORES:
             got = Unquoted(f"{score.name!r}, unknown to the installed {RATING}")
             raise InputError(f"{where}: scores[{index}]", got, "a score of it")
@@ -234,7 +233,7 @@ class CrashTypes(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_crash_types() -> CrashTypes:
-    """Types of accidents, from ``data/crash_types.toml``."""
+    """Types of accidents and what is known of them."""
     where = "crash_types.toml"
     return read_table(load_toml(files(__package__) / "data" / where), CrashTypes, where)
 
@@ -249,12 +248,13 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     """
     table = load_crash_types()
     weight = np.zeros(len(runs))
+    away_m = [read_position(run.position, run.id).distance_m for run in runs]
     for kind in table.types:
         members = [
             index
             for index, run in enumerate(runs)
             if run.case.family in kind.cases
-            and kind.place in ("any", "near" if _away_m(run) <= table.near_m else "far")
+            and kind.place in ("any", "near" if away_m[index] <= table.near_m else "far")
         ]
         if members:
             of_type = weight_per_case([runs[index] for index in members])
@@ -262,12 +262,7 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     if not weight.any():
         driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
         raise InputError("weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
-    shares: FloatArray = weight / weight.sum()
-    return shares
-
-
-def _away_m(run: Run) -> float:
-    return read_position(run.position, run.id).distance_m
+    return _shares(weight)
 
 
 # ---------- weights by accidents around a place
@@ -317,8 +312,7 @@ def weight_by_accidents(
     weight = np.zeros(len(runs))
     for key, count in counts.items():
         weight[members[key]] += count * weight_per_case([runs[index] for index in members[key]])
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return _shares(weight)
 
 
 def _begins(case_name: str, beginnings: Sequence[str]) -> bool:
@@ -429,8 +423,7 @@ def weight_by_function(runs: Sequence[Run], function: Callable[[Run], float]) ->
         raise InputError(f"weights: {run.id}", float(weight[wrong[0]]), "a finite number >= 0")
     if not weight.any():
         raise InputError("weights", Unquoted("0 for all runs"), "one weight more than 0")
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return _shares(weight)
 
 
 def weight_per_run(runs: Sequence[Run]) -> FloatArray:
@@ -463,8 +456,7 @@ def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> 
     weight = np.array(
         [1.0 / (n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key]) for key in keys]
     )
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return _shares(weight)
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:
