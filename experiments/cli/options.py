@@ -169,20 +169,15 @@ class WordedOption(click.Option):
             me = option_name(self)
             if raw == "" and not self.expected:  # else what is expected is said
                 raise click.UsageError(f"{me}: got nothing; expected a value, or no {me}")
-            others = {param.name: param for param in ctx.command.params}
-            for name in filter(None, (self.needs, self.excludes)):
-                other = others.get(name)
-                if other is None:
-                    continue
+            related = [one for one in ctx.command.params if one.name in (self.needs, self.excludes)]
+            for other in related:
                 found, of_other = other.consume_value(ctx, opts)
                 is_set = of_other is not ParameterSource.DEFAULT and bool(found)
                 is_set &= found not in ("0", other.default)
-                if is_set != (name == self.needs):
-                    got = "beside" if is_set else "without"
-                    raise click.UsageError(
-                        f"{me}: got it {got} {option_name(other)}; expected "
-                        + ("one of them" if is_set else "both")
-                    )
+                if is_set != (other.name == self.needs):
+                    got, wanted = ("beside", "one of them") if is_set else ("without", "both")
+                    other_name = option_name(other)
+                    raise click.UsageError(f"{me}: got it {got} {other_name}; expected {wanted}")
         return super().handle_parse_result(ctx, opts, args)
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
@@ -230,8 +225,8 @@ def complete_paths(
     context: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Leaves it to the shell to complete a path; the study's layout goes by its name."""
-    takes_layouts = str(param.name) in ("layout_names", "keep", "within")
-    if takes_layouts and incomplete and BASELINE_NAME.startswith(incomplete):
+    takes_layouts = incomplete and param.name in ("layout_names", "keep", "within")
+    if takes_layouts and BASELINE_NAME.startswith(incomplete):
         return [CompletionItem(BASELINE_NAME)]
     return [CompletionItem(incomplete, type="file")]
 
@@ -259,18 +254,13 @@ PLANNED = (*fields_in(ASKED, MOUNTED, SOUGHT), "fusion")
 """Fields of commands that look for layouts."""
 JUDGED = fields_in(DRIVEN, SEEN, but=("fusion",))
 """Fields of commands that evaluate layouts."""
-_WEIGHED = ("weights", "near", "accidents_within_m", "score")
-PICTURED = fields_in(
-    DRIVEN,
-    SEEN,
-    but=("fusion", *_WEIGHED, "vut_sensors", "cars", "packet_loss", "vam_rate", "track_memory_s"),
+_JUDGING = (
+    *("fusion", "weights", "near", "accidents_within_m", "score"),
+    *("vut_sensors", "cars", "packet_loss", "vam_rate"),
 )
+PICTURED = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "track_memory_s"))
 """Fields of commands that draw what each unit sees, whoever judges it."""
-ONLY_DRIVEN = fields_in(
-    DRIVEN,
-    SEEN,
-    but=("fusion", *_WEIGHED, "detector", "vut_sensors", "cars", "packet_loss", "vam_rate"),
-)
+ONLY_DRIVEN = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "detector"))
 """Fields of commands that show what is driven and judge nothing."""
 
 
@@ -345,12 +335,9 @@ def _refuse_program_of_file(question: Question) -> None:
     """Refuse a network that only a question file names: it is a program, and files come by mail."""
     source = click.get_current_context().get_parameter_source("detector")
     if source is ParameterSource.DEFAULT_MAP and ".onnx" in question.detector:
-        raise InputError(
-            "--question: detector",
-            question.detector,
-            f"no network, which is a program, or --detector {question.detector} as well if you "
-            "trust it",
-        )
+        trusted = f"--detector {question.detector} as well if you trust it"
+        expected = f"no network, which is a program, or {trusted}"
+        raise InputError("--question: detector", question.detector, expected)
 
 
 def one_run_options() -> Decorator:
@@ -374,11 +361,8 @@ def one_run_options() -> Decorator:
         ),
     )
     apart = ("cases", "approaches", "speeds")
-    others = question_options(
-        *(name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")),
-        named_apart=apart,
-        has_file=False,
-    )
+    asked = [name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")]
+    others = question_options(*asked, named_apart=apart, has_file=False)
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         return _decorate(others(command), naming)

@@ -14,12 +14,6 @@ from .terminal import answer_text, sentences
 if TYPE_CHECKING:
     from ..jobs.solve import CoveringResult, PlacementSolution
 
-_QUESTIONS = {
-    "budget_units": "--budget",
-    "budget_cost": "--budget-cost",
-    "target": "--target",
-}
-
 
 def _target(text: str) -> float | None:
     """A share of the rows; None for all that can be covered."""
@@ -143,7 +137,13 @@ def solve(
     Chosen columns are numbered as in the file: from 1 in OR-Library's and Steiner triples, else
     from 0; --json says so in numbered_from.
     """
-    _check_one_question()
+    questions = {"budget_units": "--budget", "budget_cost": "--budget-cost", "target": "--target"}
+    asked_for = [words for name, words in questions.items() if options.is_given(name)]
+    if len(asked_for) > 1:
+        known = ", ".join(questions.values())
+        raise click.UsageError(
+            f"{asked_for[1]}: got it beside {asked_for[0]}; expected one of {known}"
+        )
     progress.start(quiet=quiet)
     from ..jobs import solve
 
@@ -179,13 +179,6 @@ def solve(
     print_result(summary, progress, as_json, lambda: solution_text(summary))
 
 
-def _check_one_question() -> None:
-    given = [words for name, words in _QUESTIONS.items() if options.is_given(name)]
-    if len(given) > 1:
-        known = ", ".join(_QUESTIONS.values())
-        raise click.UsageError(f"{given[1]}: got it beside {given[0]}; expected one of {known}")
-
-
 def solution_text(summary: "CoveringResult") -> str:
     """The answer to a covering problem."""
     names = [str(column) for column in summary.chosen]
@@ -196,9 +189,15 @@ def solution_text(summary: "CoveringResult") -> str:
         "cost" if is_cost else "covered": _number(summary.objective),
         "bound": f"{_number(summary.bound)}, {gap}",
         "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
-        **_other_side(summary, is_cost=is_cost),
-        "solver": f"{summary.solver}; {summary.seconds:.2f} s",
     }
+    if is_cost:
+        n_left = summary.rows - summary.coverable
+        more = f"; {n_left} cannot be covered" if n_left > 0 else ""
+        entries["covers"] = f"{summary.covered} of {summary.rows} rows{more}"
+    else:
+        entries["of"] = f"{summary.rows} rows, {summary.coverable} coverable"
+        entries["costs"] = _number(summary.cost)
+    entries["solver"] = f"{summary.solver}; {summary.seconds:.2f} s"
     lines = sentences(f"{summary.file}: {_question_words(summary)}")
     for head, text in entries.items():
         lines += sentences(text, head=f"{head:<12}", indent=2, hanging=12)
@@ -226,22 +225,8 @@ def _question_words(summary: "CoveringResult") -> str:
         return f"the most that {summary.budget} columns cover (maximal covering)"
     if summary.budget_cost is not None:
         return f"the most that {_number(summary.budget_cost)} buys (maximal covering)"
-    if summary.target is not None:
-        return f"the least cost that covers {_percent(summary.target)} (set covering)"
-    return "the least cost that covers all that can be covered (set covering)"
-
-
-def _other_side(summary: "CoveringResult", *, is_cost: bool) -> dict[str, str]:
-    """Cost where the objective is coverage, coverage where it is cost."""
-    if not is_cost:
-        return {
-            "of": f"{summary.rows} rows, {summary.coverable} coverable",
-            "costs": _number(summary.cost),
-        }
-    covered = f"{summary.covered} of {summary.rows} rows"
-    if summary.coverable < summary.rows:
-        covered += f"; {summary.rows - summary.coverable} cannot be covered"
-    return {"covers": covered}
+    what = "all that can be covered" if summary.target is None else _percent(summary.target)
+    return f"the least cost that covers {what} (set covering)"
 
 
 def _number(value: float) -> str:

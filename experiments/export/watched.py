@@ -1,6 +1,6 @@
 """A run with the frames in which each unit detects: what formats show that move."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,10 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
     if len(parts) not in (3, 4) or not all(parts):
         raise InputError("--run", run_id, _RUN_ID)
     case, place, speed = parts[:3]
-    approach, position = _split_place(place, tuple(build_junction(scene).arms))
+    # "east-15": the arm with the longest name that it begins with, and the position.
+    arms = [arm for arm in build_junction(scene).arms if place.startswith(arm)]
+    approach = max(arms, key=len, default=place)
+    position = place.removeprefix(approach) or AT_ZERO.name
     if weather is not None:
         pick_weather(weather, "weather")
     light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
@@ -44,14 +47,6 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
     except InputError as error:
         where = f"--run {run_id}: {error.where.removeprefix('--')}"
         raise InputError(where, error.got, error.expected) from None
-
-
-def _split_place(place: str, arms: Sequence[str]) -> tuple[str, str]:
-    """Approach and position of "east-15": the arm with the longest name that it begins with."""
-    for arm in sorted(arms, key=len, reverse=True):
-        if place.startswith(arm):
-            return arm, place.removeprefix(arm) or AT_ZERO.name
-    return place, AT_ZERO.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ import shutil
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import cache
 from importlib.resources import files
@@ -27,6 +27,7 @@ from .tasks import Cancelled, TaskError
 try:
     import uvicorn
     from starlette.applications import Starlette
+    from starlette.datastructures import Headers
     from starlette.requests import Request
     from starlette.responses import JSONResponse, Response
     from starlette.routing import Mount, Route, WebSocketRoute
@@ -86,10 +87,7 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        problem = self._problem(scope)
+        problem = "" if scope["type"] == "lifespan" else self._problem(scope)
         if not problem:
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
@@ -98,11 +96,10 @@ class Guard:
             await Response(f"{problem}\n", 403, media_type="text/plain")(scope, receive, send)
 
     def _problem(self, scope: Scope) -> str:
-        names: Mapping[bytes, bytes] = dict(scope["headers"])
-        host = names.get(b"host", b"").decode("latin-1")
+        headers = Headers(scope=scope)
+        host, origin = headers.get("host", ""), headers.get("origin", "")
         if self._hosts is not None and host not in self._hosts:
             return "another host"
-        origin = names.get(b"origin", b"").decode("latin-1")
         is_read = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if (origin or not is_read) and origin != f"http://{host}":
             return "another origin"
@@ -235,9 +232,13 @@ class Pages:
     async def _plan(self, request: Request) -> Response:
         return _download(self._session.plan_text(), "plan.json", "application/json")
 
-    async def _watch(self, request: Request) -> Response:
+    async def _of_run(self, task: str, request: Request) -> Any:
+        """Result of a task for the run that is asked for."""
         run_id = request.query_params.get("run", "")
-        page = await self._session.call("watch", self._session.layout(), run_id)
+        return await self._session.call(task, self._session.layout(), run_id)
+
+    async def _watch(self, request: Request) -> Response:
+        page = await self._of_run("watch", request)
         return Response(page, media_type="text/html", headers={_POLICY: _INLINE})
 
     async def _private(self, request: Request) -> Response:
@@ -257,8 +258,7 @@ class Pages:
         return Response(background.image, media_type=background.media_type)
 
     async def _explain(self, request: Request) -> Response:
-        run_id = request.query_params.get("run", "")
-        return JSONResponse(await self._session.call("explain", self._session.layout(), run_id))
+        return JSONResponse(await self._of_run("explain", request))
 
     async def _picture(self, request: Request) -> Response:
         values = request.query_params
@@ -266,9 +266,8 @@ class Pages:
             frame = int(values.get("frame", "-1")[:9])
         except ValueError:
             raise InputError("frame", values["frame"], "a whole number") from None
-        picture = await self._session.call(
-            "picture", self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
-        )
+        asked = self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
+        picture = await self._session.call("picture", *asked)
         return Response(picture, media_type="image/jpeg")
 
     async def _report(self, request: Request) -> Response:
@@ -292,8 +291,8 @@ class Pages:
             return JSONResponse({"opened": [variant.name for variant in plan.variants]})
         suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
         if suffix is None:
-            expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
-            raise InputError("file", name, expected)
+            known = ", ".join(_MAP_SUFFIXES)
+            raise InputError("file", name, f"a name that ends in .json, {known}")
         path = await self._received(request, _plain_name(name, suffix))
         try:
             found = await self._session.call("survey", str(path), is_long=True)
