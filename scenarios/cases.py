@@ -464,10 +464,8 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     table = load_toml(files(__package__) / "data" / "case_sets.toml")
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
-    for set_name, entries in table.items():
-        if set_name in alike:
-            continue
-        driven = []
+    for set_name in [name for name in table if name not in alike]:
+        entries, driven = table[set_name], []
         for name, entry in entries.items():
             where = f"case_sets.toml: {set_name}.{name}"
             speeds = read_table(entry, _Speeds, where) if entry else None
@@ -482,7 +480,7 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     for set_name, other in alike.items():
         sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")
     every = (*load_cases().values(), *load_unlaid_cases().values())
-    return {**{name: sets[name] for name in table}, ALL_CASES: every}
+    return {name: sets[name] for name in table} | {ALL_CASES: every}
 
 
 def _named(word: str) -> tuple[Case, ...]:
@@ -531,45 +529,37 @@ def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
     )
 
 
+_SAME = (
+    *("title", "source", "impact_percent", "impact_face", "start_distance_m", "steady_distance_m"),
+    *("steady_time_s", "range", "turn", "vru_direction", "vru_line", "braking"),
+)
+"""Fields that cases have from their entries as they are, if the entry's kind has them."""
+
+
 def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: str) -> Case:
     vru = pick_actor(entry.vru, f"{where}.vru")
-    pairs = tuple(sorted(entry.pairs_kmh))
-    steps = entry.vut_speed_kmh
+    pairs, steps = tuple(sorted(entry.pairs_kmh)), entry.vut_speed_kmh
     speeds = tuple(sorted({vut for vut, _ in pairs})) if steps is None else _speeds_kmh(steps)
     if steps is not None and entry.vru_speeds_kmh is not None:
         pairs = tuple((vut, vru) for vut in speeds for vru in _speeds_kmh(entry.vru_speeds_kmh))
+    same: dict[str, Any] = {key: getattr(entry, key) for key in _SAME if hasattr(entry, key)}
+    reference_m = {"reference": vru.reference_ahead_m, "middle": 0.0}
     return Case(
         name=name,
-        title=entry.title,
-        source=entry.source,
         kind=str(type(entry).__struct_config__.tag),
         vru=vru,
         vru_speed_kmh=pairs[0][1] if entry.vru_speed_kmh is None else entry.vru_speed_kmh,
         vut_speeds_kmh=speeds,
         # Lowest and highest of the protocol, whatever the step between them.
         speed_limits_kmh=(speeds[0], speeds[-1]) if steps is None else (steps.min, steps.max),
-        impact_percent=entry.impact_percent,
-        impact_face=entry.impact_face,
-        vru_reference_m={
-            "reference": vru.reference_ahead_m,
-            "middle": 0.0,
-            "front": 0.5 * vru.length_m,
-            "corner": 0.5 * vru.length_m,
-        }[entry.vru_reference],
+        vru_reference_m=reference_m.get(entry.vru_reference, 0.5 * vru.length_m),
+        meets_corner=entry.vru_reference == "corner",
         acceleration_distance_m=entry.acceleration_distance_m or 0.0,
-        start_distance_m=entry.start_distance_m,
-        steady_distance_m=entry.steady_distance_m,
-        steady_time_s=entry.steady_time_s,
         vru_side=getattr(entry, "vru_from", ""),
-        turn=getattr(entry, "turn", ""),
-        vru_direction=getattr(entry, "vru_direction", ""),
-        vru_line=getattr(entry, "vru_line", None),
         obstruction=_build_obstruction(entry.obstruction, f"{where}.obstruction"),
         pairs_kmh=pairs,
         extended_pairs_kmh=tuple(sorted(entry.extended_pairs_kmh)),
-        range=entry.range,
-        meets_corner=entry.vru_reference == "corner",
-        braking=getattr(entry, "braking", None),
+        **same,
     )
 
 
@@ -613,21 +603,19 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
     for word in (part.strip() for part in text.split(",")):
         if word.lower().endswith(".toml"):
             found = tuple(load_own_cases(word).values())
-        elif word in load_case_sets():
-            found = load_case_sets()[word]
         else:
-            found = _named(word)
+            found = load_case_sets().get(word) or _named(word)
         if not found:
             families = dict.fromkeys(_stem(name) for name in load_cases())
             known = ", ".join([*load_case_sets(), *families])
             expected = f"one of {known}, a .toml file, or several with commas between"
             raise InputError(where, word, expected)
-        within = []
-        for case in found:
-            is_named = case.name == word and case.range == "extended"
-            in_it = in_range(case, "extended" if is_named else case_range)
-            if in_it is not None:
-                within.append(in_it)
+        within = [
+            one
+            for case in found
+            for is_named in [case.name == word and case.range == "extended"]
+            if (one := in_range(case, "extended" if is_named else case_range)) is not None
+        ]
         for case in _each_once(within) if word == ALL_CASES else within:
             picked.setdefault(case.name, case)
     return tuple(picked.values())
@@ -659,10 +647,10 @@ def _each_once(cases: Sequence[Case]) -> list[Case]:
     points: dict[object, list[str]] = {}
     for case in kept:
         points.setdefault(_but_for_the_point(case), []).append(case.name)
+    names_of = [points[_but_for_the_point(case)] for case in kept]
     return [
         replace(case, impact_turn=(names.index(case.name), len(names)))
-        for case in kept
-        for names in [points[_but_for_the_point(case)]]
+        for case, names in zip(kept, names_of, strict=True)
     ]
 
 

@@ -39,7 +39,7 @@ class InThread:
             if self._tasks is None:
                 self._tasks = Tasks(self._work, tell)
                 if not self._work.question.scene:
-                    self._tasks._setting = self._setting
+                    self._tasks.setting = self._setting
             try:
                 return await asyncio.to_thread(getattr(self._tasks, method), *args, **kwargs)
             except InputError as error:

@@ -5,7 +5,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -407,34 +407,27 @@ def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: b
         context.obj.shows_tracebacks = True
 
 
-json_option = option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    section=PROGRAM,
-    help="Print JSON on stdout and nothing else.",
+_of_program = partial(option, section=PROGRAM)
+_seldom = partial(option, section=PROGRAM, is_common=False)
+
+json_option = _of_program(
+    "--json", "as_json", is_flag=True, help="Print JSON on stdout and nothing else."
 )
-_verbose_option = option(
+_verbose_option = _seldom(
     "--verbose",
     is_flag=True,
     expose_value=False,
     callback=lambda context, _, is_given: is_given and context.obj.tell_more(),
-    section=PROGRAM,
-    is_common=False,
     help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
 )
-_debug_option = option(
+_debug_option = _seldom(
     "--debug",
     is_flag=True,
     expose_value=False,
     callback=_show_traceback,
-    section=PROGRAM,
-    is_common=False,
     help="Show the full text of an unexpected error.",
 )
-_quiet_option = option(
-    "--quiet", is_flag=True, section=PROGRAM, help="Nothing but errors on stderr."
-)
+_quiet_option = _of_program("--quiet", is_flag=True, help="Nothing but errors on stderr.")
 
 
 def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -442,46 +435,36 @@ def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
     return _quiet_option(_verbose_option(_debug_option(command)))
 
 
-_workers_option = option(
+_workers_option = _seldom(
     "--workers",
     type=click.IntRange(min=1),
     metavar="N",
     default=os.cpu_count() or 1,
     show_default="one per processor",
     expected="a number of threads, at least 1",
-    section=PROGRAM,
-    is_common=False,
     help="Threads.",
 )
-_seed_option = option(
+_seed_option = _seldom(
     "--seed",
     type=click.IntRange(min=0),
     metavar="N",
     default=0,
     show_default=True,
     expected="a whole number, at least 0",
-    section=PROGRAM,
-    is_common=False,
     help="Of all that is left to chance: points on the road users, misses, lost messages.",
 )
-_cache_option = option(
+_cache_option = _seldom(
     "--cache/--no-cache",
     "uses_cache",
     default=True,
     show_default=True,
-    section=PROGRAM,
-    is_common=False,
     help="Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
 )
-
-
-_rays_option = option(
+_rays_option = _seldom(
     "--rays",
     type=click.Choice(RAYS),
     default=RAYS[0],
     show_default=True,
-    section=PROGRAM,
-    is_common=False,
     help="Library that casts rays; auto: the fastest that loads. The results are the same.",
 )
 

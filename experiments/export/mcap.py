@@ -104,42 +104,32 @@ def _meshes(m: Any, scene: Scene) -> Iterator[Any]:
             indices=indices.ravel().tolist(),
             color=_colour(m, thing.class_name),
         )
-        yield _entity(
-            m,
-            thing.id,
-            triangles=[mesh],
-            metadata=[m.KeyValuePair(key="class", value=thing.class_name)],
-        )
+        kind = m.KeyValuePair(key="class", value=thing.class_name)
+        yield _entity(m, thing.id, triangles=[mesh], metadata=[kind])
 
 
 def _units(m: Any, layout: Layout) -> Iterator[Any]:
     for unit in layout.units:
         position_m = np.asarray(unit.pose.position_m)
-        label = m.TextPrimitive(
-            pose=_pose(m, position_m + [0.0, 0.0, 0.5]), text=unit.id, font_size=0.5, billboard=True
-        )
+        above = _pose(m, position_m + [0.0, 0.0, 0.5])
+        label = m.TextPrimitive(pose=above, text=unit.id, font_size=0.5, billboard=True)
         if not isinstance(unit.sensor, CameraModel):
             size = _vector(m, [0.3, 0.3, 0.3])
             ball = m.SpherePrimitive(pose=_pose(m, position_m), size=size, color=_colour(m, "unit"))
             yield _entity(m, unit.id, spheres=[ball], texts=[label])
             continue
         half = 0.5 * np.array([unit.sensor.width_px, unit.sensor.height_px])
-        half_m = _FRUSTUM_M * half / unit.sensor.focal_length_px
-        corners = [[x * half_m[0], y * half_m[1], _FRUSTUM_M] for x, y in _AROUND]
-        ends = [[0.0, 0.0, 0.0], *corners]
-        order = [0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1]
+        x_m, y_m = _FRUSTUM_M * half / unit.sensor.focal_length_px
+        corners = [[x * x_m, y * y_m, _FRUSTUM_M] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         frustum = m.LinePrimitive(
             type=m.LinePrimitiveLineType.LineList,
             pose=_pose(m, position_m, sensor_quaternion(unit.pose, unit.sensor)),
-            points=_points(m, ends),
-            indices=order,
+            points=_points(m, [[0.0, 0.0, 0.0], *corners]),
+            indices=[0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1],
             thickness=0.05,
             color=_colour(m, "unit"),
         )
         yield _entity(m, unit.id, lines=[frustum], texts=[label])
-
-
-_AROUND = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def _vector(m: Any, values: Any) -> Any:

@@ -187,10 +187,8 @@ def validate_openscenario(text: str) -> None:
         element = ET.fromstring(text)
     except ET.ParseError as error:
         raise InputError("OpenSCENARIO", Unquoted(error), expected) from None
-    problem = next(_schema().iter_errors(element), None)
-    if problem is not None:
-        where = f"OpenSCENARIO: {problem.path}"
-        raise InputError(where, Unquoted(problem.reason), expected)
+    for problem in _schema().iter_errors(element):
+        raise InputError(f"OpenSCENARIO: {problem.path}", Unquoted(problem.reason), expected)
 
 
 @cache
@@ -327,7 +325,7 @@ def _build_init(run: Run, tracks: tuple[_Track, ...]) -> Any:
     for index, placed in enumerate(run.obstruction, 1):
         pose = placed.pose
         point_m = _reference_m(placed.actor, pose.position_m[:2], pose.yaw_deg, run.terrain)
-        teleport = xosc.TeleportAction(_world_position(point_m, placed.pose.yaw_deg))
+        teleport = xosc.TeleportAction(_world_position(point_m, pose.yaw_deg))
         init.add_init_action(f"obstruction-{index}", teleport)
     return init
 
@@ -359,10 +357,9 @@ def _build_environment(weather: str) -> Any:
 
 
 def _build_track(name: str, run: Run) -> _Track:
-    actor, motion, position_m, yaw_deg = {
-        VUT: (run.encounter.vut, run.encounter.vut_motion, run.vut_position_m, run.vut_yaw_deg),
-        VRU: (run.encounter.vru, run.encounter.vru_motion, run.vru_position_m, run.vru_yaw_deg),
-    }[name]
+    # Names of entities are those of the run's fields.
+    actor, motion = getattr(run.encounter, name), getattr(run.encounter, f"{name}_motion")
+    position_m, yaw_deg = getattr(run, f"{name}_position_m"), getattr(run, f"{name}_yaw_deg")
     first_s, last_s = run.time_s[[0, -1]]
     time_s = run.time_s
     if last_s < 0.0:  # between two frames lies the impact: the last frame is before it

@@ -15,6 +15,7 @@ from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outc
 from placement.ground import BANDS, PrivateGround, PrivateSight, find_ground_coverage
 from placement.layout import Layout
 from placement.setting import Setting
+from scenarios.runs import Run
 
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
@@ -56,11 +57,8 @@ def scene_record(
         "plan": plan_record(scene, np.zeros((0, 2))),
         "sites": [
             {
-                "id": site.id,
-                "kind": site.kind,
-                "place": centimetres(site.position_m[:2]),
-                "low": float(site.height_range_m[0]),
-                "high": float(site.height_range_m[1]),
+                **{"id": site.id, "kind": site.kind, "place": centimetres(site.position_m[:2])},
+                **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
                 "capacity": site.capacity_units,
                 "isForbidden": site.use == "forbidden",
             }
@@ -68,9 +66,7 @@ def scene_record(
         ],
         "sensors": [
             {
-                "name": model.name,
-                "kind": sensor_kind(model),
-                "price": model.price_eur,
+                **{"name": model.name, "kind": sensor_kind(model), "price": model.price_eur},
                 "isRing": is_ring(model),
             }
             for model in models
@@ -93,21 +89,15 @@ def _private_areas(ground: PrivateGround) -> list[dict[str, str]]:
 
 def _arm_records(setting: Setting) -> list[dict[str, Any]]:
     """Every approach and position that is driven: the VUT's way, and where the impacts are."""
-    found: dict[tuple[str, str], list[int]] = {}
-    for index, run in enumerate(setting.runs):
-        found.setdefault((run.approach, run.position), []).append(index)
+    found: dict[tuple[str, str], list[Run]] = {}
+    for run in setting.runs:
+        found.setdefault((run.approach, run.position), []).append(run)
     records = []
-    for (approach, position), indices in found.items():
-        impacts = np.array([setting.runs[index].vut_position_m[-1] for index in indices])
-        longest = max(indices, key=lambda index: len(setting.runs[index].time_s))
-        records.append(
-            {
-                "approach": approach,
-                "position": position,
-                "place": centimetres(impacts.mean(axis=0)),
-                "way": centimetres(setting.runs[longest].vut_position_m),
-            }
-        )
+    for (approach, position), runs in found.items():
+        impacts_m = np.mean([run.vut_position_m[-1] for run in runs], axis=0)
+        longest = max(runs, key=lambda run: len(run.time_s))
+        record = {"approach": approach, "position": position, "place": centimetres(impacts_m)}
+        records.append(record | {"way": centimetres(longest.vut_position_m)})
     return records
 
 
@@ -268,21 +258,15 @@ def private_record(
     shares = sight.shares(units)
     most = shares.max(axis=0, initial=0.0)
     order = [int(column) for column in np.argsort(-most, kind="stable") if most[column] > 0.0]
-    return [
-        {
-            "area": ground.names[column],
-            "seen": [
-                {
-                    "unit": units[row].id,
-                    "share": percent(float(shares[row, column])),
-                    "isTooMuch": bool(shares[row, column] > max_share),
-                }
-                for row in np.argsort(-shares[:, column], kind="stable").tolist()
-                if shares[row, column] > 0.0
-            ],
-        }
-        for column in order[:_MAX_AREAS]
-    ]
+    records = []
+    for column in order[:_MAX_AREAS]:
+        seen = [
+            {"unit": units[row].id, "share": percent(share), "isTooMuch": share > max_share}
+            for row in np.argsort(-shares[:, column], kind="stable").tolist()
+            if (share := float(shares[row, column])) > 0.0
+        ]
+        records.append({"area": ground.names[column], "seen": seen})
+    return records
 
 
 def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, Any]:

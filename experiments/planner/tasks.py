@@ -7,6 +7,7 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -57,21 +58,17 @@ class Tasks:
         self._work, self._progress = work, progress
         self._compute = replace(work.compute, progress=progress)
         self._of_units = replace(self._compute, cache_folder=work.scratch / "views")
-        self._setting: Setting | None = None
         self._evaluations: OrderedDict[tuple[object, ...], Evaluation] = OrderedDict()
         self._adviser: Adviser | None = None
         self._sensors = work.question.sensors
 
-    @property
+    @cached_property
     def setting(self) -> Setting:
         """Scene and runs, as ``evaluate`` builds them."""
-        if self._setting is None:
-            self._progress("setting", 0, 0)
-            question = self._work.question
-            scene = load_scene(question.scene)
-            setting = build_setting(question, scene, compute=self._compute)
-            self._setting = with_sight(setting, compute=self._compute)
-        return self._setting
+        self._progress("setting", 0, 0)
+        question = self._work.question
+        setting = build_setting(question, load_scene(question.scene), compute=self._compute)
+        return with_sight(setting, compute=self._compute)
 
     def open_setting(self) -> Setting:
         """The setting itself, for the server."""
@@ -305,16 +302,13 @@ def _proof(advice: Advice) -> str:
     if advice.is_all_proven:
         return "proven: nothing of its kind is better"
     first = None if advice.certificate is None else advice.certificate.stages[0]
-    by_cost = first is not None and first.name == "cost_eur"
+    best, equal, limit = "no APR is higher", "APR", f"no APR above {percent(advice.bound)}"
+    if first is not None and first.name == "cost_eur":
+        best, equal = "none costs less", "price"
+        limit = f"nothing for less than {euros(first.bound)}"
     if advice.is_proven:
-        best, equal = ("none costs less", "price") if by_cost else ("no APR is higher", "APR")
         return f"proven: {best}; of those with the same {equal} not all were compared in time"
-    limit = (
-        f"nothing for less than {euros(first.bound)} is possible there"
-        if first is not None and by_cost
-        else f"no APR above {percent(advice.bound)} is possible there"
-    )
-    return f"not proven in the time given: {limit}"
+    return f"not proven in the time given: {limit} is possible there"
 
 
 # ---------- the process
