@@ -27,6 +27,7 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.footprints import FootprintSizes, gaps_between
 
+from .courses import along_m
 from .encounters import first_contact_s
 from .paths import MPS_PER_KMH
 from .recorded import RecordedEncounter, RecordedWay
@@ -222,7 +223,7 @@ def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] |
     points = shapely.get_coordinates(shapely.intersection(*lines))
     if not len(points):
         return None
-    along = [np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T))) for way in ways]
+    along = [along_m(way) for way in ways]
     passed = np.array(
         [
             np.interp(line.project(shapely.points(points)), far, time_s)

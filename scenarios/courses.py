@@ -166,20 +166,20 @@ def _follow(
     chain = np.array(points, dtype=np.float64).reshape(-1, 2)
     close_m = None
     if close is not None:
-        ends_m = _BEYOND_M + _along_m(chain)[list(close)]
+        ends_m = _BEYOND_M + along_m(chain)[list(close)]
         close_m = ends_m + [-_CLOSE_BESIDE_M, _CLOSE_BESIDE_M]
     if len(chain) > 1:
         chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)]
     if len(chain) < 2:
         raise InputError("centreline_m", len(chain), "at least two different points")
     chain = _led_on(chain)
-    along = _along_m(chain)
+    along = along_m(chain)
     step_m = _SAMPLE_M if close_m is None else _CLOSE_SAMPLE_M
     at = np.linspace(0.0, along[-1], int(along[-1] / step_m) + 2)
     weight = None
     if close_m is not None:
         weight = np.where((at >= close_m[0]) & (at <= close_m[1]), _CLOSE, 1.0)
-    samples = _sampled(chain, along, at)
+    samples = sampled(chain, along, at)
     return _smoothed(samples, at, origin_m, smoothing_m=_SMOOTHING_M, weight=weight)
 
 
@@ -191,12 +191,14 @@ def _led_on(chain_m: FloatArray) -> FloatArray:
     )
 
 
-def _along_m(chain_m: FloatArray) -> FloatArray:
+def along_m(chain_m: FloatArray) -> FloatArray:
+    """Length of a chain (n, 2) up to each of its points, (n,)."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
 
 
-def _sampled(chain_m: FloatArray, along_m: FloatArray, at_m: FloatArray) -> FloatArray:
-    return np.stack([np.interp(at_m, along_m, chain_m[:, axis]) for axis in (0, 1)], axis=1)
+def sampled(chain_m: FloatArray, lengths_m: FloatArray, at_m: FloatArray) -> FloatArray:
+    """Points (m, 2) of a chain, between its own linearly, at lengths along it (m,)."""
+    return np.stack([np.interp(at_m, lengths_m, chain_m[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def _smoothed(
@@ -240,9 +242,9 @@ def _end_direction(chain_m: FloatArray) -> FloatArray:
     it turns once more by half up to its end.
     """
     back = chain_m[::-1]
-    along = _along_m(back)
+    along = along_m(back)
     reach = min(_END_CHORD_M, 0.5 * float(along[-1]))
-    end, middle, begin = _sampled(back, along, np.array([0.0, reach, 2.0 * reach]))
+    end, middle, begin = sampled(back, along, np.array([0.0, reach, 2.0 * reach]))
     last, before = end - middle, middle - begin
     turned = np.arctan2(before[0] * last[1] - before[1] * last[0], float(before @ last))
     more = np.clip(0.5 * turned, -_MAX_END_BEND_RAD, _MAX_END_BEND_RAD)
@@ -252,9 +254,9 @@ def _end_direction(chain_m: FloatArray) -> FloatArray:
 
 def _course_of(points_m: FloatArray, yaw_rad: FloatArray, origin: int) -> Course:
     """A course through points that lie about evenly, with its origin at one of them."""
-    length = _along_m(points_m)
+    length = along_m(points_m)
     even = np.arange(0.0, length[-1], _STEP_M)
-    places = _sampled(points_m, length, even)
+    places = sampled(points_m, length, even)
     return _course(-float(length[origin]), places, np.interp(even, length, yaw_rad))
 
 
@@ -531,9 +533,9 @@ def _gentle(
     is_new = np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)
     free = np.array(free_m)[is_new]
     chain = _led_on(chain[is_new])
-    along = _along_m(chain)
+    along = along_m(chain)
     at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
-    samples, near = _sampled(chain, along, at), int(_EASED_M / _SAMPLE_M)
+    samples, near = sampled(chain, along, at), int(_EASED_M / _SAMPLE_M)
     free_at = np.interp(at, along[1:-1], free)
     weight = np.ones(len(at))
     for _ in range(_MAX_STEPS):

@@ -36,8 +36,7 @@ class Encounter:
     _sizes: FootprintSizes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.vut_motion.acceleration_distance_m != 0.0:
-            got = self.vut_motion.acceleration_distance_m
+        if got := self.vut_motion.acceleration_distance_m:
             expected = "0: the VUT is up to speed when it sets off"
             raise InputError("encounter.vut_motion.acceleration_distance_m", got, expected)
         if self.vut_motion.speed_mps == 0.0:
@@ -101,9 +100,8 @@ class Encounter:
             bend += acceleration_mps2 + 3.0 * turn * v**2
             speed += v
             turning += turn * v
-            turning_change += (
-                motion.path.max_turn_change_rad_per_m2 * v**2 + turn * acceleration_mps2
-            )
+            change = motion.path.max_turn_change_rad_per_m2
+            turning_change += change * v**2 + turn * acceleration_mps2
         return bend + 2.0 * turning * speed + (turning_change + turning**2) * 4.0 * self.near_m
 
 
@@ -129,10 +127,7 @@ def first_contact_s(encounter: Encounter) -> float:
     middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
     nothing = np.zeros(n_cells)
     cells = Cells(
-        first_s=middle,
-        second_s=nothing,
-        half_first_s=0.5 * np.diff(edges),
-        half_second_s=nothing,
+        first_s=middle, second_s=nothing, half_first_s=0.5 * np.diff(edges), half_second_s=nothing
     )
     _, touch_s = find_first_touch(cells, measure, tolerance_s=_CONTACT_TOLERANCE_S)
     return touch_s

@@ -92,9 +92,8 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
         f"metres along the arm, 0 to {rules.max_distance_m:g}, with commas between, such as 0,15,30"
     )
     words = [word.strip() for word in text.split(",")]
-    if len(words) > rules.max_distances:
-        got = Unquoted(f"{len(words)} distances")
-        raise InputError(where, got, f"at most {rules.max_distances}")
+    if len(words) > (most := rules.max_distances):
+        raise InputError(where, Unquoted(f"{len(words)} distances"), f"at most {most}")
     distances: list[float] = []
     for word in words:
         try:
@@ -148,13 +147,11 @@ def read_position(text: str, where: str) -> Position:
     except (InputError, ValueError):
         distance_m = math.nan
     if not (sign or distance_m == 0.0) or not math.isfinite(distance_m):
-        limit_m = load_position_rules().max_distance_m
-        raise InputError(
-            where,
-            text,
+        expected = (
             "0, or metres before it such as -15, or beyond the crosswalk of the arm ahead such as "
-            f"+0 or +15, up to {limit_m:g}",
+            f"+0 or +15, up to {load_position_rules().max_distance_m:g}"
         )
+        raise InputError(where, text, expected)
     return Position(is_behind=sign == "+", distance_m=distance_m)
 
 

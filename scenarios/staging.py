@@ -51,10 +51,9 @@ class TooFastError(NoRoadError):
 
     def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
-        there = "to the target there" if is_target else "there"
-        super().__init__(
-            f"{BENDS}: {limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h {there}"
-        )
+        where = "to the target there" if is_target else "there"
+        allowed = f"{limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h {where}"
+        super().__init__(f"{BENDS}: {allowed}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -213,14 +212,10 @@ def _gap_to_front(
     along = (impact_offset_m(case, vut) - offset) / across - case.vru_reference_m
     middle = vru_line.point_m + along[:, None] * vru_line.direction
     is_ahead = ((middle - position) * ahead).sum(axis=-1)
+    vru, vru_yaw_deg = case.vru, np.full(len(middle), vru_line.yaw_deg)
     separation = footprint_separation(
         footprint_corners(position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m),
-        footprint_corners(
-            middle,
-            np.full(len(middle), vru_line.yaw_deg),
-            length_m=case.vru.length_m,
-            width_m=case.vru.width_m,
-        ),
+        footprint_corners(middle, vru_yaw_deg, length_m=vru.length_m, width_m=vru.width_m),
     )
     return np.where(is_ahead > 0.0, separation, np.inf), along
 
@@ -298,11 +293,8 @@ def _check_bends(encounter: Encounter) -> None:
         reached_mps2 = lateral_mps2(motion, body)
         if reached_mps2 > limit_mps2:
             speed_mps = motion.speed_mps * np.sqrt(limit_mps2 / reached_mps2)
-            raise TooFastError(
-                limit_mps2,
-                _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH),
-                is_target=body is not encounter.vut,
-            )
+            allowed_kmh = _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH)
+            raise TooFastError(limit_mps2, allowed_kmh, is_target=body is not encounter.vut)
 
 
 def is_vehicle(body: Actor) -> bool:

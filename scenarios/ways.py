@@ -25,11 +25,13 @@ from geometry.scene_checks import Finding
 from .courses import (
     Course,
     Turn,
+    along_m,
     follow_connection,
     follow_gently,
     follow_lane,
     follow_lanes,
     join_by_turn,
+    sampled,
 )
 from .paths import MPS_PER_KMH, CoursePath, Path, StraightPath, TowedPath, TurnPath
 from .staging import CannotCarryError, NoRoadError, load_way_rules
@@ -133,9 +135,8 @@ class CurvedWay:
             near = self.course.between(station_m - back_m, end_m)
             course = near.offset(left_m)
         except InputError:
-            raise CannotCarryError(
-                f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
-            ) from None
+            why = f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
+            raise CannotCarryError(why) from None
         return CurvedWay(course=course), course.station_of(self.point(station_m, left_m))
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
@@ -163,10 +164,9 @@ def straight_line(lane: Lane, *, is_in: bool) -> Line:
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     """How far a lane leaves its straight line, over a length from its mouth, in metres."""
     points = lane.centreline_m[::-1] if is_in else lane.centreline_m  # the mouth comes first
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    end_m = min(max(length_m, 0.0), float(along[-1]))
-    end = np.array([np.interp(end_m, along, points[:, axis]) for axis in (0, 1)])
-    near: FloatArray = np.concatenate([points[along <= end_m], end[None]])
+    along = along_m(points)
+    end_m = np.clip(length_m, 0.0, along[-1])[None]
+    near = np.concatenate([points[along <= end_m], sampled(points, along, end_m)])
     line = straight_line(lane, is_in=is_in)
     return float(np.abs(line.coordinates(near)[:, 1]).max())
 
@@ -426,9 +426,8 @@ def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turni
     try:
         course, turn = join_by_turn(entry, exit_course, turn)
     except (InputError, np.linalg.LinAlgError):
-        raise CannotCarryError(
-            f"no turn of {turn.radius_m:g} m leads from lane {entry_lane.id} into {exit_lane.id}"
-        ) from None
+        between = f"from lane {entry_lane.id} into {exit_lane.id}"
+        raise CannotCarryError(f"no turn of {turn.radius_m:g} m leads {between}") from None
     _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
     end = course.tangent(turn.length_m)
     _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
@@ -437,12 +436,8 @@ def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turni
 
 def along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> Turning:
     """Along the junction's own lane between two others."""
-    course = follow_connection(
-        entry_lane.centreline_m,
-        connection.centreline_m,
-        exit_lane.centreline_m,
-        is_origin_behind=False,
-    )
+    chains = (lane.centreline_m for lane in (entry_lane, connection, exit_lane))
+    course = follow_connection(*chains, is_origin_behind=False)
     exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
     return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
 
@@ -486,17 +481,15 @@ def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
     except InputError:  # another finding says so
         return
     for arm in junction.arms.values():
-        speed_kmh, distance_m, lane = min(
-            _bends(junction, arm), key=lambda found: found[0] - _limit_kmh(found[2])
-        )
+        bends = _bends(junction, arm)
+        speed_kmh, distance_m, lane = min(bends, key=lambda one: one[0] - _limit_kmh(one[2]))
         if speed_kmh < _limit_kmh(lane):
-            yield Finding(
-                level="warning",
-                what=f"arm {arm.name}",
-                why=f"lane {lane.id} bends {distance_m:.0f} m from the junction: "
+            why = (
+                f"lane {lane.id} bends {distance_m:.0f} m from the junction: "
                 f"{rules.max_lateral_mps2:g} m/s^2 to the side allow {speed_kmh:.0f} km/h there, "
-                "and what is faster is not driven past it",
+                "and what is faster is not driven past it"
             )
+            yield Finding(level="warning", what=f"arm {arm.name}", why=why)
 
 
 def _limit_kmh(lane: Lane) -> float:

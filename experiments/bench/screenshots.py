@@ -46,14 +46,9 @@ _REPORT_PARTS = (
 def _browser() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as library:
-        browser = library.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
-        try:
-            yield browser
-        finally:
-            browser.close()
+    chromium = {"executable_path": shutil.which("chromium"), "args": ["--no-sandbox"]}
+    with sync_playwright() as library, library.chromium.launch(**chromium) as browser:
+        yield browser
 
 
 @contextmanager

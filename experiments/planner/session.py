@@ -149,8 +149,7 @@ def build_workspace(
     try:
         return Workspace(work, setting, title=title, save=save), ""
     except InputError as error:
-        question = replace(work.question, no_look="", no_look_share=None)
-        work = replace(work, question=question)
+        work = replace(work, question=replace(work.question, no_look="", no_look_share=None))
         return Workspace(work, setting, title=title, save=save), f"without private areas: {error}"
 
 
@@ -179,17 +178,13 @@ class Proposal:
     def record(self, summary: dict[str, Any], scene: Scene) -> dict[str, Any]:
         """Its message to browsers; `summary` has the numbers known of its units."""
         layout = Layout(name=self.title, units=self.units, scene_name=scene.name)
+        records = zip(unit_records(layout, scene), self.views, strict=True)
         return {
-            "number": self.number,
-            "title": self.title,
-            "words": self.words,
+            **{"number": self.number, "title": self.title, "words": self.words},
             **self.fields,
             **summary,
             "onTable": self.fields["apr"],
-            "drawn": [
-                {"place": record["place"], "view": view}
-                for record, view in zip(unit_records(layout, scene), self.views, strict=True)
-            ],
+            "drawn": [{"place": record["place"], "view": view} for record, view in records],
         }
 
 
@@ -463,10 +458,11 @@ class Session:
                     self.send(self._views[unit.id][1])
 
     def _without_view(self) -> list[CandidatePose]:
-        units = {unit.id: unit for unit in self.history.state.variant.units}
-        self._views = {name: view for name, view in self._views.items() if name in units}
+        units = self.history.state.variant.units
+        ids = {unit.id for unit in units}
+        self._views = {name: view for name, view in self._views.items() if name in ids}
         drawn = {key for key, _ in self._views.values()}
-        return [unit for unit in units.values() if key_of([unit]) not in drawn]
+        return [unit for unit in units if key_of([unit]) not in drawn]
 
     def _first_units(self) -> tuple[CandidatePose, ...]:
         """A unit that is mounted nowhere: counting it prepares all that the first drag needs."""
@@ -501,11 +497,8 @@ class Session:
         shown += [each.units for each in self._proposals]
         shown.append(self._first_units())  # so that the car's own sensors are known
         found = {key_of(units): units for units in shown if units}
-        return [
-            units
-            for key, units in found.items()
-            if key not in self.workspace.known and key not in self.workspace.failed
-        ]
+        done = self.workspace.known.keys() | self.workspace.failed.keys()
+        return [units for key, units in found.items() if key not in done]
 
     async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
         key, workspace = key_of(units), self.workspace
@@ -611,11 +604,9 @@ class Session:
                 return
             proposal = Proposal(
                 number=next(self._numbers_of_proposals),
-                title=answer["title"],
-                words=answer["words"],
-                units=answer["units"],
                 views=tuple(views),
-                fields={name: answer[name] for name in ("apr", "bound", "isProven")},
+                fields={name: answer.pop(name) for name in ("apr", "bound", "isProven")},
+                **answer,
             )
             self._proposals = [*self._proposals, proposal][-_MAX_PROPOSALS:]
         self.send(self._proposals_message())
