@@ -60,11 +60,8 @@ class AebRule:
             raise InputError("aeb.n_confirmations", n_frames, "a whole number")
         frame_s = 1.0 / self.frame_rate_hz
         if not self.track_memory_s >= frame_s - TIME_TOLERANCE_S:  # nor is it NaN
-            raise InputError(
-                "aeb.track_memory_s",
-                self.track_memory_s,
-                f"seconds, at least {frame_s:g} (from one frame to the next), or inf",
-            )
+            expected = f"seconds, at least {frame_s:g} (from one frame to the next), or inf"
+            raise InputError("aeb.track_memory_s", self.track_memory_s, expected)
 
 
 @cache
@@ -207,10 +204,8 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     onset = start + step * (np.arange(n_onsets) + 0.5)
     since_onset = step * np.arange(int(standstill / step) + 2)
     onsets, times = np.broadcast_arrays(onset[:, None], onset[:, None] + since_onset)
-    half = np.full(onsets.size, 0.5 * step)
-    cells = Cells(
-        first_s=onsets.ravel(), second_s=times.ravel(), half_first_s=half, half_second_s=half
-    )
+    first, second, half = onsets.ravel(), times.ravel(), np.full(onsets.size, 0.5 * step)
+    cells = Cells(first_s=first, second_s=second, half_first_s=half, half_second_s=half)
     safe_s, _ = find_first_touch(cells, measure, tolerance_s=_ONSET_TOLERANCE_S)
     return -np.inf if safe_s <= start else min(safe_s, 0.0)
 

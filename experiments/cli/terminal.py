@@ -144,9 +144,8 @@ def listing(
     width: int = WIDTH,
 ) -> list[str]:
     """A table without cuts: a long id has its own line, and `below` stand texts under the rows."""
-    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
-    left = width - 2 - sum(widths) - 2 * len(widths)
-    first = min(max(len(row[0]) for row in (heads, *rows)), left)
+    longest, *widths = (max(map(len, cells)) for cells in zip(heads, *rows, strict=True))
+    first = min(longest, width - 2 - sum(widths) - 2 * len(widths))
 
     def line(head: str, cells: Sequence[str]) -> str:
         ends = (f"  {cell:>{wide}}" for cell, wide in zip(cells, widths, strict=True))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -270,7 +271,7 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
     units, scene = state.variant.units, stock.scene
     index = _find(units, change.unit)
     unit = units[index]
-    pose, sensor = unit.pose, unit.sensor
+    pose, sensor, site_id = unit.pose, unit.sensor, unit.site_id
     if change.sensor is not UNSET:
         sensor = pick(stock.models, change.sensor, "sensor")
         if is_ring(sensor) != is_ring(unit.sensor):  # what scans all round is level by default
@@ -279,10 +280,8 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         if not isinstance(sensor, CameraModel):
             raise InputError("lens", change.fov_deg, "nothing: only cameras have lenses")
         sensor = with_fov(sensor, _finite("lens", change.fov_deg), "lens")
-    others = [other for other in units if other is not unit]
-    site_id = unit.site_id
     if change.site is not UNSET and change.site != site_id:
-        site = _free_site(change.site, others, scene)
+        site = _free_site(change.site, [other for other in units if other is not unit], scene)
         ground_m = float(ground_height_m(scene, pose.position_m[:2]))
         above_m = float(np.clip(pose.position_m[2] - ground_m, *site.height_range_m))
         pose = _moved(pose, site.position_m + [0.0, 0.0, above_m], sensor, scene)
@@ -304,16 +303,17 @@ def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> 
     """
     eye_m = pose.position_m
     up_m = float(eye_m[2] - ground_height_m(scene, eye_m[:2]))
-    is_tilted = pose.pitch_deg < -_LEVEL_DEG and not is_ring(sensor)
-    reach_m = up_m / math.tan(math.radians(-pose.pitch_deg)) if is_tilted else _FAR_M
-    yaw = math.radians(pose.yaw_deg)
+    yaw_deg, pitch_deg = pose.yaw_deg, pose.pitch_deg
+    is_tilted = pitch_deg < -_LEVEL_DEG and not is_ring(sensor)
+    reach_m = up_m / math.tan(math.radians(-pitch_deg)) if is_tilted else _FAR_M
+    yaw = math.radians(yaw_deg)
     target_m = eye_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
     east, north = target_m - position_m[:2]
-    pitch_deg = pose.pitch_deg
     if is_tilted:
         above_m = float(position_m[2] - ground_height_m(scene, target_m))
         pitch_deg = -math.degrees(math.atan2(above_m, math.hypot(east, north)))
-    yaw_deg = math.degrees(math.atan2(north, east)) if east or north else pose.yaw_deg
+    if east or north:
+        yaw_deg = math.degrees(math.atan2(north, east))
     return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
 
 
@@ -359,12 +359,11 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     """
     check_count(len(state.variants) + 1, "variants", MAX_VARIANTS)
     names = {each.name for each in state.variants}
-    name, number = _printable(variant.name), 2
-    if name in names and source:
-        name = _printable(f"{source}: {name}"[:_MAX_NAME])
-    base = name
-    while name in names:
-        name, number = f"{base} ({number})", number + 1
+    base = _printable(variant.name)
+    if base in names and source:
+        base = _printable(f"{source}: {base}"[:_MAX_NAME])
+    numbered = (f"{base} ({number})" for number in count(2))
+    name = next(name for name in chain([base], numbered) if name not in names)
     variants = (*state.variants, replace(variant, name=name))
     return replace(state, variants=variants, current=len(variants) - 1)
 
