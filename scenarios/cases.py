@@ -96,27 +96,21 @@ class Case:
 
     Attributes
     ----------
-    name : str
-        Name.
-    title : str
-        What happens, in words.
-    source : str
-        "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    name, title, source : str
+        Name; what happens, in words; "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
     kind : str
         "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid` says why.
     vru : Actor
         Body of the road user that is met.
     vru_speed_kmh : float
-        Steady; 0: it stands. Of several that go with the VUT's speeds, see `pairs_kmh`, the first
-        one; of a run, its own. [km/h]
-    vut_speeds_kmh : tuple of float
-        Speeds to be driven, ascending. [km/h]
-    speed_limits_kmh : tuple of float
-        Lowest and highest speed of the protocol. [km/h]
+        Steady; 0: it stands. The first of several that go with the VUT's speeds, see `pairs_kmh`;
+        of a run, its own. [km/h]
+    vut_speeds_kmh, speed_limits_kmh : tuple of float
+        Speeds to be driven, ascending; lowest and highest one of the protocol. [km/h]
     impact_percent, impact_face : float, str
-        Where the VRU meets the VUT: "front" - of its width, 0 = right edge, 100 = left edge;
-        "side" - of its length, 0 = rear, on the side towards which it turns or from which the VRU
-        comes. [%]
+        Where the VRU meets the VUT: "front" - of its width, 0 = right edge, 100 = left edge; "side"
+        - of its length, 0 = rear, on the side towards which it turns or from which the VRU comes.
+        [%]
     vru_reference_m : float
         The VRU's point that meets the impact position, ahead of the middle of its box. [m]
     acceleration_distance_m : float
@@ -130,24 +124,18 @@ class Case:
     turn, vru_direction : str
         Turning: "near" or "far", where the VUT turns to; "same" or "opposite", as the VUT before
         its turn. Longitudinal: the latter alone.
-    vru_line : VruLine or None
-        None in longitudinal cases: the VUT's lane.
-    obstruction : Obstruction or None
-        What hides the VRU.
-    pairs_kmh : tuple of (float, float)
-        Speeds of the VUT and the VRU that go together; empty where the VRU has one speed. [km/h]
-    extended_pairs_kmh : tuple of (float, float)
-        Those that the extended range adds. [km/h]
+    vru_line, obstruction, braking : VruLine, Obstruction, Braking or None
+        None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU ahead brakes.
+    pairs_kmh, extended_pairs_kmh : tuple of (float, float)
+        Speeds of the VUT and the VRU that go together, empty where the VRU has one speed; those
+        that the extended range adds. [km/h]
     range : str
         The range to which it belongs: "standard", or "extended" only.
     meets_corner : bool
         Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at 45 degrees,
         and not the middle of its front.
-    braking : Braking or None
-        How the VRU ahead brakes.
     impact_turn : (int, int)
-        Number of its impact point, and how many take turns along the arms: (0, 1): none
-        do, as everywhere but in "all".
+        Number of its impact point, and how many take turns along the arms; (0, 1), but in "all".
     not_laid : str
         Why it cannot be laid anywhere; empty: it can.
     recorded : RecordedEncounter or None

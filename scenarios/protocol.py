@@ -12,47 +12,13 @@ from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
+from . import staging, ways
 from .cases import Case
 from .courses import follow_gently, follow_lane, pick_turn
 from .encounters import Encounter
 from .obstructions import hide, park
 from .paths import MPS_PER_KMH, Path, travel_time_s
 from .positions import AT_ZERO, Position, is_bound
-from .staging import (
-    CannotCarryError,
-    NoRoadError,
-    Settle,
-    Staging,
-    find_crossing,
-    find_meeting,
-    first_that_fits,
-    impact_offset_m,
-    is_vehicle,
-    load_obstruction_rules,
-    load_way_rules,
-    set_off,
-)
-from .ways import (
-    CurvedWay,
-    StraightWay,
-    Turning,
-    Way,
-    along_connection,
-    arm_ahead,
-    arm_at,
-    check_straight,
-    free_aside_m,
-    is_bent,
-    joints,
-    lane_way,
-    meeting_m,
-    on_lanes,
-    on_straights,
-    reversed_way,
-    straight_lane,
-    straight_line,
-    way_across,
-)
 
 
 def stage_by_protocol(
@@ -63,8 +29,8 @@ def stage_by_protocol(
     vut_speed_kmh: float,
     vut: Actor,
     position: Position = AT_ZERO,
-    settle: Settle = lambda staging: staging,
-) -> Staging:
+    settle: staging.Settle = lambda laid: laid,
+) -> staging.Staging:
     """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
     The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
@@ -85,15 +51,17 @@ def stage_by_protocol(
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
-        raise NoRoadError(case.not_laid)
+        raise staging.NoRoadError(case.not_laid)
     arm = junction.arms[approach]
     if not arm.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {approach}")
+        raise staging.NoRoadError(f"no lane leads into the junction from the {approach}")
     if position != AT_ZERO and is_bound(case):
-        raise CannotCarryError("the case is bound to the junction: it has no other positions")
+        raise staging.CannotCarryError(
+            "the case is bound to the junction: it has no other positions"
+        )
     asked = _Asked(case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh)
     if case.kind == "turning":
-        return first_that_fits(_turnings(asked), settle)
+        return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
     places = (
         _places_through(asked, position)
@@ -101,9 +69,9 @@ def stage_by_protocol(
         else _places_before(asked, position)
     )
     if _comes_through(case):
-        return first_that_fits(_crossings(asked, places), settle)
+        return staging.first_that_fits(_crossings(asked, places), settle)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
-    return first_that_fits((partial(lay, asked, place) for place in places), settle)
+    return staging.first_that_fits((partial(lay, asked, place) for place in places), settle)
 
 
 def _comes_through(case: Case) -> bool:
@@ -124,14 +92,14 @@ class _Asked:
     @property
     def entry_line(self) -> Line:
         """The straight line along the VUT's lane at the kerb."""
-        return straight_line(self.arm.entry_lanes[0], is_in=True)
+        return ways.straight_line(self.arm.entry_lanes[0], is_in=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Place:
     """Where along the VUT's way a case is laid."""
 
-    way: Way
+    way: ways.Way
     crosswalk: Line
     entry_lane: Lane
     followed: Lane  # the same, with what is assumed before it
@@ -147,13 +115,13 @@ class _Place:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise NoRoadError("the mapped lane does not reach so far")
+            raise staging.NoRoadError("the mapped lane does not reach so far")
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
         """Raise if a straight way leaves the lane within some metres before the meeting point."""
         if not self.is_checked:
-            check_straight(self.way, self.followed, driven_m - self.ahead_m)
+            ways.check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
 _Lay = Callable[[], _Place]  # or raises CannotCarryError
@@ -165,10 +133,10 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
     Where the corner leaves no kerb to park at before the crosswalk, nearest before it.
     """
     case, arm = asked.case, asked.arm
-    lane = straight_lane(asked.junction, arm) if is_bound(case) else arm.entry_lanes[0]
+    lane = ways.straight_lane(asked.junction, arm) if is_bound(case) else arm.entry_lanes[0]
     followed = asked.junction.followed(lane)
 
-    def place(way: Callable[[], Way], before_m: float = 0.0) -> _Place:
+    def place(way: Callable[[], ways.Way], before_m: float = 0.0) -> _Place:
         return _Place(
             way=way(),
             crosswalk=arm.crosswalk,
@@ -181,23 +149,27 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
         )
 
     chain_m = followed.centreline_m
-    ways: list[Callable[[], Way]] = [lambda: StraightWay(line=straight_line(lane, is_in=True))]
-    if is_bent(followed, is_in=True):
-        free_m = free_aside_m(asked.vut, followed)
-        ways.append(lambda: CurvedWay(course=follow_lane(chain_m, is_in=True)))
-        ways.append(lambda: CurvedWay(course=follow_gently([chain_m], [free_m], origin=1)))
-    yield from (partial(place, way) for way in ways)
+    lines: list[Callable[[], ways.Way]] = [
+        lambda: ways.StraightWay(line=ways.straight_line(lane, is_in=True))
+    ]
+    if ways.is_bent(followed, is_in=True):
+        free_m = ways.free_aside_m(asked.vut, followed)
+        lines.append(lambda: ways.CurvedWay(course=follow_lane(chain_m, is_in=True)))
+        lines.append(lambda: ways.CurvedWay(course=follow_gently([chain_m], [free_m], origin=1)))
+    yield from (partial(place, way) for way in lines)
     if position == AT_ZERO and case.obstruction and case.obstruction.kind == "beside-vut":
-        for before_m in np.arange(1.0, load_obstruction_rules().max_before_m + 0.5).tolist():
-            yield from (partial(place, way, before_m) for way in ways)
+        for before_m in np.arange(
+            1.0, staging.load_obstruction_rules().max_before_m + 0.5
+        ).tolist():
+            yield from (partial(place, way, before_m) for way in lines)
 
 
 def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
     """Places on the way straight through, counted behind it from the arm ahead's crosswalk."""
     arm = asked.arm
-    ahead = arm_ahead(asked.junction, arm, asked.entry_line)
+    ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError("no lane leads straight on out of the junction")
+        raise staging.NoRoadError("no lane leads straight on out of the junction")
     yield from _ways_through(
         asked.junction,
         arm,
@@ -221,8 +193,8 @@ def _ways_through(
 
     def place(entry: Lane, connection: Lane | None, leaving: Lane, *, is_gentle: bool) -> _Place:
         entry = junction.followed(entry)
-        free_m = free_aside_m(body, entry, leaving) if is_gentle else None
-        way, begin_m = way_across(entry, leaving, connection, free_m=free_m)
+        free_m = ways.free_aside_m(body, entry, leaving) if is_gentle else None
+        way, begin_m = ways.way_across(entry, leaving, connection, free_m=free_m)
         return _Place(
             way=way,
             crosswalk=crosswalk or arm.crosswalk,
@@ -234,7 +206,7 @@ def _ways_through(
             is_checked=True,
         )
 
-    found = joints(junction, arm, ahead, "through")
+    found = ways.joints(junction, arm, ahead, "through")
     for is_gentle in (False, True):
         yield from (partial(place, *joint, is_gentle=is_gentle) for joint in found)
 
@@ -245,26 +217,30 @@ _MOUTH_M = 15.0  # of a lane, that tell where it leads
 
 def _side(asked: _Asked, line: Line) -> Arm:
     """The arm on the side from which the VRU comes."""
-    side = arm_at(asked.junction, line, to_left=asked.case.vru_side != "near")
+    side = ways.arm_at(asked.junction, line, to_left=asked.case.vru_side != "near")
     if side is None or not side.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {asked.case.vru_side} side")
+        raise staging.NoRoadError(
+            f"no lane leads into the junction from the {asked.case.vru_side} side"
+        )
     return side
 
 
-def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], Staging]]:
+def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], staging.Staging]]:
     """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
     side = _side(asked, asked.entry_line)
     # What counts is how the other road leads into the junction, not where it comes from.
     mouth, _ = lane_line(side.entry_lanes[0], is_in=True, length_m=_MOUTH_M)
-    ahead = arm_ahead(asked.junction, side, mouth)
+    ahead = ways.arm_ahead(asked.junction, side, mouth)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError(f"no road leads straight across from the {asked.case.vru_side} side")
+        raise staging.NoRoadError(
+            f"no road leads straight across from the {asked.case.vru_side} side"
+        )
     every = tuple(places)
     for across in _ways_through(asked.junction, side, ahead, asked.case.vru):
         yield from (partial(_lay_crossing, asked, place, across) for place in every)
 
 
-def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Staging:
+def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> staging.Staging:
     """A crossing; of a vehicle with its way, `across`."""
     place = laid()
     case, vut, vut_way = asked.case, asked.vut, place.way
@@ -274,7 +250,7 @@ def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Stag
         vut_m, vru_way, vru_m = _meet(vut_way, across().way)
     # Far enough back for any gap between the lines; the impact lies near their crossing.
     behind_m = 2.0 * (vut.length_m + case.vru.length_m)
-    vut_distance_m, vru_distance_m = find_meeting(
+    vut_distance_m, vru_distance_m = staging.find_meeting(
         case,
         vut=vut,
         vut_path=vut_way.vut_path(vut_m - behind_m, vut),
@@ -292,7 +268,7 @@ def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Stag
         obstruction.max_speed_kmh
     )
     if obstruction is None or is_too_fast:
-        return Staging(encounter=encounter, obstruction=())
+        return staging.Staging(encounter=encounter, obstruction=())
     if obstruction.kind == "beside-road":
         row_way, bumper_m, side = _beside_road(asked, place, vut_m)
         return park(encounter, obstruction, row_way=row_way, bumper_m=bumper_m, side=side)
@@ -303,7 +279,7 @@ def _set_off(
     asked: _Asked,
     vut_path: Path,
     begin_s: float,
-    vru_way: Way,
+    vru_way: ways.Way,
     vru_m: float,
     *,
     vru_begin_s: float | None = None,
@@ -311,19 +287,21 @@ def _set_off(
 ) -> Encounter:
     """Both set off at `begin_s`, or the VRU at its own time, from a station of its way."""
     vru = asked.case.vru
-    return set_off(
+    return staging.set_off(
         asked.case,
         vut=asked.vut,
         vut_path=vut_path,
         vut_start_s=begin_s,
         vut_speed_kmh=asked.vut_speed_kmh,
-        vru_path=vru_way.vut_path(vru_m, vru) if is_vehicle(vru) else vru_way.vru_path(vru_m),
+        vru_path=vru_way.vut_path(vru_m, vru)
+        if staging.is_vehicle(vru)
+        else vru_way.vru_path(vru_m),
         vru_start_s=begin_s if vru_begin_s is None else vru_begin_s,
         vru_brakes_s=brakes_s,
     )
 
 
-def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[Way, float, float]:
+def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[ways.Way, float, float]:
     """The lane next to which cars park on the side from which a vehicle comes, as the VUT drives.
 
     The station of the first one's bumper; and +1 to the left of the lane, -1 to the right.
@@ -337,13 +315,13 @@ def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[Way, float
         lane, is_in = (arm.exit_lanes[0], False) if arm.exit_lanes else (arm.entry_lanes[-1], True)
     row_m = sum(body.length_m + row.between_gap_m for body in row.bodies)
     followed = asked.junction.followed(lane) if is_in else lane
-    way = lane_way(followed, is_in=is_in, length_m=row_m + row.first_gap_m)
+    way = ways.lane_way(followed, is_in=is_in, length_m=row_m + row.first_gap_m)
     if not is_in:
-        way = reversed_way(way)
+        way = ways.reversed_way(way)
     return way, way.station_of(place.way.point(bumper_m, 0.0)), side
 
 
-def _crossing(asked: _Asked, place: _Place) -> tuple[float, Way, float]:
+def _crossing(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
     """The VRU's way, and the stations of the VUT's and of it at which they cross."""
     case, vut_way = asked.case, place.way
     assert case.vru_line is not None
@@ -353,10 +331,10 @@ def _crossing(asked: _Asked, place: _Place) -> tuple[float, Way, float]:
             _check_no_junction(asked.junction, point)
         left = vut_way.direction(vut_m).left
         line = Line(point_m=point, direction=left if case.vru_side == "near" else -left)
-        return vut_m, StraightWay(line=line), 0.0
+        return vut_m, ways.StraightWay(line=line), 0.0
     lane, left_m = _cyclists_lane(case, _side(asked, vut_way.tangent(0.0)))
     ridden_m = _travel_m(case, 0.0)
-    middle = lane_way(lane, is_in=True, length_m=ridden_m)
+    middle = ways.lane_way(lane, is_in=True, length_m=ridden_m)
     return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
 
 
@@ -373,16 +351,16 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
         begin = lane.centreline_m[0]
         is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
         if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
-            raise NoRoadError("another junction lies there: nobody crosses in its middle")
+            raise staging.NoRoadError("another junction lies there: nobody crosses in its middle")
 
 
-def _meet(vut_way: Way, vru_way: Way) -> tuple[float, Way, float]:
+def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]:
     """Station of the VUT's way, the VRU's way and its station, where the two cross."""
-    if isinstance(vut_way, StraightWay) and isinstance(vru_way, StraightWay):
+    if isinstance(vut_way, ways.StraightWay) and isinstance(vru_way, ways.StraightWay):
         _, point = vru_way.crossing(vut_way.line)
         line = Line(point_m=point, direction=vru_way.line.direction)
-        return float(vut_way.line.coordinates(line.point_m)[0]), StraightWay(line=line), 0.0
-    vut_m, vru_m = meeting_m(vut_way, vru_way)
+        return float(vut_way.line.coordinates(line.point_m)[0]), ways.StraightWay(line=line), 0.0
+    vut_m, vru_m = ways.meeting_m(vut_way, vru_way)
     return vut_m, vru_way, vru_m
 
 
@@ -394,32 +372,34 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
     outer, left_m = side.entry_lanes[0], case.vru_line.left_m
     if case.vru_line.lane == "inner" and len(side.entry_lanes) > 1:
         # Not at the road's axis, with traffic on both sides.
-        return outer, load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m
+        return outer, staging.load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m
     most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))  # narrow lanes
     return outer, min(left_m, most_m)
 
 
-def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
+def _lay_longitudinal(asked: _Asked, laid: _Lay) -> staging.Staging:
     place = laid()
     case, vut, vut_way = asked.case, asked.vut, place.way
     impact_m, _ = place.meeting_point()
     travel_m, begin_s, brakes_s = _drive_ahead(case, asked.vut_speed_kmh)
     before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m + place.begin_m
-    is_led_on = is_vehicle(case.vru) or asked.junction.is_led_on(place.entry_lane)
+    is_led_on = staging.is_vehicle(case.vru) or asked.junction.is_led_on(place.entry_lane)
     if before_lane_m > 0.0 and not is_led_on:
         # At other positions than 0 one reason for many of them.
         how_far = f"{before_lane_m:.1f} m " if place.ahead_m == 0.0 else ""
-        raise CannotCarryError(f"the VRU would set off {how_far}before the mapped lane begins")
+        raise staging.CannotCarryError(
+            f"the VRU would set off {how_far}before the mapped lane begins"
+        )
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
-    vru_way, vru_m = vut_way.offset(impact_offset_m(case, vut), impact_m, back_m=travel_m)
+    vru_way, vru_m = vut_way.offset(staging.impact_offset_m(case, vut), impact_m, back_m=travel_m)
     if case.vru_direction == "opposite":
-        vru_way, vru_m = reversed_way(vru_way), -vru_m
+        vru_way, vru_m = ways.reversed_way(vru_way), -vru_m
     vut_path = vut_way.vut_path(impact_m - gap_m - driven_m, vut)
     vru_m += 0.0 - travel_m
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, brakes_s=brakes_s)
-    return Staging(encounter=encounter, obstruction=())
+    return staging.Staging(encounter=encounter, obstruction=())
 
 
 def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]:
@@ -448,48 +428,50 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
 
 
 # ---------- turning cases
-def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
+def _turnings(asked: _Asked) -> Iterator[Callable[[], staging.Staging]]:
     """The VUT's ways into another arm: along the junction's lanes, then on the protocol's curve."""
     case, junction, arm = asked.case, asked.junction, asked.arm
     is_far = case.turn == "far"
-    entry = straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
-    target = arm_at(junction, entry, to_left=is_far)
+    entry = ways.straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
+    target = ways.arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
-    ways = _turnings_into(asked, target)
+        raise staging.NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
+    lines = _turnings_into(asked, target)
     if _comes_through(case):
         oncoming = tuple(_oncoming(asked, entry))
-        for turning in ways:
+        for turning in lines:
             yield from (partial(_lay_turn_across, asked, turning, across) for across in oncoming)
     else:
-        yield from (partial(_lay_turn, asked, target, turning) for turning in ways)
+        yield from (partial(_lay_turn, asked, target, turning) for turning in lines)
 
 
-def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], Turning]]:
+def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning]]:
     """Turns from lane to lane: along the junction's own lanes, then on the protocol's curve."""
     junction, vut = asked.junction, asked.vut
     try:
         turn = pick_turn(asked.case.turn, asked.vut_speed_kmh)
     except InputError as error:
-        raise CannotCarryError(str(error)) from None
-    joined = joints(junction, asked.arm, target, "left" if asked.case.turn == "far" else "right")
+        raise staging.CannotCarryError(str(error)) from None
+    joined = ways.joints(
+        junction, asked.arm, target, "left" if asked.case.turn == "far" else "right"
+    )
     found = [(junction.followed(before), connection, after) for before, connection, after in joined]
-    ways: list[Callable[[], Turning]] = [
-        partial(along_connection, before, connection, after, vut)
+    lines: list[Callable[[], ways.Turning]] = [
+        partial(ways.along_connection, before, connection, after, vut)
         for before, connection, after in found
         if connection is not None
     ]
     for before, _, after in found:
-        ways.append(partial(on_straights, before, after, turn, vut))
-        if is_bent(before, is_in=True) or is_bent(after, is_in=False):
-            ways.append(partial(on_lanes, before, after, turn, vut))
-    return ways
+        lines.append(partial(ways.on_straights, before, after, turn, vut))
+        if ways.is_bent(before, is_in=True) or ways.is_bent(after, is_in=False):
+            lines.append(partial(ways.on_lanes, before, after, turn, vut))
+    return lines
 
 
-def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], Turning]) -> Staging:
+def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> staging.Staging:
     case, turning = asked.case, turn()
     vru_way, vru_m = _turning_way(asked, target, turning)
-    vut_distance_m, vru_distance_m = find_meeting(
+    vut_distance_m, vru_distance_m = staging.find_meeting(
         case,
         vut=asked.vut,
         vut_path=turning.path_with(0.0),
@@ -501,32 +483,36 @@ def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], Turning]) -> Stagin
     vut_path, begin_s = _turned(asked, turning, vut_distance_m, -vru_begin_s)
     vru_m += vru_distance_m - travel_m
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, vru_begin_s=vru_begin_s)
-    return Staging(encounter=encounter, obstruction=())
+    return staging.Staging(encounter=encounter, obstruction=())
 
 
 def _turned(
-    asked: _Asked, turning: Turning, vut_distance_m: float, vru_s: float
+    asked: _Asked, turning: ways.Turning, vut_distance_m: float, vru_s: float
 ) -> tuple[Path, float]:
     """The VUT's path through a turn with a straight part before it, and when it begins."""
     speed_mps = asked.vut_speed_kmh * MPS_PER_KMH
-    begin_s = -max(vru_s, vut_distance_m / speed_mps + load_way_rules().start_before_curve_s)
+    begin_s = -max(
+        vru_s, vut_distance_m / speed_mps + staging.load_way_rules().start_before_curve_s
+    )
     straight_m = -begin_s * speed_mps - vut_distance_m
     if turning.is_straight:
-        check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
+        ways.check_straight(ways.StraightWay(line=turning.entry), turning.entry_lane, straight_m)
     return turning.path_with(straight_m), begin_s
 
 
 def _oncoming(asked: _Asked, entry: Line) -> Iterator[_Lay]:
     """Ways of a vehicle that comes towards the VUT and drives straight on past it."""
-    ahead = arm_ahead(asked.junction, asked.arm, entry)
+    ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
     if ahead is None or not ahead.entry_lanes:
-        raise NoRoadError("no lane leads towards the VUT from straight ahead")
+        raise staging.NoRoadError("no lane leads towards the VUT from straight ahead")
     if not asked.arm.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction to the {asked.arm.name}")
+        raise staging.NoRoadError(f"no lane leads out of the junction to the {asked.arm.name}")
     yield from _ways_through(asked.junction, ahead, asked.arm, asked.case.vru)
 
 
-def _lay_turn_across(asked: _Asked, turn: Callable[[], Turning], across: _Lay) -> Staging:
+def _lay_turn_across(
+    asked: _Asked, turn: Callable[[], ways.Turning], across: _Lay
+) -> staging.Staging:
     """A turn across the way of an oncoming vehicle.
 
     Its front is where the VUT's front axle will cross its way, when the VUT's front is short of
@@ -535,7 +521,9 @@ def _lay_turn_across(asked: _Asked, turn: Callable[[], Turning], across: _Lay) -
     """
     case, vut, turning, vru_way = asked.case, asked.vut, turn(), across().way
     path = turning.path_with(0.0)
-    crossing_m, vru_m = find_crossing(vut, path, vru_way.tangent, turning.turn_m + vut.length_m)
+    crossing_m, vru_m = staging.find_crossing(
+        vut, path, vru_way.tangent, turning.turn_m + vut.length_m
+    )
     short_m = case.vru.width_m / np.sqrt(2.0) if case.meets_corner else 0.0
     vut_distance_m = crossing_m - (0.5 * vut.length_m - vut.front_axle_ahead_m) - short_m
     vru_s = _travel_s(case, _travel_m(case, 0.0))
@@ -543,12 +531,12 @@ def _lay_turn_across(asked: _Asked, turn: Callable[[], Turning], across: _Lay) -
     travel_m = -begin_s * case.vru_speed_kmh * MPS_PER_KMH
     vru_m = vru_m - case.vru_reference_m - travel_m
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m)
-    return Staging(encounter=encounter, obstruction=())
+    return staging.Staging(encounter=encounter, obstruction=())
 
 
-def _turning_way(asked: _Asked, target: Arm, turning: Turning) -> tuple[Way, float]:
+def _turning_way(asked: _Asked, target: Arm, turning: ways.Turning) -> tuple[ways.Way, float]:
     """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
-    case, entry, rules = asked.case, turning.entry, load_way_rules()
+    case, entry, rules = asked.case, turning.entry, staging.load_way_rules()
     assert case.vru_line is not None
     direction = entry.direction if case.vru_direction == "same" else -entry.direction
     if case.vru_line.along == "crosswalk":
@@ -558,14 +546,14 @@ def _turning_way(asked: _Asked, target: Arm, turning: Turning) -> tuple[Way, flo
         if abs(along) > np.sin(np.radians(rules.max_skew_deg)):
             # Askew: across the lane, not along the other one.
             direction = exit_line.left * np.sign(direction @ exit_line.left)
-        return StraightWay(line=Line(point_m=point, direction=direction)), 0.0
+        return ways.StraightWay(line=Line(point_m=point, direction=direction)), 0.0
     ridden_m = _travel_m(case, 0.0)
     lane, is_in, left_m = _kerb(case, asked.arm)
-    beside = straight_line(lane, is_in=is_in)
+    beside = ways.straight_line(lane, is_in=is_in)
     line = Line(point_m=beside.at(0.0, left_m), direction=direction)
     way = _ridden_lane(asked, entry)
     if turning.is_straight and _is_along(way, line, ridden_m, rules.max_kerb_step_m):
-        way = StraightWay(line=line)
+        way = ways.StraightWay(line=line)
     _, way, vru_m = _meet(turning.exit_way, way)
     return way, vru_m
 
@@ -588,7 +576,7 @@ def _kerb(case: Case, arm: Arm) -> tuple[Lane, bool, float]:
     return lane, is_in, side * (0.5 * lane.width_m + case.vru_line.left_m)
 
 
-def _ridden_lane(asked: _Asked, entry: Line) -> Way:
+def _ridden_lane(asked: _Asked, entry: Line) -> ways.Way:
     """The way along the kerb of the arm from which the cyclist comes."""
     case = asked.case
     assert case.vru_line is not None
@@ -596,23 +584,23 @@ def _ridden_lane(asked: _Asked, entry: Line) -> Way:
         lane, is_in, left_m = _kerb(case, asked.arm)
         is_against = not is_in
     else:
-        ahead = arm_ahead(asked.junction, asked.arm, entry)
+        ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
         lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
         if ahead is None or not lanes:
-            raise NoRoadError("no lane lies ahead from which the cyclist could come")
+            raise staging.NoRoadError("no lane lies ahead from which the cyclist could come")
         is_against = case.turn == "near"
         is_in = not is_against
         lane, left_m = lanes[0], -(0.5 * lanes[0].width_m + case.vru_line.left_m)
         if cycleways := ahead.cycleways_out if is_against else ahead.cycleways_in:
             lane, left_m = cycleways[0], 0.0
     ridden_m = _travel_m(case, 0.0)
-    way = lane_way(lane, is_in=is_in, length_m=ridden_m)
+    way = ways.lane_way(lane, is_in=is_in, length_m=ridden_m)
     if is_against:
-        way, left_m = reversed_way(way), -left_m
+        way, left_m = ways.reversed_way(way), -left_m
     return way.offset(left_m, 0.0, back_m=ridden_m)[0]
 
 
-def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:
+def _is_along(way: ways.Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:
     """True if a way stays on a line, from the mouth back to where the VRU sets off."""
     stations = np.linspace(-ridden_m, 0.0, 20)
     points = np.array([way.tangent(float(station)).point_m for station in stations])
@@ -632,7 +620,9 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     assert case.start_distance_m is not None
     travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
     if travel_m <= 0.0:
-        raise CannotCarryError("the VUT would come to the VRU's way before the VRU sets off")
+        raise staging.CannotCarryError(
+            "the VUT would come to the VRU's way before the VRU sets off"
+        )
     return travel_m
 
 

@@ -43,12 +43,9 @@ class Run:
         several speeds of whoever is met, both: "case/approach/30x50".
     case : Case
         What is driven, with the speed of whoever is met in this run.
-    approach : str
-        The arm from which the VUT comes.
-    position : str
-        Where along its way, see :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15".
-    weather : str
-        One of ``WEATHERS``.
+    approach, position, weather : str
+        The arm from which the VUT comes; where along its way, see
+        :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15"; one of ``WEATHERS``.
     vut_speed_kmh : float
         Constant. [km/h]
     encounter : Encounter
@@ -56,18 +53,15 @@ class Run:
     time_s : (n_frames,) float
         Times of the frames, ascending, relative to the impact; the last one is 0, or at most one
         frame before. [s]
-    vut_position_m, vru_position_m : (n_frames, 2) float
-        Middles of the footprints. World frame. [m]
-    vut_yaw_deg, vru_yaw_deg : (n_frames,) float
-        Headings. [deg]
+    vut_position_m, vru_position_m, vut_yaw_deg, vru_yaw_deg : (n_frames, 2), (n_frames,) float
+        Middles of the footprints, world frame [m], and headings [deg].
     vru_shape : (n_frames,) int
         Which shape of its gait the VRU has.
-    obstruction : tuple of PlacedActor
-        Parked bodies of this run.
+    obstruction, traffic : tuple of PlacedActor, of MovingActor
+        Parked bodies of this run, and vehicles that drive by, frame by frame; nobody touches VUT or
+        VRU before the impact.
     last_brake_time_s : float
         Latest onset of braking that avoids. [s]
-    traffic : tuple of MovingActor
-        Vehicles that drive by, frame by frame; nobody touches VUT or VRU before the impact.
     terrain : Terrain or None
         The ground on which all of them stand; None: the plane z = 0.
     """
@@ -306,16 +300,11 @@ class Refusal:
 
     Attributes
     ----------
-    case : Case
-        What is not driven.
-    approach : str
-        The arm from which the VUT would come.
-    position : str
-        Where along its way.
-    speeds_kmh : tuple of float
-        At which speeds, one for each run. [km/h]
-    vru_speeds_kmh : tuple of float
-        Speeds of whoever is met that go with them; empty where the case has one. [km/h]
+    case, approach, position : Case, str, str
+        What is not driven, the arm from which the VUT would come, and where along its way.
+    speeds_kmh, vru_speeds_kmh : tuple of float
+        At which speeds, one for each run; those of whoever is met that go with them, empty where
+        the case has one. [km/h]
     reason : str
         Why, in words.
     is_possible : bool

@@ -22,17 +22,7 @@ from geometry.scene import Lane, Scene
 from geometry.scene import Turn as Movement
 from geometry.scene_checks import Finding
 
-from .courses import (
-    Course,
-    Turn,
-    along_m,
-    follow_connection,
-    follow_gently,
-    follow_lane,
-    follow_lanes,
-    join_by_turn,
-    sampled,
-)
+from . import courses
 from .paths import MPS_PER_KMH, CoursePath, Path, StraightPath, TowedPath, TurnPath
 from .staging import CannotCarryError, NoRoadError, load_way_rules
 
@@ -100,7 +90,7 @@ class StraightWay:
 class CurvedWay:
     """Along a course; its methods are those of :class:`StraightWay`."""
 
-    course: Course
+    course: courses.Course
 
     def tangent(self, station_m: float) -> Line:
         """See :meth:`StraightWay.tangent`."""
@@ -164,9 +154,9 @@ def straight_line(lane: Lane, *, is_in: bool) -> Line:
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     """How far a lane leaves its straight line, over a length from its mouth, in metres."""
     points = lane.centreline_m[::-1] if is_in else lane.centreline_m  # the mouth comes first
-    along = along_m(points)
+    along = courses.along_m(points)
     end_m = np.clip(length_m, 0.0, along[-1])[None]
-    near = np.concatenate([points[along <= end_m], sampled(points, along, end_m)])
+    near = np.concatenate([points[along <= end_m], courses.sampled(points, along, end_m)])
     line = straight_line(lane, is_in=is_in)
     return float(np.abs(line.coordinates(near)[:, 1]).max())
 
@@ -194,7 +184,7 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
     """The way along a lane, in its driving direction: straight where the lane is so far."""
     if off_line_m(lane, is_in=is_in, length_m=length_m) <= load_way_rules().max_lane_bend_m:
         return StraightWay(line=straight_line(lane, is_in=is_in))
-    return CurvedWay(course=follow_lane(lane.centreline_m, is_in=is_in))
+    return CurvedWay(course=courses.follow_lane(lane.centreline_m, is_in=is_in))
 
 
 def way_across(
@@ -228,18 +218,20 @@ def way_across(
     before, after = entry.centreline_m, leaving.centreline_m
     if free_m is not None:
         aside_m = _CUT_OFF_M if connection is None else free_m
-        course = follow_gently([before, between, after], [free_m, aside_m, free_m], origin=2)
+        course = courses.follow_gently(
+            [before, between, after], [free_m, aside_m, free_m], origin=2
+        )
     elif connection is None:
-        course = follow_lanes([np.concatenate([before, between]), after])
+        course = courses.follow_lanes([np.concatenate([before, between]), after])
     else:
-        course = follow_connection(before, between, after, is_origin_behind=True)
+        course = courses.follow_connection(before, between, after, is_origin_behind=True)
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
     return CurvedWay(course=course), -across_m - lane_length_m(entry)
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
-    before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
-    after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
+    before = courses.follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
+    after = courses.follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
     try:
         return curve_between(
             replace(before, point_m=entry.centreline_m[-1]),
@@ -382,7 +374,7 @@ class Turning:
 _AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
 
 
-def on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turning:
+def on_straights(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor) -> Turning:
     """The protocol's curve between the straight lines of two lanes."""
     entry = straight_line(entry_lane, is_in=True)
     exit_line = straight_line(exit_lane, is_in=False)
@@ -419,12 +411,12 @@ def on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> T
     )
 
 
-def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turning:
+def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor) -> Turning:
     """The protocol's curve between two lanes that bend."""
-    entry = follow_lane(entry_lane.centreline_m, is_in=True)
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    entry = courses.follow_lane(entry_lane.centreline_m, is_in=True)
+    exit_course = courses.follow_lane(exit_lane.centreline_m, is_in=False)
     try:
-        course, turn = join_by_turn(entry, exit_course, turn)
+        course, turn = courses.join_by_turn(entry, exit_course, turn)
     except (InputError, np.linalg.LinAlgError):
         between = f"from lane {entry_lane.id} into {exit_lane.id}"
         raise CannotCarryError(f"no turn of {turn.radius_m:g} m leads {between}") from None
@@ -437,13 +429,13 @@ def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turni
 def along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> Turning:
     """Along the junction's own lane between two others."""
     chains = (lane.centreline_m for lane in (entry_lane, connection, exit_lane))
-    course = follow_connection(*chains, is_origin_behind=False)
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    course = courses.follow_connection(*chains, is_origin_behind=False)
+    exit_course = courses.follow_lane(exit_lane.centreline_m, is_in=False)
     return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
 
 
 def _towed(
-    entry_lane: Lane, exit_course: Course, course: Course, turn_m: float, vut: Actor
+    entry_lane: Lane, exit_course: courses.Course, course: courses.Course, turn_m: float, vut: Actor
 ) -> Turning:
     def path_with(straight_m: float) -> TowedPath:
         return TowedPath(
@@ -505,7 +497,7 @@ def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
         for lane in lanes:
             followed = junction.followed(lane) if is_in else lane
             free_m = free_aside_m(vut, followed)
-            course = follow_gently([followed.centreline_m], [free_m], origin=int(is_in))
+            course = courses.follow_gently([followed.centreline_m], [free_m], origin=int(is_in))
             reach = (-_REACH_M, 0.0) if is_in else (0.0, _REACH_M)
             near = course.between(*reach)
             bend_per_m = np.abs(near.yaw_rad[step:] - near.yaw_rad[:-step]) / _OVER_M
