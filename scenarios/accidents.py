@@ -7,6 +7,7 @@ the files' codes mean and which cases stand for which event. What cannot be used
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.resources import files
@@ -145,21 +146,17 @@ def read_accidents(form: str, path: Path) -> Accidents:
     CSV, lacks a column, or has no accident with a place.
     """
     paths = accident_files(form, path)
-    stamps = tuple(_stamp(one) for one in paths)
-    return _read(form, paths, stamps)
+    stamps = []
+    for one in paths:
+        with suppress(OSError):  # reading says why
+            found = one.stat()
+            stamps.append((found.st_size, found.st_mtime_ns))
+    return _read(form, paths, tuple(stamps))
 
 
 def accident_files(form: str, path: Path) -> tuple[Path, ...]:
     """All files that :func:`read_accidents` reads."""
     return (path,) if form == UNFALLATLAS else (path, *_beside(path))
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    try:
-        found = path.stat()
-    except OSError:
-        return (0, 0)  # reading says why
-    return found.st_size, found.st_mtime_ns
 
 
 @lru_cache(maxsize=2)  # of a city every junction asks again

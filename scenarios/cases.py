@@ -754,13 +754,13 @@ def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
     pairs: _Pairs = []
     for word in (part.strip() for part in text.split(",")):
         separator = "x" if "x" in word else "-"
-        parts = word.split(separator, 1)
-        found = [number for number in map(_read_speed, parts) if number is not None]
-        if len(found) < len(parts):
-            expected = (
-                "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both"
-            )
-            raise InputError("speeds", word, f"{expected}, up to {_HIGHEST_KMH:g}")
+        try:
+            found = [float(part) for part in word.split(separator, 1)]
+        except ValueError:
+            found = []
+        if not found or not all(0.0 < speed <= _HIGHEST_KMH for speed in found):
+            known = "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both"
+            raise InputError("speeds", word, f"{known}, up to {_HIGHEST_KMH:g}")
         if len(found) == 1:
             singles.append(found[0])
         elif separator == "x":
@@ -770,14 +770,6 @@ def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
         else:
             ranges.append((found[0], found[1]))
     return singles, ranges, pairs
-
-
-def _read_speed(text: str) -> float | None:
-    try:
-        speed = float(text)
-    except ValueError:
-        return None
-    return speed if math.isfinite(speed) and 0.0 < speed <= _HIGHEST_KMH else None
 
 
 def _is_within(speed_kmh: float, case: Case) -> bool:

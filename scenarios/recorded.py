@@ -62,7 +62,13 @@ class RecordedEncounter:
             vut=vut, vut_speed_mps=vut_speed_mps, vru=vru, vru_speed_mps=vru_speed_mps
         )
         early_s = first_contact_s(found)
-        return _later(found, -early_s) if abs(early_s) <= _MAX_EARLY_S else None
+        if not abs(early_s) <= _MAX_EARLY_S:
+            return None
+        vut_motion, vru_motion = (
+            replace(motion, start_time_s=motion.start_time_s - early_s)
+            for motion in (found.vut_motion, found.vru_motion)
+        )
+        return replace(found, vut_motion=vut_motion, vru_motion=vru_motion)
 
 
 def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
@@ -72,11 +78,3 @@ def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
     return Motion(
         path=CoursePath(course=course, start_m=start_m), speed_mps=speed_mps, start_time_s=start_s
     )
-
-
-def _later(encounter: Encounter, seconds: float) -> Encounter:
-    vut, vru = (
-        replace(motion, start_time_s=motion.start_time_s + seconds)
-        for motion in (encounter.vut_motion, encounter.vru_motion)
-    )
-    return replace(encounter, vut_motion=vut, vru_motion=vru)

@@ -60,7 +60,14 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
         where = f"{path}: line {line}"
         amount = _read_weight(row["weight"], where)
         row["position"] = _read_position(row["position"], where)
-        members = [index for index, run in enumerate(runs) if _is_named(run, row)]
+        members = [
+            index
+            for index, run in enumerate(runs)
+            if run.case.name == row["case"]
+            and row["approach"] in (*_ANY, run.approach)
+            and row["position"] in (*_ANY, run.position)
+            and row["weather"] in (*_ANY, run.weather)
+        ]
         if not members:
             raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
         again = named[members][named[members] > 0]
@@ -125,15 +132,6 @@ def _read_position(text: str, where: str) -> str:
         return text
     signed = text if text[:1] in ("+", "-", "0") else f"+{text}"
     return read_position(signed, f"{where}: position").name
-
-
-def _is_named(run: Run, row: Mapping[str, str]) -> bool:
-    return (
-        run.case.name == row["case"]
-        and row["approach"] in (*_ANY, run.approach)
-        and row["position"] in (*_ANY, run.position)
-        and row["weather"] in (*_ANY, run.weather)
-    )
 
 
 def _words(row: Mapping[str, str]) -> str:
@@ -294,7 +292,8 @@ def weight_by_accidents(
             members[key] = [
                 index
                 for index, run in enumerate(runs)
-                if _begins(run.case.name, cases) and run.weather in ([key[1]] if key[1] else lit)
+                if any(f"{run.case.name}-".startswith(f"{one}-") for one in cases)
+                and run.weather in ([key[1]] if key[1] else lit)
             ]
         if members[key]:
             counts[key] += 1
@@ -313,10 +312,6 @@ def weight_by_accidents(
     for key, count in counts.items():
         weight[members[key]] += count * weight_per_case([runs[index] for index in members[key]])
     return _shares(weight)
-
-
-def _begins(case_name: str, beginnings: Sequence[str]) -> bool:
-    return any(f"{case_name}-".startswith(f"{one}-") for one in beginnings)
 
 
 # ---------- weights by a word

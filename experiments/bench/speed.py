@@ -309,7 +309,9 @@ def measure_budgets(problem: PlacementProblem, *, units: Sequence[int] = _BUDGET
 
 def measure_single(single: PlacementProblem) -> Figures:
     """All stages where each unit confirms alone, against maximal covering by HiGHS alone."""
-    covers = _covers(single)
+    # A[c, r]: pose c avoids run r by itself.
+    poses = range(single.table.n_poses)
+    covers = np.stack([np.isfinite(run_margins_s(single, [pose])) for pose in poses])
     best: dict[str, float] = {}
 
     def ours() -> None:
@@ -322,13 +324,6 @@ def measure_single(single: PlacementProblem) -> Figures:
     if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
         raise RuntimeError(f"optima differ: {best}")
     return {"optimiser: all stages, single / bare HiGHS, APR only": ratio(ours_s, direct_s)}
-
-
-def _covers(problem: PlacementProblem) -> BoolArray:
-    """A[c, r]: pose c avoids run r by itself."""
-    return np.stack(
-        [np.isfinite(run_margins_s(problem, [pose])) for pose in range(problem.table.n_poses)]
-    )
 
 
 def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:

@@ -331,15 +331,12 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
     for unit in units:
         site = f"{unit.site} (assumed)" if unit.assumed else unit.site
         bearing = f"{compass_bearing_deg(unit.yaw_deg):.1f}"
-        looks = [f"{unit.z_m:.2f}", bearing, _tilt(unit.pitch_deg)]
+        tilt = f"{abs(unit.pitch_deg):.1f} {'down' if unit.pitch_deg < 0.0 else 'up'}"
+        looks = [f"{unit.z_m:.2f}", bearing, tilt if unit.pitch_deg else "level"]
         stands = [f"{unit.x_m:.2f}", f"{unit.y_m:.2f}", ", ".join(filter(None, (site, unit.place)))]
         rows.append([unit.id, unit.kind or "-", *looks, *stands])
     heads = ["unit", "kind", "height m", "bearing", "tilt", "east m", "north m", "at"]
     return Table(caption="Units", columns=heads, rows=rows, numeric=range(1, 7))
-
-
-def _tilt(pitch_deg: float) -> str:
-    return f"{abs(pitch_deg):.1f} {'down' if pitch_deg < 0.0 else 'up'}" if pitch_deg else "level"
 
 
 def unit_notes(units: Sequence[UnitRecord]) -> list[str]:

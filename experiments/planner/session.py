@@ -345,7 +345,10 @@ class Session:
             case plan.Revert(gesture=gesture):
                 self._go_to(self.history.reverted(gesture))
             case plan.Ask():
-                self._ask(message)
+                if self._advice.is_busy:
+                    got = Unquoted("another request")
+                    raise InputError("the optimiser", got, "one at a time")
+                self._spawn(self._advise(message, self.history.state.variant.units))
             case plan.Cancel():
                 self._spawn(asyncio.to_thread(self._advice.stop))
             case plan.TakeProposal():
@@ -574,11 +577,6 @@ class Session:
         return [str(path) for path in self._saves if path.exists()]
 
     # ---------- the optimiser
-
-    def _ask(self, ask: plan.Ask) -> None:
-        if self._advice.is_busy:
-            raise InputError("the optimiser", Unquoted("another request"), "one at a time")
-        self._spawn(self._advise(ask, self.history.state.variant.units))
 
     async def _advise(self, ask: plan.Ask, units: tuple[CandidatePose, ...]) -> None:
         tell = self._stages("optimiser")

@@ -104,7 +104,11 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
         return evaluate_layout(variant.layout, variant.setting, compute=quiet)
 
     evaluations = [evaluate(variant) for variant in variants]
-    by_weather = {detector: evaluate(_in_weathers(detector, variants[0])) for detector in DETECTORS}
+    by_weather = {}
+    for detector in DETECTORS:
+        question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
+        setting = build_setting(question, variants[0].setting.scene)
+        by_weather[detector] = evaluate(replace(variants[0], setting=setting))
     of_additional = {variant.name: quantities(evaluate(variant)) for variant in additional}
     base = evaluations[0]
     heatmaps = [
@@ -135,11 +139,6 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     )
     write_atomically(folder / "reproduction_heatmaps.png", picture)
     write_atomically(folder / "reproduction.md", text)
-
-
-def _in_weathers(detector: str, base: Variant) -> Variant:
-    question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
-    return replace(base, setting=build_setting(question, base.setting.scene))
 
 
 _INTRODUCTION = (

@@ -211,13 +211,13 @@ def _without(scene: Scene, classes: Sequence[str]) -> Scene:
 
 def _shorten(setting: Setting, last_s: float) -> Setting:
     """Recordings that begin so long before the impact, if they began earlier. [s]."""
-
-    def shorten(run: Run) -> Run:
+    names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
+    runs = []
+    for run in setting.runs:
         kept = run.time_s >= -last_s - _TOLERANCE_S
-        names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
-        return replace(run, **{name: getattr(run, name)[kept] for name in (*names, "vru_shape")})
-
-    return _of_runs(setting, [shorten(run) for run in setting.runs])
+        frames = {name: getattr(run, name)[kept] for name in (*names, "vru_shape")}
+        runs.append(replace(run, **frames))
+    return _of_runs(setting, runs)
 
 
 _TOLERANCE_S = 1.0e-6
