@@ -103,8 +103,8 @@ class Job:
         print_result(result, self.progress, self.as_json, text)
 
     def print_answer(self, result: Any, parts: Callable[[], Iterable[Part]]) -> None:
-        """End a command that answers, see :func:`print_answer`."""
-        print_answer(result, self.progress, self.as_json, parts)
+        """End a command that answers: in short, or with ``--verbose`` all of it."""
+        self.print(result, lambda: answer_text(parts(), is_verbose=self.progress.is_verbose))
 
 
 def command_line() -> str:
@@ -122,15 +122,6 @@ def print_result(
 
     progress.stop()
     tell(to_json_text(result).rstrip() if as_json else text())
-
-
-def print_answer(
-    result: Any, progress: StageProgress, as_json: bool, parts: Callable[[], Iterable[Part]]
-) -> None:
-    """End a command that answers: in short, or with ``--verbose`` all of it."""
-    print_result(
-        result, progress, as_json, lambda: answer_text(parts(), is_verbose=progress.is_verbose)
-    )
 
 
 def cache_folder() -> Path:
