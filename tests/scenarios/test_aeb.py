@@ -21,7 +21,6 @@ from strategies import KMH, angles_deg, build_encounter, coordinates_m, encounte
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from scenarios.aeb import (
-    _looks_s,
     _separation_m,
     confirmation_mask,
     find_contacts,
@@ -31,6 +30,7 @@ from scenarios.aeb import (
     live_confirmation_time_s,
     load_aeb_rule,
     load_track_memory_s,
+    standstill_time_s,
 )
 from scenarios.courses import pick_turn
 from scenarios.encounters import Encounter, first_contact_s
@@ -55,6 +55,12 @@ untils_s = numbers(-1.5, 0.5)
 
 def _tau_s(encounter, rule=RULE) -> float:
     return -last_brake_time_s(encounter, rule)
+
+
+def _looks_s(encounter, rule, step_s):
+    """Times since the onset at which to look, until the VUT stands, (n,)."""
+    standstill_s = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
+    return np.linspace(0.0, standstill_s, int(standstill_s / step_s) + 2)
 
 
 def smallest_separation_m(encounter, onset_s, *, rule, time_step_s=0.001):
