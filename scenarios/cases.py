@@ -16,7 +16,7 @@ from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, Text, load_toml, pick, read_table, read_tables
 
-from .recorded import RecordedEncounter, RecordedWay
+from .encounters import RecordedEncounter, RecordedWay
 
 ALL_CASES = "all"
 ALL_SPEEDS = "all"

@@ -28,9 +28,8 @@ from geometry.errors import InputError
 from geometry.footprints import FootprintSizes, gaps_between
 
 from .courses import along_m
-from .encounters import first_contact_s
+from .encounters import RecordedEncounter, RecordedWay, first_contact_s
 from .paths import MPS_PER_KMH
-from .recorded import RecordedEncounter, RecordedWay
 from .trajectories import VEHICLE, Track, load_trajectory_rules
 
 _MILLIMETRES = 3

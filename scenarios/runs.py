@@ -16,13 +16,12 @@ from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
 from .cases import Case, at_vru_speed, worded_for
-from .encounters import Encounter
+from .encounters import Encounter, RecordedEncounter
 from .obstructions import make_room
 from .paths import MPS_PER_KMH
 from .positions import AT_ZERO, Position, is_bound, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
-from .recorded import RecordedEncounter
 from .staging import CannotCarryError, NoRoadError, Staging, is_vehicle, mirror_staging
 from .trajectories import load_trajectory_rules
 
