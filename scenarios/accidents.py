@@ -7,6 +7,7 @@ the files' codes mean and which cases stand for which event. What cannot be used
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.resources import files
@@ -95,21 +96,17 @@ class Accidents:
     what: tuple[Accident, ...]  # Of each
 
     def near(self, place_deg: tuple[float, float], within_m: float) -> list[Accident]:
-        """Accidents no farther than so many metres from a place (latitude, longitude).
-
-        Raises InputError: there is none.
-        """
+        """Accidents within so many metres of a place; InputError: there is none."""
         distance_m = _distances_m(self.place_deg, place_deg)
         rows = np.flatnonzero(distance_m <= within_m)
         if not len(rows):
             nearest = np.nanmin(distance_m, initial=np.inf)
             latitude, longitude = place_deg
-            raise InputError(
-                "near",
-                Unquoted(f"{latitude:g},{longitude:g}"),
+            expected = (
                 f"a place with accidents within {within_m:g} m (the nearest one of {self.source} "
-                f"is {nearest / 1000.0:,.1f} km away)",
+                f"is {nearest / 1000.0:,.1f} km away)"
             )
+            raise InputError("near", Unquoted(f"{latitude:g},{longitude:g}"), expected)
         return [self.what[row] for row in rows.tolist()]
 
 
@@ -149,21 +146,17 @@ def read_accidents(form: str, path: Path) -> Accidents:
     CSV, lacks a column, or has no accident with a place.
     """
     paths = accident_files(form, path)
-    stamps = tuple(_stamp(one) for one in paths)
-    return _read(form, paths, stamps)
+    stamps = []
+    for one in paths:
+        with suppress(OSError):  # reading says why
+            found = one.stat()
+            stamps.append((found.st_size, found.st_mtime_ns))
+    return _read(form, paths, tuple(stamps))
 
 
 def accident_files(form: str, path: Path) -> tuple[Path, ...]:
     """All files that :func:`read_accidents` reads."""
     return (path,) if form == UNFALLATLAS else (path, *_beside(path))
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    try:
-        found = path.stat()
-    except OSError:
-        return (0, 0)  # reading says why
-    return found.st_size, found.st_mtime_ns
 
 
 @lru_cache(maxsize=2)  # of a city every junction asks again
@@ -183,9 +176,12 @@ def _read(form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ..
 # ---------- the German accident atlas
 
 
+_UNFALLATLAS_USERS = {"istfuss": "on foot", "istrad": "bicycle", "istkrad": "motorcycle"}
+
+
 def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accident]]:
     rules = load_accident_rules().unfallatlas
-    columns = {name: (name,) for name in ("utyp1", "istfuss", "istrad", "istkrad", "istpkw")} | {
+    columns = {name: (name,) for name in ("utyp1", *_UNFALLATLAS_USERS, "istpkw")} | {
         "light": ("ulichtverh", "licht"),
         "x": ("xgcswgs84",),
         "y": ("ygcswgs84",),
@@ -193,15 +189,7 @@ def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accid
     places, what = [], []
     for row in _rows(path, columns, optional={"uart": ("uart",)}):
         places.append((_degrees(row["y"]), _degrees(row["x"])))
-        users = [
-            user
-            for user, column in (
-                ("on foot", "istfuss"),
-                ("bicycle", "istrad"),
-                ("motorcycle", "istkrad"),
-            )
-            if row[column] == "1"
-        ]
+        users = [user for column, user in _UNFALLATLAS_USERS.items() if row[column] == "1"]
         code = row["utyp1"]
         event, unused = rules.events.get(code, ""), ""
         if event == "along" and row["uart"] in rules.head_on:
@@ -231,10 +219,7 @@ def _beside(path: Path) -> tuple[Path, Path]:
     for word in ("collision", "accident"):
         head, found, tail = path.name.rpartition(word)
         if found:
-            vehicles, casualties = (
-                path.with_name(head + other + tail) for other in ("vehicle", "casualty")
-            )
-            return vehicles, casualties
+            return path.with_name(f"{head}vehicle{tail}"), path.with_name(f"{head}casualty{tail}")
     raise InputError(str(path), Unquoted(f"the name {path.name}"), 'one with "collision" in it')
 
 
@@ -267,10 +252,8 @@ def _read_stats19(
     of_collisions = {"x": ("longitude",), "y": ("latitude",), "light": ("light_conditions",)}
     for row in _rows(collisions, {**_INDEX, **of_collisions}):
         places.append((_degrees(row["y"]), _degrees(row["x"])))
-        road_user, event, unused = _collision(
-            drivers.get(row["index"], {}), walkers.get(row["index"], []), rules
-        )
-        light = rules.light.get(row["light"], "")
+        index, light = row["index"], rules.light.get(row["light"], "")
+        road_user, event, unused = _collision(drivers.get(index, {}), walkers.get(index, []), rules)
         what.append(Accident(road_user=road_user, event=event, light=light, unused=unused))
     return places, what
 
@@ -279,19 +262,19 @@ def _collision(
     drivers: Mapping[str, Mapping[str, str]], walkers: Sequence[Mapping[str, str]], rules: _Stats19
 ) -> tuple[str, str, str]:
     """Road user, event, and why neither can be used."""
+    unknown = "of an unknown or unusual manoeuvre"
     if walkers:
         car = drivers.get(walkers[0]["reference"], {})
         if car.get("type") not in rules.cars:
             return "on foot", "", "without a car"
-        turn = _turn(car, rules)
-        event = turn or (
-            rules.on_foot.get(walkers[0]["movement"], "") if car["manoeuvre"] in rules.ahead else ""
-        )
-        return "on foot", event, "" if event else "of an unknown or unusual manoeuvre"
+        event = _turn(car, rules)
+        if not event and car["manoeuvre"] in rules.ahead:
+            event = rules.on_foot.get(walkers[0]["movement"], "")
+        return "on foot", event, "" if event else unknown
+    types = {"bicycle": rules.bicycles, "motorcycle": rules.motorcycles, "car": rules.cars}
     kinds = {
-        "bicycle": [one for one in drivers.values() if one["type"] in rules.bicycles],
-        "motorcycle": [one for one in drivers.values() if one["type"] in rules.motorcycles],
-        "car": [one for one in drivers.values() if one["type"] in rules.cars],
+        user: [one for one in drivers.values() if one["type"] in known]
+        for user, known in types.items()
     }
     if not kinds["car"]:
         return "car", "", "without a car"
@@ -299,15 +282,12 @@ def _collision(
         return "car", "", "with one vehicle alone, or more than two"
     if sum(map(len, kinds.values())) != 2:
         return "car", "", "with another kind of vehicle"
-    for user in ("bicycle", "motorcycle"):
-        if kinds[user]:
-            event = _meeting(kinds["car"][0], kinds[user][0], rules)
-            return user, event, "" if event else "of an unknown or unusual manoeuvre"
-    first, second = kinds["car"]
-    if _turn(second, rules) and not _turn(first, rules):  # the one that turns is the VUT
-        first, second = second, first
+    user = next((user for user in ("bicycle", "motorcycle") if kinds[user]), "car")
+    first, second = kinds["car"] if user == "car" else (kinds["car"][0], kinds[user][0])
+    if user == "car" and _turn(second, rules) and not _turn(first, rules):
+        first, second = second, first  # the one that turns is the VUT
     event = _meeting(first, second, rules)
-    return "car", event, "" if event else "of an unknown or unusual manoeuvre"
+    return user, event, "" if event else unknown
 
 
 def _turn(car: Mapping[str, str], rules: _Stats19) -> str:
@@ -323,8 +303,7 @@ _SAME, _ONCOMING, _WAYS = 0, 4, 8
 def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) -> str:
     """Event of a car and another vehicle; empty: unknown, or nothing of what is driven.
 
-    Directions are those of the compass, clockwise from 1, north; traffic keeps left, so that the
-    near side is the left.
+    Directions are those of the compass, clockwise from 1, north; the near side is the left.
     """
     if turn := _turn(car, rules):
         return turn
@@ -345,10 +324,7 @@ def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) 
 
 
 def _rows(
-    path: Path,
-    columns: _Columns,
-    *,
-    optional: _Columns | None = None,
+    path: Path, columns: _Columns, *, optional: _Columns | None = None
 ) -> Iterator[dict[str, str]]:
     """Cells of the rows by our names; each column has one of several names in the file."""
     data = read_bytes(path)
@@ -357,11 +333,8 @@ def _rows(
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
     head = text.partition("\n")[0]
-    reader = csv.reader(
-        io.StringIO(text, newline=""),
-        delimiter=max(";,\t", key=head.count),
-        strict=True,
-    )
+    separator = max(";,\t", key=head.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     try:
         header = [name.strip().lower() for name in next(reader, [])]
         at: dict[str, int] = {}

@@ -60,11 +60,8 @@ class AebRule:
             raise InputError("aeb.n_confirmations", n_frames, "a whole number")
         frame_s = 1.0 / self.frame_rate_hz
         if not self.track_memory_s >= frame_s - TIME_TOLERANCE_S:  # nor is it NaN
-            raise InputError(
-                "aeb.track_memory_s",
-                self.track_memory_s,
-                f"seconds, at least {frame_s:g} (from one frame to the next), or inf",
-            )
+            expected = f"seconds, at least {frame_s:g} (from one frame to the next), or inf"
+            raise InputError("aeb.track_memory_s", self.track_memory_s, expected)
 
 
 @cache
@@ -92,8 +89,7 @@ def _load_tables() -> Table:
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
     """Time in seconds from the onset of braking to standstill.
 
-    With deceleration a and build-up b it is v / a + b / 2, or sqrt(2 v b / a) where that comes
-    within the build-up.
+    v / a + b / 2 with deceleration a and build-up b; within the build-up sqrt(2 v b / a).
     """
     full_s = np.asarray(speed_mps, dtype=np.float64) / rule.deceleration_mps2
     return np.where(
@@ -146,6 +142,8 @@ _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
 _CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
 _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
+_CONTACT_PARTS, _CONTACT_ROUNDS = 17, 2
+_SHORT_S = 1.0e-4
 
 
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
@@ -206,30 +204,10 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     onset = start + step * (np.arange(n_onsets) + 0.5)
     since_onset = step * np.arange(int(standstill / step) + 2)
     onsets, times = np.broadcast_arrays(onset[:, None], onset[:, None] + since_onset)
-    half = np.full(onsets.size, 0.5 * step)
-    cells = Cells(
-        first_s=onsets.ravel(), second_s=times.ravel(), half_first_s=half, half_second_s=half
-    )
+    first, second, half = onsets.ravel(), times.ravel(), np.full(onsets.size, 0.5 * step)
+    cells = Cells(first_s=first, second_s=second, half_first_s=half, half_second_s=half)
     safe_s, _ = find_first_touch(cells, measure, tolerance_s=_ONSET_TOLERANCE_S)
     return -np.inf if safe_s <= start else min(safe_s, 0.0)
-
-
-def has_contact(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> BoolArray:
-    """True if the footprints touch although the VUT brakes from `onset_s` on, for each onset.
-
-    At or after the impact it is too late; an infinite onset is never.
-
-    Notes
-    -----
-    Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
-    come nearest in between: no shortcut of :func:`last_brake_time_s` is used.
-    """
-    onset = np.asarray(onset_s, dtype=np.float64)
-    touches = np.asarray(onset >= 0.0)
-    is_asked = ~touches
-    looks = _contact_looks(encounter, onset[is_asked], rule)[1]
-    touches[is_asked] = np.isfinite(looks)
-    return touches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -247,12 +225,13 @@ class Contacts:
 def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Contacts:
     """When the footprints first touch if the VUT brakes from `onset_s` on, and how fast it is.
 
-    Who is said to touch is :func:`has_contact`'s matter. An onset at or after the impact, or none,
-    leaves the VUT its speed.
+    An onset at or after the impact, or none, leaves the VUT its speed.
 
     Notes
     -----
-    The first look at which they touch is narrowed down to 4 microseconds.
+    Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
+    come nearest in between: no shortcut of :func:`last_brake_time_s` is used. The first look at
+    which they touch is narrowed down to 4 microseconds.
     """
     onset = np.asarray(onset_s, dtype=np.float64)
     time_s, speed = np.zeros(onset.shape), np.full(onset.shape, encounter.vut_motion.speed_mps)
@@ -277,10 +256,6 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
     closing = speed.copy()
     closing[touched] -= _target_ahead_mps(encounter, onset[touched], time_s[touched], rule)
     return Contacts(time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0))
-
-
-_CONTACT_PARTS, _CONTACT_ROUNDS = 17, 2
-_SHORT_S = 1.0e-4
 
 
 def _target_ahead_mps(
@@ -311,13 +286,9 @@ def last_onsets_s(
 ) -> FloatArray:
     """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
 
-    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake time: no
-    earlier onset leads to contact. Returns (n_limits,): not before `avoids_until_s`; 10
-    microseconds later it is too late. 0 where the impact without braking is slower, minus infinity
-    if even braking at the VUT's start leaves too much.
-
-    Notes
-    -----
+    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake time. Returns
+    (n_limits,): not before `avoids_until_s`, and 10 microseconds later it is too late; 0 where the
+    impact without braking is slower, minus infinity if braking at the VUT's start leaves too much.
     Swept in steps of 25 ms: an earlier onset that leaves more for less than that is overlooked.
     """
     begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
@@ -380,8 +351,10 @@ def _contact_looks(
         encounter.vut_reach * encounter.vut_motion.speed_mps
         + encounter.vru_reach * encounter.vru_motion.speed_mps
     )
-    looks = _looks_s(encounter, rule, _FINE_STEP_S)
-    standstill_s, step_s = looks[-1], _FINE_STEP_S
+    # Times since the onset at which to look, until the VUT stands.
+    standstill_s = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
+    looks = np.linspace(0.0, standstill_s, int(standstill_s / _FINE_STEP_S) + 2)
+    step_s = _FINE_STEP_S
     # A look in so many first: what is farther apart there cannot touch before the next one of them.
     apart_m = _separation_m(encounter, onset_s[:, None], looks[::_FIRST_LOOKS], rule)
     is_near = apart_m <= closing_mps * step_s * (_FIRST_LOOKS + 1)
@@ -412,12 +385,6 @@ def _contact_looks(
         separation = _separation_m(encounter, onset_s[row, None], times, rule)
     note()
     return before_s, at_s
-
-
-def _looks_s(encounter: Encounter, rule: AebRule, step_s: float) -> FloatArray:
-    """Times since the onset at which to look, until the VUT stands, (n,)."""
-    standstill = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
-    return np.linspace(0.0, standstill, int(standstill / step_s) + 2)
 
 
 def _separation_m(
@@ -500,15 +467,11 @@ def live_confirmation_time_s(
 ) -> FloatArray:
     """When the track of one run that is alive at `until_s` was confirmed, in seconds.
 
-    (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then. With an
-    infinite ``rule.track_memory_s`` it is the first confirmation up to `until_s`: the study's
-    reading. `until_s` is the last brake time less the latency, or infinite to ask for the first
-    confirmation of all.
-
-    Notes
-    -----
-    Monotone in the detections: further ones never make it later. Of a run it decides the avoidance
-    (finite or not) and the margin, `until_s` less it.
+    (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then. `until_s` is
+    the last brake time less the latency, or infinite to ask for the first confirmation of all; with
+    an infinite ``rule.track_memory_s`` it is the first one up to `until_s`: the study's reading.
+    More detections never make it later. It decides the avoidance (finite or not) and the margin,
+    `until_s` less it.
     """
     times = np.asarray(time_s, dtype=np.float64)
     frames = np.asarray(detected, dtype=bool) & (times <= until_s + TIME_TOLERANCE_S)

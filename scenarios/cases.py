@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -16,7 +16,7 @@ from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, Text, load_toml, pick, read_table, read_tables
 
-from .recorded import RecordedEncounter, RecordedWay
+from .encounters import RecordedEncounter, RecordedWay
 
 ALL_CASES = "all"
 ALL_SPEEDS = "all"
@@ -41,12 +41,25 @@ PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": ROAD_USER_GROUP
 class VruLine:
     """On which line of the junction the VRU moves."""
 
-    # "crosswalk", "lane" (of the arm it comes from), "kerb" (of the VUT's approach road) or
-    # "through" (the lanes by which vehicles drive straight on through the junction)
-    along: str
-    lane: str = ""  # "outer" (at the kerb) or "inner"; empty unless along a lane
-    # to the left of the lane's middle; along a kerb: outside it, negative on the road
-    left_m: float = 0.0
+    # "lane": of the arm it comes from; "kerb": of the VUT's approach road; "through": the lanes by
+    # which vehicles drive straight on through the junction
+    along: Literal["crosswalk", "lane", "kerb", "through"]
+    lane: Literal["", "inner", "outer"] = ""  # "outer": at the kerb; empty unless along a lane
+    left_of_lane_centre_m: float | None = None  # along a lane
+    outside_kerb_m: float | None = None  # along a kerb; negative on the road
+
+    def __post_init__(self) -> None:
+        if self.along == "lane" and (not self.lane or self.left_of_lane_centre_m is None):
+            expected = "lane and left_of_lane_centre_m, along a lane"
+            raise InputError("", asdict(self), expected)
+        if self.along == "kerb" and self.outside_kerb_m is None:
+            raise InputError("", asdict(self), "outside_kerb_m, along a kerb")
+
+    @property
+    def left_m(self) -> float:
+        """To the left of the lane's middle, or outside of the kerb."""
+        beside_m = self.left_of_lane_centre_m if self.along == "lane" else self.outside_kerb_m
+        return beside_m or 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,15 +67,15 @@ class Obstruction:
     """Parked bodies, or a wall, that belong to a case."""
 
     kind: str  # "beside-vut", "beside-road", "beside-vru" or "wall"
-    bodies: tuple[Actor, ...]  # from the one nearest to the meeting point; none for a wall
+    bodies: tuple[Actor, ...] = ()  # from the one nearest to the meeting point; none for a wall
     # from the first body to the VRU's flank (beside-vut) or the middle of its way (beside-road), or
     # from the VUT's centreline to the first body or the wall
     first_gap_m: float
-    between_gap_m: float  # from bumper to bumper
+    between_gap_m: float = 0.0  # from bumper to bumper
     # to the side of the VUT, to the middle of the nearest lane (beside-road), or to the side of the
     # VRU's box
     side_gap_m: float
-    wall_size_m: tuple[float, ...]  # length, thickness, height of the wall; empty without one
+    wall_size_m: tuple[float, ...] = ()  # length, thickness, height of the wall; empty without one
     max_speed_kmh: float = math.inf  # taken away where VUT or VRU is faster
 
 
@@ -70,9 +83,9 @@ class Obstruction:
 class Braking:
     """How a vehicle ahead of the VUT brakes, with the VUT so far behind it."""
 
-    deceleration_mps2: float
-    headway_s: float  # free gap when it begins to brake / the VUT's speed
-    final_speed_kmh: float  # to which it slows down
+    deceleration_mps2: Annotated[float, Meta(gt=0.0)]
+    headway_s: Annotated[float, Meta(gt=0.0)]  # free gap when it begins / the VUT's speed
+    final_speed_kmh: Annotated[float, Meta(ge=0.0)]  # to which it slows down
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,27 +96,21 @@ class Case:
 
     Attributes
     ----------
-    name : str
-        Name.
-    title : str
-        What happens, in words.
-    source : str
-        "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    name, title, source : str
+        Name; what happens, in words; "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
     kind : str
         "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid` says why.
     vru : Actor
         Body of the road user that is met.
     vru_speed_kmh : float
-        Steady; 0: it stands. Of several that go with the VUT's speeds, see `pairs_kmh`, the first
-        one; of a run, its own. [km/h]
-    vut_speeds_kmh : tuple of float
-        Speeds to be driven, ascending. [km/h]
-    speed_limits_kmh : tuple of float
-        Lowest and highest speed of the protocol. [km/h]
+        Steady; 0: it stands. The first of several that go with the VUT's speeds, see `pairs_kmh`;
+        of a run, its own. [km/h]
+    vut_speeds_kmh, speed_limits_kmh : tuple of float
+        Speeds to be driven, ascending; lowest and highest one of the protocol. [km/h]
     impact_percent, impact_face : float, str
-        Where the VRU meets the VUT: "front" - of its width, 0 = right edge, 100 = left edge;
-        "side" - of its length, 0 = rear, on the side towards which it turns or from which the VRU
-        comes. [%]
+        Where the VRU meets the VUT: "front" - of its width, 0 = right edge, 100 = left edge; "side"
+        - of its length, 0 = rear, on the side towards which it turns or from which the VRU comes.
+        [%]
     vru_reference_m : float
         The VRU's point that meets the impact position, ahead of the middle of its box. [m]
     acceleration_distance_m : float
@@ -117,24 +124,18 @@ class Case:
     turn, vru_direction : str
         Turning: "near" or "far", where the VUT turns to; "same" or "opposite", as the VUT before
         its turn. Longitudinal: the latter alone.
-    vru_line : VruLine or None
-        None in longitudinal cases: the VUT's lane.
-    obstruction : Obstruction or None
-        What hides the VRU.
-    pairs_kmh : tuple of (float, float)
-        Speeds of the VUT and the VRU that go together; empty where the VRU has one speed. [km/h]
-    extended_pairs_kmh : tuple of (float, float)
-        Those that the extended range adds. [km/h]
+    vru_line, obstruction, braking : VruLine, Obstruction, Braking or None
+        None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU ahead brakes.
+    pairs_kmh, extended_pairs_kmh : tuple of (float, float)
+        Speeds of the VUT and the VRU that go together, empty where the VRU has one speed; those
+        that the extended range adds. [km/h]
     range : str
         The range to which it belongs: "standard", or "extended" only.
     meets_corner : bool
         Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at 45 degrees,
         and not the middle of its front.
-    braking : Braking or None
-        How the VRU ahead brakes.
     impact_turn : (int, int)
-        Number of its impact point, and how many take turns along the arms: (0, 1): none
-        do, as everywhere but in "all".
+        Number of its impact point, and how many take turns along the arms; (0, 1), but in "all".
     not_laid : str
         Why it cannot be laid anywhere; empty: it can.
     recorded : RecordedEncounter or None
@@ -146,20 +147,20 @@ class Case:
     source: str
     kind: str
     vru: Actor
-    vru_speed_kmh: float
-    vut_speeds_kmh: tuple[float, ...]
-    speed_limits_kmh: tuple[float, float]
-    impact_percent: float
-    impact_face: str
-    vru_reference_m: float
-    acceleration_distance_m: float
-    start_distance_m: float | None
-    steady_distance_m: float | None
-    vru_side: str
-    turn: str
-    vru_direction: str
-    vru_line: VruLine | None
-    obstruction: Obstruction | None
+    vru_speed_kmh: float = 0.0
+    vut_speeds_kmh: tuple[float, ...] = ()
+    speed_limits_kmh: tuple[float, float] = (0.0, 0.0)
+    impact_percent: float = 50.0
+    impact_face: str = "front"
+    vru_reference_m: float = 0.0
+    acceleration_distance_m: float = 0.0
+    start_distance_m: float | None = None
+    steady_distance_m: float | None = None
+    vru_side: str = ""
+    turn: str = ""
+    vru_direction: str = ""
+    vru_line: VruLine | None = None
+    obstruction: Obstruction | None = None
     steady_time_s: float | None = None
     pairs_kmh: tuple[tuple[float, float], ...] = ()
     extended_pairs_kmh: tuple[tuple[float, float], ...] = ()
@@ -184,16 +185,8 @@ class Case:
         """Euro NCAP's own name of it, without impact point, side and year: "CPNA"."""
         return self.name.partition("-")[0]
 
-    @property
-    def is_up_to_speed(self) -> bool:
-        """True if the VRU comes at its speed, as vehicles do, and does not set off from rest."""
-        return self.acceleration_distance_m == 0.0
-
     def vru_speeds_kmh(self, vut_speed_kmh: float | None = None) -> tuple[float, ...]:
-        """Speeds of the VRU, ascending: those that go with a speed of the VUT, or all.
-
-        With a speed of the VUT that the protocol does not drive go those of the nearest one.
-        """
+        """Speeds of the VRU, ascending: with the driven speed nearest to one of the VUT, or all."""
         if not self.pairs_kmh:
             return (self.vru_speed_kmh,)
         if vut_speed_kmh is None:
@@ -202,13 +195,11 @@ class Case:
         return tuple(vru for vut, vru in self.pairs_kmh if vut == nearest)
 
 
+@lru_cache(maxsize=256)  # runs of one case and speed have one case between them
 def at_vru_speed(case: Case, vru_speed_kmh: float) -> Case:
     """The case with one of the speeds of its VRU."""
-    return case if vru_speed_kmh == case.vru_speed_kmh else _at_vru_speed(case, vru_speed_kmh)
-
-
-@lru_cache(maxsize=256)  # runs of one case and speed have one case between them
-def _at_vru_speed(case: Case, vru_speed_kmh: float) -> Case:
+    if vru_speed_kmh == case.vru_speed_kmh:
+        return case
     return replace(case, vru_speed_kmh=vru_speed_kmh)
 
 
@@ -253,8 +244,6 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 _Positive = Annotated[float, Meta(gt=0.0)]
 _Pair = tuple[_Positive, _Positive]
 _Side = Literal["near", "far"]
-
-
 _MAX_STEPS = 1000
 
 
@@ -270,23 +259,6 @@ class _Speeds(Struct, frozen=True, kw_only=True):
             raise InputError("", structs.asdict(self), "0 < min <= max, step > 0")
         if self.max - self.min > _MAX_STEPS * self.step:
             raise InputError("", structs.asdict(self), f"at most {_MAX_STEPS} steps")
-
-
-class _Crosswalk(Struct, frozen=True, kw_only=True, tag="crosswalk", tag_field="along"):
-    pass
-
-
-class _Lane(Struct, frozen=True, kw_only=True, tag="lane", tag_field="along"):
-    lane: Literal["inner", "outer"]
-    left_of_lane_centre_m: float
-
-
-class _Kerb(Struct, frozen=True, kw_only=True, tag="kerb", tag_field="along"):
-    outside_kerb_m: float
-
-
-class _Through(Struct, frozen=True, kw_only=True, tag="through", tag_field="along"):
-    pass
 
 
 class _BesideVut(Struct, frozen=True, kw_only=True, tag="beside-vut", tag_field="kind"):
@@ -350,24 +322,18 @@ def _check_one_of(entry: _CaseEntry, *keys: str) -> None:
 
 class _Crossing(_CaseEntry, frozen=True, kw_only=True, tag="crossing", tag_field="kind"):
     vru_from: _Side
-    vru_line: _Crosswalk | _Lane | _Kerb | _Through
-
-
-class _Braking(Struct, frozen=True, kw_only=True):
-    deceleration_mps2: _Positive
-    headway_s: _Positive
-    final_speed_kmh: Annotated[float, Meta(ge=0.0)]
+    vru_line: VruLine
 
 
 class _Longitudinal(_CaseEntry, frozen=True, kw_only=True, tag="longitudinal", tag_field="kind"):
     vru_direction: Literal["same", "opposite"] = "same"
-    braking: _Braking | None = None
+    braking: Braking | None = None
 
 
 class _Turning(_CaseEntry, frozen=True, kw_only=True, tag="turning", tag_field="kind"):
     turn: _Side
     vru_direction: Literal["same", "opposite"]
-    vru_line: _Crosswalk | _Lane | _Kerb | _Through
+    vru_line: VruLine
 
 
 class _Recorded(Struct, frozen=True, kw_only=True, tag="recorded", tag_field="kind"):
@@ -400,56 +366,28 @@ class _UnlaidEntry(Struct, frozen=True, kw_only=True):
 def load_unlaid_cases() -> dict[str, Case]:
     """Cases of the protocols that cannot be laid, by name, from ``data/unlaid_cases.toml``."""
     where = "unlaid_cases.toml"
-    table = load_toml(files(__package__) / "data" / where)
+    entries = read_tables(load_toml(files(__package__) / "data" / where), _UnlaidEntry, where)
     return {
-        name: replace(
-            _bare_case(name, entry, "not laid", f"{where}: {name}"),
+        name: Case(
+            name=name,
+            title=entry.title,
+            source=entry.source,
+            kind="not laid",
+            vru=pick_actor(entry.vru, f"{where}: {name}.vru"),
             vut_speeds_kmh=entry.vut_speeds_kmh,
             not_laid=entry.reason,
         )
-        for name, entry in read_tables(table, _UnlaidEntry, where).items()
+        for name, entry in entries.items()
     }
-
-
-def _bare_case(name: str, entry: "_UnlaidEntry | _Recorded", kind: str, where: str) -> Case:
-    """A case that says nothing about where its bodies meet."""
-    return Case(
-        name=name,
-        title=entry.title,
-        source=entry.source,
-        kind=kind,
-        vru=pick_actor(entry.vru, f"{where}.vru"),
-        vru_speed_kmh=0.0,
-        vut_speeds_kmh=(),
-        speed_limits_kmh=(0.0, 0.0),
-        impact_percent=50.0,
-        impact_face="front",
-        vru_reference_m=0.0,
-        acceleration_distance_m=0.0,
-        start_distance_m=None,
-        steady_distance_m=None,
-        vru_side="",
-        turn="",
-        vru_direction="",
-        vru_line=None,
-        obstruction=None,
-    )
 
 
 def load_own_cases(path: str | Path) -> dict[str, Case]:
     """A user's own cases, by name.
 
-    Parameters
-    ----------
-    path : str or Path
-        TOML as ``data/cases.toml``: a table for each case. With ``as = "CPNA-25"`` it is like that
-        case, of this file or of the package's, but for what it says itself.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has no case, a case has the name of one of the package's, or a
-        field is missing or not of its kind.
+    TOML as ``data/cases.toml``: a table for each case. With ``as = "CPNA-25"`` it is like that
+    case, of this file or of the package's, but for what it says itself. Raises InputError: the file
+    cannot be read or has no case, a case has the name of one of the package's, or a field is
+    missing or not of its kind.
 
     Examples
     --------
@@ -514,10 +452,8 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     table = load_toml(files(__package__) / "data" / "case_sets.toml")
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
-    for set_name, entries in table.items():
-        if set_name in alike:
-            continue
-        driven = []
+    for set_name in [name for name in table if name not in alike]:
+        entries, driven = table[set_name], []
         for name, entry in entries.items():
             where = f"case_sets.toml: {set_name}.{name}"
             speeds = read_table(entry, _Speeds, where) if entry else None
@@ -532,7 +468,7 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     for set_name, other in alike.items():
         sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")
     every = (*load_cases().values(), *load_unlaid_cases().values())
-    return {**{name: sets[name] for name in table}, ALL_CASES: every}
+    return {name: sets[name] for name in table} | {ALL_CASES: every}
 
 
 def _named(word: str) -> tuple[Case, ...]:
@@ -568,8 +504,12 @@ def _whole_entry(
 
 def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
     speed_kmh = entry.vut_speed_kmh
-    return replace(
-        _bare_case(name, entry, "recorded", where),
+    return Case(
+        name=name,
+        title=entry.title,
+        source=entry.source,
+        kind="recorded",
+        vru=pick_actor(entry.vru, f"{where}.vru"),
         vru_speed_kmh=entry.vru_speed_kmh,
         vut_speeds_kmh=(speed_kmh,),
         speed_limits_kmh=(speed_kmh, speed_kmh),
@@ -577,65 +517,38 @@ def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
     )
 
 
+_SAME = (
+    *("title", "source", "impact_percent", "impact_face", "start_distance_m", "steady_distance_m"),
+    *("steady_time_s", "range", "turn", "vru_direction", "vru_line", "braking"),
+)
+"""Fields that cases have from their entries as they are, if the entry's kind has them."""
+
+
 def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: str) -> Case:
     vru = pick_actor(entry.vru, f"{where}.vru")
-    pairs = tuple(sorted(entry.pairs_kmh))
-    speeds = tuple(sorted({vut for vut, _ in pairs}))
-    if entry.vut_speed_kmh is not None:
-        speeds = _speeds_kmh(entry.vut_speed_kmh)
-        if entry.vru_speeds_kmh is not None:
-            pairs = tuple((vut, vru) for vut in speeds for vru in _speeds_kmh(entry.vru_speeds_kmh))
-    braking = entry.braking if isinstance(entry, _Longitudinal) else None
+    pairs, steps = tuple(sorted(entry.pairs_kmh)), entry.vut_speed_kmh
+    speeds = tuple(sorted({vut for vut, _ in pairs})) if steps is None else _speeds_kmh(steps)
+    if steps is not None and entry.vru_speeds_kmh is not None:
+        pairs = tuple((vut, vru) for vut in speeds for vru in _speeds_kmh(entry.vru_speeds_kmh))
+    same: dict[str, Any] = {key: getattr(entry, key) for key in _SAME if hasattr(entry, key)}
+    reference_m = {"reference": vru.reference_ahead_m, "middle": 0.0}
     return Case(
         name=name,
-        title=entry.title,
-        source=entry.source,
         kind=str(type(entry).__struct_config__.tag),
         vru=vru,
         vru_speed_kmh=pairs[0][1] if entry.vru_speed_kmh is None else entry.vru_speed_kmh,
         vut_speeds_kmh=speeds,
-        speed_limits_kmh=_limits_of(entry, speeds),
-        impact_percent=entry.impact_percent,
-        impact_face=entry.impact_face,
-        vru_reference_m={
-            "reference": vru.reference_ahead_m,
-            "middle": 0.0,
-            "front": 0.5 * vru.length_m,
-            "corner": 0.5 * vru.length_m,
-        }[entry.vru_reference],
+        # Lowest and highest of the protocol, whatever the step between them.
+        speed_limits_kmh=(speeds[0], speeds[-1]) if steps is None else (steps.min, steps.max),
+        vru_reference_m=reference_m.get(entry.vru_reference, 0.5 * vru.length_m),
+        meets_corner=entry.vru_reference == "corner",
         acceleration_distance_m=entry.acceleration_distance_m or 0.0,
-        start_distance_m=entry.start_distance_m,
-        steady_distance_m=entry.steady_distance_m,
-        steady_time_s=entry.steady_time_s,
-        vru_side=entry.vru_from if isinstance(entry, _Crossing) else "",
-        turn=entry.turn if isinstance(entry, _Turning) else "",
-        vru_direction="" if isinstance(entry, _Crossing) else entry.vru_direction,
-        vru_line=None if isinstance(entry, _Longitudinal) else _build_line(entry.vru_line),
+        vru_side=getattr(entry, "vru_from", ""),
         obstruction=_build_obstruction(entry.obstruction, f"{where}.obstruction"),
         pairs_kmh=pairs,
         extended_pairs_kmh=tuple(sorted(entry.extended_pairs_kmh)),
-        range=entry.range,
-        meets_corner=entry.vru_reference == "corner",
-        braking=None if braking is None else Braking(**structs.asdict(braking)),
+        **same,
     )
-
-
-def _limits_of(entry: _CaseEntry, speeds_kmh: tuple[float, ...]) -> tuple[float, float]:
-    """Lowest and highest speed of the protocol, whatever the step between them."""
-    steps = entry.vut_speed_kmh
-    return (speeds_kmh[0], speeds_kmh[-1]) if steps is None else (steps.min, steps.max)
-
-
-def _build_line(line: _Crosswalk | _Lane | _Kerb | _Through) -> VruLine:
-    match line:
-        case _Lane(lane=lane, left_of_lane_centre_m=left_m):
-            return VruLine(along="lane", lane=lane, left_m=left_m)
-        case _Kerb(outside_kerb_m=outside_m):
-            return VruLine(along="kerb", left_m=outside_m)
-        case _Through():
-            return VruLine(along="through")
-        case _:
-            return VruLine(along="crosswalk")
 
 
 def _build_obstruction(
@@ -643,26 +556,16 @@ def _build_obstruction(
 ) -> Obstruction | None:
     if entry is None:
         return None
+    fields: dict[str, Any] = structs.asdict(entry)
     if isinstance(entry, _Wall):
-        return Obstruction(
-            kind="wall",
-            bodies=(),
-            first_gap_m=entry.first_gap_m,
-            between_gap_m=0.0,
-            side_gap_m=entry.side_gap_m,
-            wall_size_m=(entry.length_m, entry.thickness_m, entry.height_m),
+        fields["wall_size_m"] = tuple(
+            fields.pop(name) for name in ("length_m", "thickness_m", "height_m")
         )
-    return Obstruction(
-        kind=str(type(entry).__struct_config__.tag),
-        bodies=tuple(
+    else:
+        fields["bodies"] = tuple(
             pick_actor(name, f"{where}.bodies[{index}]") for index, name in enumerate(entry.bodies)
-        ),
-        first_gap_m=entry.first_gap_m,
-        between_gap_m=entry.between_gap_m,
-        side_gap_m=entry.side_gap_m,
-        wall_size_m=(),
-        max_speed_kmh=entry.max_speed_kmh if isinstance(entry, _BesideRoad) else math.inf,
-    )
+        )
+    return Obstruction(kind=str(type(entry).__struct_config__.tag), **fields)
 
 
 # ---------- cases and speeds in the words of a user
@@ -670,25 +573,14 @@ _HIGHEST_KMH = 250.0
 
 
 def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tuple[Case, ...]:
-    """Cases by the words of a user.
+    """Cases by the words of a user, each once, in the order named.
 
-    Parameters
-    ----------
-    text : str
-        A set ("default", "study", "protocol-4.5.1", "protocol-2026", "junction", "all"), names, or
-        files of one's own cases (.toml), with commas between. The part of a name before its last
-        "-" stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75, "CPNA-2026" for all
-        impact points of 2026.
-    where : str
-        For the error message about an unknown name.
-    case_range : str
-        "extended" adds cases and speeds of Euro NCAP's extended range, 2026. A case that belongs to
-        that range alone, and is named in full, is picked anyway.
-
-    Returns
-    -------
-    cases : tuple of Case
-        Each once, in the order named.
+    `text`: a set ("default", "study", "protocol-4.5.1", "protocol-2026", "junction", "all"), names,
+    or files of one's own cases (.toml), with commas between. The part of a name before its last "-"
+    stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75, "CPNA-2026" for all impact
+    points of 2026. `where` is for the error message about an unknown name. `case_range` "extended"
+    adds cases and speeds of Euro NCAP's extended range, 2026; one that belongs to that range alone,
+    and is named in full, is picked anyway.
 
     Examples
     --------
@@ -699,21 +591,19 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
     for word in (part.strip() for part in text.split(",")):
         if word.lower().endswith(".toml"):
             found = tuple(load_own_cases(word).values())
-        elif word in load_case_sets():
-            found = load_case_sets()[word]
         else:
-            found = _named(word)
+            found = load_case_sets().get(word) or _named(word)
         if not found:
             families = dict.fromkeys(_stem(name) for name in load_cases())
             known = ", ".join([*load_case_sets(), *families])
             expected = f"one of {known}, a .toml file, or several with commas between"
             raise InputError(where, word, expected)
-        within = []
-        for case in found:
-            is_named = case.name == word and case.range == "extended"
-            in_it = in_range(case, "extended" if is_named else case_range)
-            if in_it is not None:
-                within.append(in_it)
+        within = [
+            one
+            for case in found
+            for is_named in [case.name == word and case.range == "extended"]
+            if (one := in_range(case, "extended" if is_named else case_range)) is not None
+        ]
         for case in _each_once(within) if word == ALL_CASES else within:
             picked.setdefault(case.name, case)
     return tuple(picked.values())
@@ -745,10 +635,10 @@ def _each_once(cases: Sequence[Case]) -> list[Case]:
     points: dict[object, list[str]] = {}
     for case in kept:
         points.setdefault(_but_for_the_point(case), []).append(case.name)
+    names_of = [points[_but_for_the_point(case)] for case in kept]
     return [
         replace(case, impact_turn=(names.index(case.name), len(names)))
-        for case in kept
-        for names in [points[_but_for_the_point(case)]]
+        for case, names in zip(kept, names_of, strict=True)
     ]
 
 
@@ -812,26 +702,24 @@ def select_cases(
     laid = [case for case in picked if not case.not_laid]
     if speeds is None or speeds.strip() == ALL_SPEEDS or not laid:
         return Selection(cases=picked, left_out=(), beyond=(), unprotected=unprotected)
-    words = _read_speeds(speeds)
+    singles, ranges, pair_words = _read_speeds(speeds)
     if not force:
-        for speed in words.singles:
+        for speed in singles:
             if not any(_is_within(speed, case) for case in laid):
                 raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(laid))
-        for vut, vru in words.pairs:
+        for vut, vru in pair_words:
             if not any(vru in case.vru_speeds_kmh(vut) for case in laid if _is_within(vut, case)):
                 expected = f"speeds that go together in a case; the VUT's: {_limits(laid)}"
                 raise InputError("speeds", Unquoted(f"{vut:g}x{vru:g}"), expected)
     kept, left_out, beyond = [], [], []
     for case in laid:
-        driven = {speed for speed in words.singles if force or _is_within(speed, case)}
+        driven = {speed for speed in singles if force or _is_within(speed, case)}
         driven |= {
-            speed
-            for speed in case.vut_speeds_kmh
-            if any(low <= speed <= high for low, high in words.ranges)
+            speed for speed in case.vut_speeds_kmh for low, high in ranges if low <= speed <= high
         }
         pairs = [
             (vut, vru)
-            for vut, vru in words.pairs
+            for vut, vru in pair_words
             if (case.pairs_kmh and force) or vru in case.vru_speeds_kmh(vut)
             if force or _is_within(vut, case)
         ]
@@ -856,27 +744,23 @@ def select_cases(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _SpeedWords:
-    """Speeds in the words of a user, in km/h."""
-
-    singles: tuple[float, ...]
-    ranges: tuple[tuple[float, float], ...]  # the lower one first
-    pairs: tuple[tuple[float, float], ...]  # of the VUT, and of whoever it meets
+_Pairs = list[tuple[float, float]]
 
 
-def _read_speeds(text: str) -> _SpeedWords:
-    singles, ranges, pairs = [], [], []
+def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
+    """Speeds in the words of a user, in km/h: single ones, ranges, and pairs of both bodies."""
+    singles: list[float] = []
+    ranges: _Pairs = []
+    pairs: _Pairs = []
     for word in (part.strip() for part in text.split(",")):
         separator = "x" if "x" in word else "-"
-        parts = word.split(separator, 1)
-        found = [number for number in map(_read_speed, parts) if number is not None]
-        if len(found) < len(parts):
-            expected = (
-                "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both, up "
-                f"to {_HIGHEST_KMH:g}"
-            )
-            raise InputError("speeds", word, expected)
+        try:
+            found = [float(part) for part in word.split(separator, 1)]
+        except ValueError:
+            found = []
+        if not found or not all(0.0 < speed <= _HIGHEST_KMH for speed in found):
+            known = "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both"
+            raise InputError("speeds", word, f"{known}, up to {_HIGHEST_KMH:g}")
         if len(found) == 1:
             singles.append(found[0])
         elif separator == "x":
@@ -885,15 +769,7 @@ def _read_speeds(text: str) -> _SpeedWords:
             raise InputError("speeds", word, "the lower speed first")
         else:
             ranges.append((found[0], found[1]))
-    return _SpeedWords(singles=tuple(singles), ranges=tuple(ranges), pairs=tuple(pairs))
-
-
-def _read_speed(text: str) -> float | None:
-    try:
-        speed = float(text)
-    except ValueError:
-        return None
-    return speed if math.isfinite(speed) and 0.0 < speed <= _HIGHEST_KMH else None
+    return singles, ranges, pairs
 
 
 def _is_within(speed_kmh: float, case: Case) -> bool:

@@ -27,9 +27,9 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.footprints import FootprintSizes, gaps_between
 
-from .encounters import first_contact_s
+from .courses import along_m
+from .encounters import RecordedEncounter, RecordedWay, first_contact_s
 from .paths import MPS_PER_KMH
-from .recorded import RecordedEncounter, RecordedWay
 from .trajectories import VEHICLE, Track, load_trajectory_rules
 
 _MILLIMETRES = 3
@@ -43,16 +43,12 @@ def time_to_collision_s(
     *,
     sizes: FootprintSizes,
 ) -> FloatArray:
-    """Time until two rectangles touch that move straight on without turning.
+    """Time in seconds until two rectangles touch that move straight on without turning.
 
-    Exact: along each of the sides' four normals they overlap from one time to another, and they
-    touch while they overlap along all of them. `offset_m` (..., 2) leads from the middle of a to
-    that of b, and changes by `closing_mps` (..., 2) a second.
-
-    Returns
-    -------
-    ttc_s : (...) float
-        0 where they touch already, infinite where they never will. [s]
+    0 where they touch already, infinite where they never will. `offset_m` (..., 2) leads from the
+    middle of a to that of b, and changes by `closing_mps` (..., 2) a second. Exact: along each of
+    the sides' four normals they overlap from one time to another, and they touch while they overlap
+    along all of them.
 
     Examples
     --------
@@ -101,29 +97,14 @@ def find_encounters(
 ) -> tuple[tuple[FoundEncounter, ...], Counter[str]]:
     """Pairs of a vehicle and a VRU that come near one another, and why others are left out.
 
-    Parameters
-    ----------
-    tracks : sequence of Track
-        On one clock, in one frame.
-    ttc_s : float, optional
-        Pairs count whose least time to collision is at most this. [s]
-    within_m : float, optional
-        Others count, too, whose bodies come at most so near. [m]
+    `tracks` are on one clock, in one frame. Pairs count whose least time to collision is at most
+    `ttc_s`, and others whose bodies come at most so near, `within_m`. Returned by vehicle, then by
+    VRU, in the order of `tracks`; and how many cannot be replayed, by reasons.
 
-    Returns
-    -------
-    found : tuple of FoundEncounter
-        By vehicle, then by VRU, in the order of `tracks`.
-    left_out : Counter of str
-        Of pairs that come so near: reasons why they cannot be replayed.
-
-    Notes
-    -----
-    Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in which they
-    move. The least time to collision is looked for while the vehicle drives forwards, and until the
-    bodies first touch: those who walk beside a car are thinner than these boxes.
+    Notes ----- Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
+    which they move. The least time to collision is looked for while the vehicle drives forwards,
+    and until the bodies first touch: those who walk beside a car are thinner than these boxes.
     """
-    vut = pick_actor("vut", "vut")
     bodies = load_trajectory_rules().bodies
     found, left_out = [], Counter[str]()
     for vehicle in tracks:
@@ -131,7 +112,7 @@ def find_encounters(
             if vehicle.class_name != VEHICLE or vru.class_name not in bodies:
                 continue
             actor = pick_actor(bodies[vru.class_name], "bodies")
-            one = _replay(vehicle, vru, vut, actor, ttc_s, within_m)
+            one = _replay(vehicle, vru, actor, ttc_s, within_m)
             if isinstance(one, FoundEncounter):
                 found.append(one)
             elif one:
@@ -140,15 +121,10 @@ def find_encounters(
 
 
 def _replay(
-    vehicle: Track,
-    vru: Track,
-    vut: Actor,
-    actor: Actor,
-    ttc_limit_s: float | None,
-    within_m: float | None,
+    vehicle: Track, vru: Track, actor: Actor, ttc_limit_s: float | None, within_m: float | None
 ) -> FoundEncounter | str:
     """The encounter of a pair; else why it is left out, empty where it does not come near."""
-    rules = load_trajectory_rules().encounters
+    rules, vut = load_trajectory_rules().encounters, pick_actor("vut", "vut")
     is_common = (vehicle.time_s >= vru.time_s[0]) & (vehicle.time_s <= vru.time_s[-1])
     time = vehicle.time_s[is_common]
     if len(time) == 0:
@@ -184,14 +160,10 @@ def _replay(
     else:
         return ""
     seen_s = min(moments) - float(time[0])
-    ways = [
-        _way(track, moment, float(time[0]), end_s)
-        for track, moment, end_s in zip((vehicle, vru), moments, ends_s, strict=True)
-    ]
-    own = [
-        round(_speed(track, moment) / MPS_PER_KMH, 1)
-        for track, moment in zip((vehicle, vru), moments, strict=True)
-    ]
+    ways, own = [], []
+    for track, moment, end_s in zip((vehicle, vru), moments, ends_s, strict=True):
+        ways.append(_way(track, moment, float(time[0]), end_s))
+        own.append(round(_speed(track, moment) / MPS_PER_KMH, 1))
     if own[1] * MPS_PER_KMH < rules.min_vru_mps:
         own[1] = 0.0
     known_s = min(seen_s + max(0.0, -ends_s[0]), rules.max_known_s)
@@ -204,10 +176,7 @@ def _replay(
     early_s = first_contact_s(driven)
     if not abs(early_s) <= rules.min_known_s:
         return "at the speeds of that moment they would not meet there"
-    shifted = [
-        RecordedWay(points_m=way.points_m, yaw_deg=way.yaw_deg, end_s=round(way.end_s - early_s, 6))
-        for way in ways
-    ]
+    shifted = [replace(way, end_s=round(way.end_s - early_s, 6)) for way in ways]
     return FoundEncounter(
         vehicle=vehicle,
         vru=vru,
@@ -253,10 +222,10 @@ def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] |
     points = shapely.get_coordinates(shapely.intersection(*lines))
     if not len(points):
         return None
-    along = [np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T))) for way in ways]
+    along = [along_m(way) for way in ways]
     passed = np.array(
         [
-            [np.interp(line.project(shapely.Point(point)), far, time_s) for point in points]
+            np.interp(line.project(shapely.points(points)), far, time_s)
             for line, far in zip(lines, along, strict=True)
         ]
     )
@@ -287,10 +256,7 @@ def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> Recorde
 
 
 def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> str:
-    """Encounters as a TOML file of cases: of kind "recorded", NAME-VEHICLE-VRU each.
-
-    Raises InputError: two of them would have the same name.
-    """
+    """Encounters as a TOML file of cases: of kind "recorded", NAME-VEHICLE-VRU each, each once."""
     import tomlkit
 
     table: dict[str, Any] = {}

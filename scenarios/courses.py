@@ -7,12 +7,12 @@ from importlib.resources import files
 from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
-from geometry.errors import InputError, check_field
-from geometry.files import load_toml, pick, read_tables
+from geometry.errors import InputError, check_field, check_one_of
+from geometry.files import load_toml, read_tables
 from geometry.junction import Line
 
 _SAMPLE_M = 0.5  # between the points of a lane that are smoothed
@@ -57,9 +57,8 @@ class Course:
         inside = np.clip(station, self.begin_m, self.end_m)
         beyond = (station - inside)[..., None]
         index, share = self._place(inside)
-        point = self.points_m[index] + share[..., None] * (
-            self.points_m[index + 1] - self.points_m[index]
-        )
+        before, after = self.points_m[index], self.points_m[index + 1]
+        point = before + share[..., None] * (after - before)
         yaw = self.interpolate(station, self.yaw_rad)
         return point + beyond * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1), yaw
 
@@ -76,11 +75,7 @@ class Course:
         return Line(point_m=point, direction=np.array([np.cos(yaw), np.sin(yaw)]))
 
     def offset(self, left_m: float) -> "Course":
-        """The line that runs some metres to the left of it.
-
-        Its origin is next to this one's. Raises InputError: it bends more sharply than that, so
-        that no line runs there.
-        """
+        """The line some metres to the left, with its origin; InputError: it bends too sharply."""
         if left_m == 0.0:
             return self
         if self.max_bend_per_m * abs(left_m) >= 1.0:
@@ -169,23 +164,22 @@ def _follow(
 ) -> Course:
     """The course along points; those from one to another, `close`, are followed closely."""
     chain = np.array(points, dtype=np.float64).reshape(-1, 2)
-    close_m = (
-        None
-        if close is None
-        else (_BEYOND_M + _along_m(chain)[list(close)] + [-_CLOSE_BESIDE_M, _CLOSE_BESIDE_M])
-    )
+    close_m = None
+    if close is not None:
+        ends_m = _BEYOND_M + along_m(chain)[list(close)]
+        close_m = ends_m + [-_CLOSE_BESIDE_M, _CLOSE_BESIDE_M]
     if len(chain) > 1:
         chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)]
     if len(chain) < 2:
         raise InputError("centreline_m", len(chain), "at least two different points")
     chain = _led_on(chain)
-    along = _along_m(chain)
+    along = along_m(chain)
     step_m = _SAMPLE_M if close_m is None else _CLOSE_SAMPLE_M
     at = np.linspace(0.0, along[-1], int(along[-1] / step_m) + 2)
     weight = None
     if close_m is not None:
         weight = np.where((at >= close_m[0]) & (at <= close_m[1]), _CLOSE, 1.0)
-    samples = _sampled(chain, along, at)
+    samples = sampled(chain, along, at)
     return _smoothed(samples, at, origin_m, smoothing_m=_SMOOTHING_M, weight=weight)
 
 
@@ -197,12 +191,14 @@ def _led_on(chain_m: FloatArray) -> FloatArray:
     )
 
 
-def _along_m(chain_m: FloatArray) -> FloatArray:
+def along_m(chain_m: FloatArray) -> FloatArray:
+    """Length of a chain (n, 2) up to each of its points, (n,)."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
 
 
-def _sampled(chain_m: FloatArray, along_m: FloatArray, at_m: FloatArray) -> FloatArray:
-    return np.stack([np.interp(at_m, along_m, chain_m[:, axis]) for axis in (0, 1)], axis=1)
+def sampled(chain_m: FloatArray, lengths_m: FloatArray, at_m: FloatArray) -> FloatArray:
+    """Points (m, 2) of a chain, between its own linearly, at lengths along it (m,)."""
+    return np.stack([np.interp(at_m, lengths_m, chain_m[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def _smoothed(
@@ -246,26 +242,21 @@ def _end_direction(chain_m: FloatArray) -> FloatArray:
     it turns once more by half up to its end.
     """
     back = chain_m[::-1]
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(back, axis=0).T)))
+    along = along_m(back)
     reach = min(_END_CHORD_M, 0.5 * float(along[-1]))
-    end, middle, begin = (
-        np.array([np.interp(distance, along, back[:, axis]) for axis in (0, 1)])
-        for distance in (0.0, reach, 2.0 * reach)
-    )
+    end, middle, begin = sampled(back, along, np.array([0.0, reach, 2.0 * reach]))
     last, before = end - middle, middle - begin
     turned = np.arctan2(before[0] * last[1] - before[1] * last[0], float(before @ last))
-    yaw = np.arctan2(last[1], last[0]) + np.clip(
-        0.5 * turned, -_MAX_END_BEND_RAD, _MAX_END_BEND_RAD
-    )
+    more = np.clip(0.5 * turned, -_MAX_END_BEND_RAD, _MAX_END_BEND_RAD)
+    yaw = np.arctan2(last[1], last[0]) + more
     return np.array([np.cos(yaw), np.sin(yaw)])
 
 
 def _course_of(points_m: FloatArray, yaw_rad: FloatArray, origin: int) -> Course:
     """A course through points that lie about evenly, with its origin at one of them."""
-    steps = np.hypot(*np.diff(points_m, axis=0).T)
-    length = np.append(0.0, np.cumsum(steps))
+    length = along_m(points_m)
     even = np.arange(0.0, length[-1], _STEP_M)
-    places = np.stack([np.interp(even, length, points_m[:, axis]) for axis in (0, 1)], axis=1)
+    places = sampled(points_m, length, even)
     return _course(-float(length[origin]), places, np.interp(even, length, yaw_rad))
 
 
@@ -365,10 +356,9 @@ class Turn:
         return position, self.side * np.degrees(angle)
 
     def turned_by(self, angle_deg: float) -> "Turn":
-        """Turn with another arc, for lanes that meet at another angle.
+        """Turn with the arc for lanes that meet at another angle, 0 to 180 degrees, or InputError.
 
-        Where the clothoids alone would turn further, they are shorter and there is no arc. Raises
-        InputError: the angle is not between 0 and 180 degrees.
+        Where the clothoids alone would turn further, they are shorter and there is no arc.
         """
         if not 0.0 < angle_deg < 180.0:
             raise InputError("angle_deg", angle_deg, "0 < degrees < 180")
@@ -405,51 +395,43 @@ class Turn:
         return point, angle + on_arc
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TurnAtSpeed:
-    """A turn and how fast the VUT drives it, in km/h."""
+class TurnAtSpeed(Struct, frozen=True, kw_only=True):
+    """An entry of ``data/turning_paths.toml``: a turn, and how fast the VUT drives it."""
 
-    turn: Turn
-    speed_kmh: float
-
-
-class _TurnEntry(Struct, frozen=True, kw_only=True):
-    turn: Literal["far", "near"]
+    side: Literal["far", "near"] = field(name="turn")
     speed_kmh: float
     first_radius_m: float
     radius_m: float
     clothoid_deg: float
     arc_deg: float
 
+    @property
+    def turn(self) -> Turn:
+        """The curve."""
+        return Turn(
+            first_radius_m=self.first_radius_m,
+            radius_m=self.radius_m,
+            clothoid_deg=self.clothoid_deg,
+            arc_deg=self.arc_deg,
+            side=_SIDES[self.side],
+        )
+
 
 @cache
 def load_turns() -> dict[str, TurnAtSpeed]:
     """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
     table = load_toml(files(__package__) / "data" / "turning_paths.toml")
-    turns = {}
-    for name, entry in read_tables(table, _TurnEntry, "turning_paths.toml").items():
-        turn = Turn(
-            first_radius_m=entry.first_radius_m,
-            radius_m=entry.radius_m,
-            clothoid_deg=entry.clothoid_deg,
-            arc_deg=entry.arc_deg,
-            side=_SIDES[entry.turn],
-        )
-        turns[name] = TurnAtSpeed(turn=turn, speed_kmh=entry.speed_kmh)
-    return turns
+    return read_tables(table, TurnAtSpeed, "turning_paths.toml")
 
 
 def pick_turn(side: str, speed_kmh: float) -> Turn:
     """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
 
-    Faster than all tabulated speeds: that of the fastest, as the protocol rules for 25 km/h; slower
-    than all: that of the slowest. Raises InputError: the side is unknown, the speed not positive,
-    or between two tabulated ones.
+    Beyond the tabulated speeds that of the nearest one, as the protocol rules for 25 km/h. Raises
+    InputError: the side is unknown, the speed not positive, or between two tabulated ones.
     """
-    sign = pick(_SIDES, side, "turn")
-    by_speed = {
-        entry.speed_kmh: entry.turn for entry in load_turns().values() if entry.turn.side == sign
-    }
+    check_one_of("turn", side, _SIDES)
+    by_speed = {one.speed_kmh: one.turn for one in load_turns().values() if one.side == side}
     slowest, fastest = min(by_speed), max(by_speed)
     nearest_kmh = min(max(speed_kmh, slowest), fastest)
     if not 0.0 < speed_kmh < np.inf or nearest_kmh not in by_speed:
@@ -485,9 +467,8 @@ def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course
     along = np.arange(0.0, fitted.length_m, _STEP_M)
     ahead_left, turned_deg = fitted.at(along)
     start = entry.tangent(begin_m)
-    round_turn = (
-        start.point_m + ahead_left[:, :1] * start.direction + ahead_left[:, 1:] * start.left
-    )
+    ahead, left = ahead_left[:, :1], ahead_left[:, 1:]
+    round_turn = start.point_m + ahead * start.direction + left * start.left
     yaw, exit_yaw = np.radians(start.yaw_deg + turned_deg), exit_course.yaw_rad
     before_part = slice(0, max(entry._index(begin_m), 0))
     after_part = slice(exit_course._index(end_m) + 2, None)
@@ -552,9 +533,9 @@ def _gentle(
     is_new = np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)
     free = np.array(free_m)[is_new]
     chain = _led_on(chain[is_new])
-    along = _along_m(chain)
+    along = along_m(chain)
     at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
-    samples, near = _sampled(chain, along, at), int(_EASED_M / _SAMPLE_M)
+    samples, near = sampled(chain, along, at), int(_EASED_M / _SAMPLE_M)
     free_at = np.interp(at, along[1:-1], free)
     weight = np.ones(len(at))
     for _ in range(_MAX_STEPS):

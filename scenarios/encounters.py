@@ -1,16 +1,21 @@
 """Two bodies that move towards one another: how far apart they are, and when they first touch."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import dist, isfinite
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
 from geometry.footprints import FootprintSizes, gaps_between
 
-from .paths import Motion
+from .courses import follow_way
+from .paths import CoursePath, Motion
 
 _LONGEST_S = 600.0  # contacts later than this are not looked for
 _FIRST_STEP_S = 0.25
@@ -36,8 +41,7 @@ class Encounter:
     _sizes: FootprintSizes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.vut_motion.acceleration_distance_m != 0.0:
-            got = self.vut_motion.acceleration_distance_m
+        if got := self.vut_motion.acceleration_distance_m:
             expected = "0: the VUT is up to speed when it sets off"
             raise InputError("encounter.vut_motion.acceleration_distance_m", got, expected)
         if self.vut_motion.speed_mps == 0.0:
@@ -51,10 +55,7 @@ class Encounter:
         object.__setattr__(self, "_sizes", sizes)
 
     def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
-        """Separation of the footprints after distances along their paths, which broadcast.
-
-        Zero or less means that they touch; see :func:`geometry.footprints.footprint_separation`.
-        """
+        """Separation of the footprints after distances that broadcast; up to zero: they touch."""
         separation: FloatArray = self.gaps_m(vut_distance_m, vru_distance_m).max(axis=0)
         return separation
 
@@ -104,17 +105,13 @@ class Encounter:
             bend += acceleration_mps2 + 3.0 * turn * v**2
             speed += v
             turning += turn * v
-            turning_change += (
-                motion.path.max_turn_change_rad_per_m2 * v**2 + turn * acceleration_mps2
-            )
+            change = motion.path.max_turn_change_rad_per_m2
+            turning_change += change * v**2 + turn * acceleration_mps2
         return bend + 2.0 * turning * speed + (turning_change + turning**2) * 4.0 * self.near_m
 
 
 def first_contact_s(encounter: Encounter) -> float:
-    """When the bodies first touch without braking, within a tenth of a microsecond.
-
-    Infinite if they do not touch within ten minutes of the earlier one's start.
-    """
+    """When the bodies first touch without braking, to 0.1 us; infinite: not within ten minutes."""
     vut, vru = encounter.vut_motion, encounter.vru_motion
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
 
@@ -135,10 +132,7 @@ def first_contact_s(encounter: Encounter) -> float:
     middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
     nothing = np.zeros(n_cells)
     cells = Cells(
-        first_s=middle,
-        second_s=nothing,
-        half_first_s=0.5 * np.diff(edges),
-        half_second_s=nothing,
+        first_s=middle, second_s=nothing, half_first_s=0.5 * np.diff(edges), half_second_s=nothing
     )
     _, touch_s = find_first_touch(cells, measure, tolerance_s=_CONTACT_TOLERANCE_S)
     return touch_s
@@ -220,3 +214,70 @@ def _look(
 
 def _half_diagonal_m(body: Actor) -> float:
     return 0.5 * float(np.hypot(body.length_m, body.width_m))
+
+
+# ---------- recorded ones as they are replayed: two ways that were taken, at constant speeds
+_LONGEST_WAY_M = 1000.0
+_MAX_EARLY_S = 0.3  # of a contact before the impact: more is another impact, somewhere else
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedWay:
+    """A way as it was taken, and when."""
+
+    # of the middle of the body; goes straight on before and after them. World frame. [m]
+    points_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=2)]
+    yaw_deg: float  # direction in which it goes straight on
+    # when the body is at the last point; the impact is at 0. [s]
+    end_s: Annotated[float, Meta(ge=-60.0, le=60.0)]
+
+    def __post_init__(self) -> None:
+        length_m = sum(dist(*ends) for ends in pairwise(self.points_m))
+        if not 0.0 < length_m <= _LONGEST_WAY_M or not isfinite(self.yaw_deg):
+            got = Unquoted(f"{length_m:g} m towards {self.yaw_deg:g} degrees")
+            raise InputError("", got, f"a way of at most {_LONGEST_WAY_M:g} m with a direction")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedEncounter:
+    """Two recorded ways that lead to an impact at time 0 if nobody reacts."""
+
+    vut: RecordedWay
+    vru: RecordedWay
+    known_s: float  # both are recorded for so long before the impact
+
+    def as_recorded(
+        self, *, vut: Actor, vut_speed_mps: float, vru: Actor, vru_speed_mps: float
+    ) -> Encounter:
+        """The bodies on their ways at constant speeds, at the times that the ways say."""
+        return Encounter(
+            vut=vut,
+            vut_motion=_motion(self.vut, vut_speed_mps, self.known_s),
+            vru=vru,
+            vru_motion=_motion(self.vru, vru_speed_mps, self.known_s),
+        )
+
+    def encounter(
+        self, *, vut: Actor, vut_speed_mps: float, vru: Actor, vru_speed_mps: float
+    ) -> Encounter | None:
+        """The same with the impact at time 0; None: they do not touch about then."""
+        found = self.as_recorded(
+            vut=vut, vut_speed_mps=vut_speed_mps, vru=vru, vru_speed_mps=vru_speed_mps
+        )
+        early_s = first_contact_s(found)
+        if not abs(early_s) <= _MAX_EARLY_S:
+            return None
+        vut_motion, vru_motion = (
+            replace(motion, start_time_s=motion.start_time_s - early_s)
+            for motion in (found.vut_motion, found.vru_motion)
+        )
+        return replace(found, vut_motion=vut_motion, vru_motion=vru_motion)
+
+
+def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
+    course = follow_way(way.points_m, way.yaw_deg)
+    start_m = course.station_of(way.points_m[0]) if speed_mps > 0.0 else 0.0
+    start_s = way.end_s + start_m / speed_mps if speed_mps > 0.0 else -known_s
+    return Motion(
+        path=CoursePath(course=course, start_m=start_m), speed_mps=speed_mps, start_time_s=start_s
+    )

@@ -1,9 +1,9 @@
 """Parked cars and walls that hide the VRU, and room for them and for all ways."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,11 +55,9 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     encounter = staging.encounter
     solid = _Solid(scene=scene, has_poles=True)
     whose = "the target" if is_vehicle(encounter.vru) else "the VRU"
-    for name, body, motion, obstacles in (
-        (whose, encounter.vru, encounter.vru_motion, _Solid(scene=scene, has_poles=False)),
-        ("the VUT", encounter.vut, encounter.vut_motion, solid),
-    ):
-        _check(obstacles, _way(motion, body), f"{name}'s way")
+    others = _Solid(scene=scene, has_poles=False)
+    _check(others, _way(encounter.vru_motion, encounter.vru), f"{whose}'s way")
+    _check(solid, _way(encounter.vut_motion, encounter.vut), "the VUT's way")
     if not staging.obstruction:
         return staging
     # Every speed of a case has the same obstruction.
@@ -70,16 +68,20 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
         staging.max_aside_m,
         tuple((body.actor.name, tuple(_corners(body).ravel())) for body in staging.obstruction),
     )
-    return moved(staging, aside_m=aside_m, back_m=back_m) if aside_m or back_m else staging
+    if not (aside_m or back_m):
+        return staging
+    east, north = aside_m * staging.aside + back_m * staging.back
+    obstruction = tuple(
+        replace(body, pose=replace(body.pose, position_m=body.pose.position_m + [east, north, 0.0]))
+        for body in staging.obstruction
+    )
+    return replace(staging, obstruction=obstruction)
 
 
 def is_way_free(
     body: Actor, motion: Motion, scene: Scene, obstruction: Sequence[PlacedActor]
 ) -> bool:
-    """True if nothing of the scene but poles, and nothing parked, is in a body's way to the impact.
-
-    Looked at along the middle and both flanks of the way, as by :func:`make_room`.
-    """
+    """True if no thing of the scene but poles, and nothing parked, is in a way to the impact."""
     import shapely
 
     segments = _way(motion, body)
@@ -105,13 +107,14 @@ def _find_room(
     rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
     places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
     outlines = shapely.polygons(places)
-    off_road = np.flatnonzero(~shapely.intersects(_carriageway(scene), outlines).any(axis=1))
+    areas = _areas(scene)
+    off_road = np.flatnonzero(~shapely.intersects(areas.carriageway, outlines).any(axis=1))
     n_off_road = len(off_road)
     is_car = np.array([not name.startswith(_WALL) for name, _ in bodies])
     on_island = _are_on_islands(scene, places[off_road][:, is_car], np.array(aside)).any(axis=1)
     off_road = off_road[~on_island]
     # Rays do not meet the house that is all around them.
-    is_indoors = shapely.contains(_houses(scene), outlines).any(axis=1)
+    is_indoors = shapely.contains(areas.houses, outlines).any(axis=1)
     solid = _Solid(scene=scene, has_poles=True)
     for index in off_road:
         if not is_indoors[index] and _is_free(solid, _sides(places[index])):
@@ -136,7 +139,7 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
     rules = load_obstruction_rules()
     behind = places_m + rules.island_m * aside
     swept = shapely.convex_hull(shapely.multipoints(np.concatenate([places_m, behind], axis=-2)))
-    has_lane = shapely.intersects(_parking(scene), shapely.polygons(places_m))
+    has_lane = shapely.intersects(_areas(scene).parking, shapely.polygons(places_m))
     is_island: BoolArray = np.zeros(swept.shape, dtype=bool)
     if not swept.size:
         return is_island
@@ -155,7 +158,7 @@ def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
     import shapely
 
     pieces, directions = [], []
-    parking = _parking(scene)
+    parking = _areas(scene).parking
     for lane in scene.lanes:
         if lane.kind == "driving":
             for begin, end in zip(lane.centreline_m[:-1], lane.centreline_m[1:], strict=True):
@@ -181,37 +184,28 @@ _INSIDE_OUTLINE_M = 2.0  # outlines are rounded at the corners
 _MAY_OVERLAP_M = 0.1
 
 
+class _Areas(NamedTuple):
+    """Areas of a scene, shapely geometries that are prepared."""
+
+    carriageway: Any
+    parking: Any
+    houses: Any  # ground under buildings and walls
+
+
 @lru_cache(maxsize=8)
-def _carriageway(scene: Scene) -> Any:
+def _areas(scene: Scene) -> _Areas:
     import shapely
 
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
+    parking = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
     # Some maps mark parking spaces on a lane that is wide enough for both.
-    driven = shapely.difference(shapely.union_all(strips), _parking(scene))
-    area = shapely.union(inside, driven)
-    shapely.prepare(area)
-    return area
-
-
-@lru_cache(maxsize=8)
-def _parking(scene: Scene) -> Any:
-    import shapely
-
-    area = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
-    shapely.prepare(area)
-    return area
-
-
-@lru_cache(maxsize=8)
-def _houses(scene: Scene) -> Any:
-    """Ground under buildings and walls, prepared: a shapely geometry."""
-    import shapely
-
-    area = houses_of(scene)
-    shapely.prepare(area)
-    return area
+    driven = shapely.difference(shapely.union_all(strips), parking)
+    areas = _Areas(shapely.union(inside, driven), parking, houses_of(scene))
+    for area in areas:
+        shapely.prepare(area)
+    return areas
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,26 +218,18 @@ class _Solid:
 
 def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
     caster, origin = _caster(solid)
-    return not _is_blocked(caster, *_lifted(segments_m, origin, solid.scene))
+    return not _is_blocked(caster, _lifted(segments_m, origin, solid.scene))
 
 
 def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
     if not _is_free(solid, segments_m):
-        origin = _caster(solid)[1]
-        blocker = _blocker(solid, *_lifted(segments_m, origin, solid.scene), origin)
-        raise CannotCarryError(f"{blocker} stands in {what}")
+        raise CannotCarryError(f"{_blocker(solid, segments_m)} stands in {what}")
 
 
-def _lifted(
-    segments_m: FloatArray, origin_m: FloatArray, scene: Scene
-) -> tuple[FloatArray, FloatArray]:
-    """Starts and ends (n, 3) of segments at each height above the ground."""
-    origin = np.append(origin_m, 0.0)
-    starts, ends = (
-        np.concatenate([on_road + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M])
-        for on_road in np.swapaxes(on_ground(segments_m, terrain_of(scene)) - origin, 0, 1)
-    )
-    return starts, ends
+def _lifted(segments_m: FloatArray, origin_m: FloatArray, scene: Scene) -> FloatArray:
+    """Starts and ends (2, n, 3) of segments at each height above the ground."""
+    on_road = np.swapaxes(on_ground(segments_m, terrain_of(scene)) - [*origin_m, 0.0], 0, 1)
+    return np.concatenate([on_road + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M], axis=1)
 
 
 @lru_cache(maxsize=8)
@@ -267,9 +253,11 @@ def _caster_of(scene: Scene, instances: Sequence[int], origin_m: FloatArray) -> 
     return build_caster(scene.vertices_m - [*origin_m, 0.0], triangles, library="embree")
 
 
-def _blocker(solid: _Solid, starts_m: FloatArray, ends_m: FloatArray, origin_m: FloatArray) -> str:
-    """The first instance that the rays run into."""
-    ends = np.concatenate([starts_m, ends_m])[:, :2] + origin_m
+def _blocker(solid: _Solid, segments_m: FloatArray) -> str:
+    """The first instance in which segments end or that they cross."""
+    _, origin_m = _caster(solid)
+    rays_m = _lifted(segments_m, origin_m, solid.scene)
+    ends = rays_m.reshape(-1, 3)[:, :2] + origin_m
     low, high = ends.min(axis=0), ends.max(axis=0)
     scene = solid.scene
     for index in _counting(solid):
@@ -277,12 +265,13 @@ def _blocker(solid: _Solid, starts_m: FloatArray, ends_m: FloatArray, origin_m: 
         is_apart = (corners > high).all(axis=(0, 1)) | (corners < low).all(axis=(0, 1))
         if is_apart.any():
             continue
-        if _is_blocked(_caster_of(solid.scene, [index], origin_m), starts_m, ends_m):
+        if _is_blocked(_caster_of(solid.scene, [index], origin_m), rays_m):
             return solid.scene.instances[index].id
     return "the scene"
 
 
-def _is_blocked(caster: RayCaster, starts_m: FloatArray, ends_m: FloatArray) -> bool:
+def _is_blocked(caster: RayCaster, rays_m: FloatArray) -> bool:
+    starts_m, ends_m = rays_m
     vectors = (ends_m - starts_m).astype(np.float32)
     return bool(caster.is_blocked(starts_m.astype(np.float32), vectors).any())
 
@@ -343,83 +332,67 @@ def hide(
     vru_way: Way,
     vru_m: float,
 ) -> Staging:
-    """An encounter with its obstruction in place, where the protocol has it.
-
-    The ways cross at stations `vut_m` and `vru_m`.
-    """
+    """An encounter with its obstruction in place; the ways cross at the stations."""
     vut_line, vru_line = vut_way.direction(vut_m), vru_way.direction(vru_m)
     vut, vru = encounter.vut, encounter.vru
-    max_aside_m = load_obstruction_rules().max_aside_m[obstruction.kind]
     if obstruction.kind == "beside-vut":
         side = -float(np.sign(vut_line.left @ vru_line.direction))
-        return Staging(
-            encounter=encounter,
-            obstruction=_beside_vut(
-                obstruction, vut=vut, vut_way=vut_way, vut_m=vut_m, vru=vru, side=side
-            ),
-            aside=side * vut_line.left,
-            back=-vut_line.direction,
-            max_aside_m=max_aside_m,
-        )
-    # +1 if the VUT comes from the left of the VRU's way, -1 from its right
-    side = -float(np.sign(vru_line.left @ vut_line.direction))
-    actors = obstruction.bodies
-    if obstruction.kind == "wall":
-        actors = (_build_wall(*obstruction.wall_size_m),)
+        aside, back = side * vut_line.left, -vut_line.direction
+        bodies = _beside_vut(obstruction, vut=vut, vut_way=vut_way, vut_m=vut_m, vru=vru, side=side)
+    else:
+        # +1 if the VUT comes from the left of the VRU's way, -1 from its right
+        side = -float(np.sign(vru_line.left @ vut_line.direction))
+        aside, back = side * vru_line.left, -vru_line.direction
+        bodies = _beside_vru(obstruction, vru_way=vru_way, vru_m=vru_m, vru=vru, side=side)
     return Staging(
         encounter=encounter,
-        obstruction=_beside_vru(
-            obstruction, actors, vru_way=vru_way, vru_m=vru_m, vru=vru, side=side
-        ),
-        aside=side * vru_line.left,
-        back=-vru_line.direction,
-        max_aside_m=max_aside_m,
+        obstruction=bodies,
+        aside=aside,
+        back=back,
+        max_aside_m=load_obstruction_rules().max_aside_m[obstruction.kind],
     )
 
 
 def park(
     encounter: Encounter, obstruction: Obstruction, *, row_way: Way, bumper_m: float, side: float
 ) -> Staging:
-    """An encounter with a row of cars parked beside a lane, noses as the VUT's.
+    """An encounter with a row of cars parked beside a lane, noses as the VUT's, flush to the road.
 
     `row_way` is the middle of the lane in the VUT's direction, `bumper_m` the station of the first
-    front bumper; `side` is +1 to the left of it, -1 to the right. The sides towards the road are
-    flush.
+    front bumper; `side` is +1 to the left of it, -1 to the right.
     """
     line = row_way.direction(bumper_m)
-    bodies = []
-    for actor in obstruction.bodies:
-        station_m = bumper_m - 0.5 * actor.length_m
-        left_m = side * (obstruction.side_gap_m + 0.5 * actor.width_m)
-        yaw_deg = row_way.direction(station_m).yaw_deg
-        bodies.append(_placed(actor, row_way.point(station_m, left_m), yaw_deg))
-        bumper_m -= actor.length_m + obstruction.between_gap_m
+    left_m = {
+        actor: side * (obstruction.side_gap_m + 0.5 * actor.width_m) for actor in obstruction.bodies
+    }
     return Staging(
         encounter=encounter,
-        obstruction=tuple(bodies),
+        obstruction=_row(obstruction, row_way, bumper_m, left_m),
         aside=side * line.left,
         back=-line.direction,
         max_aside_m=load_obstruction_rules().max_aside_m[obstruction.kind],
     )
 
 
-def moved(staging: Staging, *, aside_m: float, back_m: float) -> Staging:
-    """A staging whose obstruction stands elsewhere; the rest stays."""
-    east, north = aside_m * staging.aside + back_m * staging.back
-    obstruction = tuple(
-        replace(body, pose=replace(body.pose, position_m=body.pose.position_m + [east, north, 0.0]))
-        for body in staging.obstruction
-    )
-    return replace(staging, obstruction=obstruction)
+def _row(
+    obstruction: Obstruction, way: Way, bumper_m: float, left_m: Mapping[Actor, float]
+) -> tuple[PlacedActor, ...]:
+    """Bodies one behind the other along a way, by the station of the first front bumper."""
+    bodies = []
+    for actor in obstruction.bodies:
+        station_m = bumper_m - 0.5 * actor.length_m
+        yaw_deg = way.direction(station_m).yaw_deg
+        bodies.append(_placed(actor, way.point(station_m, left_m[actor]), yaw_deg))
+        bumper_m -= actor.length_m + obstruction.between_gap_m
+    return tuple(bodies)
 
 
 def _beside_vut(
     obstruction: Obstruction, *, vut: Actor, vut_way: Way, vut_m: float, vru: Actor, side: float
 ) -> tuple[PlacedActor, ...]:
-    """Cars parked along the VUT's way, on the side from which the VRU comes.
+    """Cars parked along the VUT's way, on the side from which the VRU comes, noses as the VUT's.
 
-    Their common centreline is such that the widest keeps the side gap; noses as the VUT's, the
-    first one nearest to the VRU's line.
+    Their common centreline is such that the widest keeps the side gap.
     """
     widest_m = max(actor.width_m for actor in obstruction.bodies)
     left_m = side * (0.5 * vut.width_m + obstruction.side_gap_m + 0.5 * widest_m)
@@ -434,31 +407,17 @@ def _beside_vut(
         )
     row_m = sum(actor.length_m + obstruction.between_gap_m for actor in obstruction.bodies)
     row, bumper_m = vut_way.offset(left_m, bumper_m, back_m=row_m, ahead_m=0.0)
-    bodies = []
-    for actor in obstruction.bodies:
-        station_m = bumper_m - 0.5 * actor.length_m
-        yaw_deg = row.direction(station_m).yaw_deg
-        bodies.append(_placed(actor, row.point(station_m, 0.0), yaw_deg))
-        bumper_m -= actor.length_m + obstruction.between_gap_m
-    return tuple(bodies)
+    return _row(obstruction, row, bumper_m, dict.fromkeys(obstruction.bodies, 0.0))
 
 
 def _beside_vru(
-    obstruction: Obstruction,
-    actors: tuple[Actor, ...],
-    *,
-    vru_way: Way,
-    vru_m: float,
-    vru: Actor,
-    side: float,
+    obstruction: Obstruction, *, vru_way: Way, vru_m: float, vru: Actor, side: float
 ) -> tuple[PlacedActor, ...]:
-    """Cars or a wall next to the VRU's way, between it and the coming VUT.
-
-    The sides towards the VRU are flush; cars' noses look away from the VUT's way.
-    """
+    """Cars, noses away from the VUT's way, or a wall between the VRU's way and the coming VUT."""
     bodies = []
     rear_m = obstruction.first_gap_m
-    for actor in actors:
+    wall = obstruction.wall_size_m
+    for actor in (_build_wall(*wall),) if wall else obstruction.bodies:
         beside_m = 0.5 * vru.width_m + obstruction.side_gap_m + 0.5 * actor.width_m
         station_m = vru_m - (rear_m + 0.5 * actor.length_m)
         line = vru_way.direction(station_m)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from functools import lru_cache
 from math import sin
-from typing import Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,30 +20,9 @@ _TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre o
 _ODE_TOLERANCE = 1.0e-11
 _TOW_STEPS = 10  # points of a course that one step of the integration passes
 
-
-class Path(Protocol):
-    """Where a body is after a distance.
-
-    The middle of its footprint never moves further than the distance, and its line is never bent
-    more than three times as much as the heading turns at most.
-    """
-
-    def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position (..., 2) of the middle of the footprint and heading after a distance.
-
-        The distance may be negative or beyond the path's end.
-        """
-        ...
-
-    @property
-    def max_turn_rad_per_m(self) -> float:
-        """How much the heading changes in a metre, at most, in rad/m."""
-        ...
-
-    @property
-    def max_turn_change_rad_per_m2(self) -> float:
-        """How much the heading's change per metre itself changes in a metre, at most."""
-        ...
+# A path says where a body is after a distance. The middle of its footprint never moves further than
+# the distance, and its line is never bent more than three times as much as the heading turns at
+# most.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,31 +31,19 @@ class StraightPath:
 
     start_m: FloatArray  # (2,); east, north at distance 0
     yaw_deg: float  # direction, counter-clockwise from east
-    _direction: FloatArray = field(init=False, repr=False)
+    direction: FloatArray = field(init=False, repr=False)  # the same as a unit vector, (2,)
+    # how much the heading changes in a metre, and how much that changes itself, at most
+    max_turn_rad_per_m: ClassVar[float] = 0.0
+    max_turn_change_rad_per_m2: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
         set_arrays(self, "", start_m=(2,))
-        object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
-
-    @property
-    def direction(self) -> FloatArray:
-        """Unit vector of the driving direction, (2,)."""
-        return self._direction
-
-    @property
-    def max_turn_rad_per_m(self) -> float:
-        """Zero: the heading stays."""
-        return 0.0
-
-    @property
-    def max_turn_change_rad_per_m2(self) -> float:
-        """Zero: the heading stays."""
-        return 0.0
+        object.__setattr__(self, "direction", _unit_vector(self.yaw_deg))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position and heading after a distance; see :meth:`Path.at`."""
+        """Middle of the footprint (..., 2) and heading after a distance, also beyond the ends."""
         distance = np.asarray(distance_m, dtype=np.float64)
-        position: FloatArray = self.start_m + distance[..., None] * self._direction
+        position: FloatArray = self.start_m + distance[..., None] * self.direction
         return position, np.full(distance.shape, self.yaw_deg)
 
 
@@ -84,8 +51,8 @@ class StraightPath:
 class TurnPath:
     """A vehicle's way: straight on, round a turn, and straight on without end.
 
-    Distances are those of the front axle's centre, which follows the line: the protocol's control
-    point. The rear axle is dragged behind it and never slips sideways.
+    Distances are those of the front axle's centre, the protocol's control point, which follows the
+    line. The rear axle is dragged behind it and never slips sideways.
     """
 
     start_m: FloatArray  # (2,); east, north of the front axle's centre at distance 0
@@ -99,7 +66,7 @@ class TurnPath:
 
     def __post_init__(self) -> None:
         set_arrays(self, "", start_m=(2,))
-        object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg, "yaw_deg"))
+        object.__setattr__(self, "_direction", _unit_vector(self.yaw_deg))
         if not 0.0 <= self.straight_m < np.inf:
             raise InputError("straight_m", self.straight_m, "metres, at least 0")
         _check_axles(self.wheelbase_m, self.front_axle_ahead_m)
@@ -116,52 +83,46 @@ class TurnPath:
         return 1.0 / (self.turn.radius_m * self.wheelbase_m)
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the middle of the footprint and heading of the body; see :meth:`Path.at`."""
+        """Position of the middle of the footprint and heading; see :meth:`StraightPath.at`."""
         table = self._table
         on_turn = np.asarray(distance_m, dtype=np.float64) - self.straight_m
         inside = np.minimum(np.maximum(on_turn, 0.0), table.distance_m[-1])
         beyond = on_turn - inside  # negative before the turn
         after = np.maximum(beyond, 0.0)
-        exit_direction = table.exit_direction
-        # Dragged along a straight, the tangent of half the angle decays exponentially.
-        lag = 2.0 * np.arctan(table.exit_half_lag_tan * np.exp(-after / self.wheelbase_m))
-        body = np.where(
-            after > 0.0,
-            table.exit_rad - lag,
+        exit_rad = table.exit_rad
+        body = _aligned_rad(
             np.interp(inside, table.distance_m, table.body_rad),
+            exit_rad,
+            table.exit_half_lag_tan,
+            after / self.wheelbase_m,
         )
         ahead = (
             np.interp(inside, table.distance_m, table.ahead_m)
             + np.minimum(beyond, 0.0)
-            + after * exit_direction[0]
+            + after * np.cos(exit_rad)
             - self.front_axle_ahead_m * np.cos(body)
+            + self.straight_m
         )
         left = (
             np.interp(inside, table.distance_m, table.left_m)
-            + after * exit_direction[1]
+            + after * np.sin(exit_rad)
             - self.front_axle_ahead_m * np.sin(body)
         )
-        return self._to_world(ahead, left), self.yaw_deg + np.degrees(body)
-
-    def front_axle_at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position (..., 2) of the front axle's centre and direction of its path after a distance.
-
-        The body's own heading lags behind.
-        """
-        point, angle_deg = self.turn.at(np.asarray(distance_m, dtype=np.float64) - self.straight_m)
-        return self._to_world(point[..., 0], point[..., 1]), self.yaw_deg + angle_deg
-
-    def _to_world(self, ahead_m: FloatArray, left_m: FloatArray) -> FloatArray:
-        """From ahead and left of the turn's start to east and north."""
-        along = ahead_m + self.straight_m
         cosine, sine = self._direction
-        return np.stack(
-            [
-                self.start_m[0] + cosine * along - sine * left_m,
-                self.start_m[1] + sine * along + cosine * left_m,
-            ],
-            axis=-1,
-        )
+        east = self.start_m[0] + cosine * ahead - sine * left
+        north = self.start_m[1] + sine * ahead + cosine * left
+        return np.stack([east, north], axis=-1), self.yaw_deg + np.degrees(body)
+
+
+def _aligned_rad(
+    body_rad: FloatArray, exit_rad: float, half_lag_tan: float, after: FloatArray
+) -> FloatArray:
+    """Headings of a dragged body, `after` wheelbases along a straight that follows; 0: before it.
+
+    Dragged along a straight, the tangent of half the angle to it decays exponentially.
+    """
+    lag = 2.0 * np.arctan(half_lag_tan * np.exp(-after))
+    return np.where(after > 0.0, exit_rad - lag, body_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -182,7 +143,7 @@ class CoursePath:
         return self.course.max_bend_change_per_m2
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position and heading after a distance; see :meth:`Path.at`."""
+        """Position and heading after a distance; see :meth:`StraightPath.at`."""
         distance = np.asarray(distance_m, dtype=np.float64)
         position, yaw_rad = self.course.at(self.start_m + distance)
         return position, np.degrees(yaw_rad)
@@ -190,10 +151,9 @@ class CoursePath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TowedPath:
-    """A vehicle's way along a course, which the centre of its front axle follows.
+    """A vehicle's way along a course, which its front axle follows, as on a :class:`TurnPath`.
 
-    The rear axle is dragged behind it and never slips sideways, as on a :class:`TurnPath`. Far
-    behind, where the course is straight, the body is aligned with it.
+    Far behind, where the course is straight, the body is aligned with it.
     """
 
     course: Course  # the line
@@ -223,16 +183,16 @@ class TowedPath:
         return 2.0 * self.course.max_bend_per_m / self.wheelbase_m
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the middle of the footprint and heading of the body; see :meth:`Path.at`."""
+        """Position of the middle of the footprint and heading; see :meth:`StraightPath.at`."""
         station = self.start_m + np.asarray(distance_m, dtype=np.float64)
         front, _ = self.course.at(station)
-        body = self.course.interpolate(station, self._body_rad)
-        beyond = np.maximum(station - self.course.end_m, 0.0)
-        # Dragged along a straight, the tangent of half the lag decays exponentially.
         exit_rad = self.course.yaw_rad[-1]
-        half_lag = np.tan(0.5 * (exit_rad - self._body_rad[-1]))
-        lag = 2.0 * np.arctan(half_lag * np.exp(-beyond / self.wheelbase_m))
-        body = np.where(beyond > 0.0, exit_rad - lag, body)
+        body = _aligned_rad(
+            self.course.interpolate(station, self._body_rad),
+            exit_rad,
+            np.tan(0.5 * (exit_rad - self._body_rad[-1])),
+            np.maximum(station - self.course.end_m, 0.0) / self.wheelbase_m,
+        )
         ahead = np.stack([np.cos(body), np.sin(body)], axis=-1)
         return front - self.front_axle_ahead_m * ahead, np.degrees(body)
 
@@ -245,7 +205,7 @@ NORTH_TO_SOUTH = np.array([1.0, -1.0])
 class MovedPath:
     """A path that lies otherwise: in a mirror, then turned about the origin, then shifted."""
 
-    path: Path
+    path: "Path"
     ahead_m: float = 0.0  # it begins so much farther on
     is_mirrored: bool = False  # north and south are swapped
     turn_deg: float = 0.0  # counter-clockwise
@@ -262,7 +222,7 @@ class MovedPath:
         return self.path.max_turn_change_rad_per_m2
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """See :meth:`Path.at`."""
+        """See :meth:`StraightPath.at`."""
         position_m, yaw_deg = self.path.at(np.asarray(distance_m, dtype=np.float64) + self.ahead_m)
         if self.is_mirrored:
             position_m, yaw_deg = position_m * NORTH_TO_SOUTH, -yaw_deg
@@ -270,6 +230,9 @@ class MovedPath:
             position_m = rotated(position_m, self.turn_deg) + self.shift_m
             yaw_deg = yaw_deg + self.turn_deg
         return position_m, yaw_deg
+
+
+Path = StraightPath | TurnPath | CoursePath | TowedPath | MovedPath
 
 
 def rotated(vectors_m: ArrayLike, angle_deg: float) -> FloatArray:
@@ -310,10 +273,7 @@ class Motion:
 
     @property
     def acceleration_mps2(self) -> float:
-        """The most that its speed changes, up or down, in a second.
-
-        v^2 / (2 a) over the acceleration distance a; 0 where there is none.
-        """
+        """The most its speed changes in a second: v^2 / (2 a) over the acceleration distance."""
         if self.acceleration_distance_m == 0.0:
             return self.deceleration_mps2
         gained = self.speed_mps**2 / (2.0 * self.acceleration_distance_m)
@@ -364,22 +324,15 @@ def travel_time_s(
     return float((distance_m + acceleration_distance_m) / speed_mps)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _TurnTable:
-    """A vehicle on a turn, from the turn's start to its end; ahead and left of the start.
+class _TurnTable(NamedTuple):
+    """A vehicle on a turn, ahead and left of the turn's start, whose direction is 0."""
 
-    Distance, ahead and left are those of the front axle, (n,); `body_rad` (n,) is the heading of
-    the body, `exit_rad` and the unit vector `exit_direction` that of the path after the turn, and
-    `exit_half_lag_tan` the tangent of half the angle by which the body lags behind there.
-    """
-
-    distance_m: FloatArray
-    ahead_m: FloatArray
+    distance_m: FloatArray  # (n,); from its start to its end
+    ahead_m: FloatArray  # (n,); of the front axle
     left_m: FloatArray
-    body_rad: FloatArray
-    exit_rad: float
-    exit_direction: tuple[float, float]
-    exit_half_lag_tan: float
+    body_rad: FloatArray  # (n,); heading of the body
+    exit_rad: float  # direction of the path after the turn
+    exit_half_lag_tan: float  # tangent of half the angle by which the body lags behind there
 
 
 @lru_cache(maxsize=64)  # the same few turns are driven again and again
@@ -390,13 +343,12 @@ def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
     lag = turn.side * _lag_rad(turn, wheelbase_m, distance)
     exit_rad = float(path_rad[-1])
     return _TurnTable(
-        distance_m=freeze(distance),
-        ahead_m=freeze(point[:, 0].copy()),
-        left_m=freeze(point[:, 1].copy()),
-        body_rad=freeze(path_rad - lag),
-        exit_rad=exit_rad,
-        exit_direction=(float(np.cos(exit_rad)), float(np.sin(exit_rad))),
-        exit_half_lag_tan=float(np.tan(0.5 * lag[-1])),
+        freeze(distance),
+        freeze(point[:, 0].copy()),
+        freeze(point[:, 1].copy()),
+        freeze(path_rad - lag),
+        exit_rad,
+        float(np.tan(0.5 * lag[-1])),
     )
 
 
@@ -462,9 +414,9 @@ def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:
         raise InputError("front_axle_ahead_m", front_axle_ahead_m, "0 <= metres <= wheelbase")
 
 
-def _unit_vector(yaw_deg: float, name: str) -> FloatArray:
+def _unit_vector(yaw_deg: float) -> FloatArray:
     if not np.isfinite(yaw_deg):
-        raise InputError(name, yaw_deg, "finite degrees")
+        raise InputError("yaw_deg", yaw_deg, "finite degrees")
     yaw = np.radians(yaw_deg)
     return freeze(np.array([np.cos(yaw), np.sin(yaw)]))
 

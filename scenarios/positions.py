@@ -92,9 +92,8 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
         f"metres along the arm, 0 to {rules.max_distance_m:g}, with commas between, such as 0,15,30"
     )
     words = [word.strip() for word in text.split(",")]
-    if len(words) > rules.max_distances:
-        got = Unquoted(f"{len(words)} distances")
-        raise InputError(where, got, f"at most {rules.max_distances}")
+    if len(words) > (most := rules.max_distances):
+        raise InputError(where, Unquoted(f"{len(words)} distances"), f"at most {most}")
     distances: list[float] = []
     for word in words:
         try:
@@ -128,10 +127,7 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
 
 
 def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
-    """Positions by the words of a user: `along_arms` if it says something, else by the `cases`.
-
-    Raises InputError as :func:`read_along_arms`.
-    """
+    """Positions by the words of a user: `along_arms` if it says something, else by the `cases`."""
     if along_arms.strip():
         return build_positions(read_along_arms(along_arms, "along_arms"))
     return (AT_ZERO,) if is_study_set(cases) else build_positions(load_position_rules().default_m)
@@ -151,13 +147,11 @@ def read_position(text: str, where: str) -> Position:
     except (InputError, ValueError):
         distance_m = math.nan
     if not (sign or distance_m == 0.0) or not math.isfinite(distance_m):
-        limit_m = load_position_rules().max_distance_m
-        raise InputError(
-            where,
-            text,
+        expected = (
             "0, or metres before it such as -15, or beyond the crosswalk of the arm ahead such as "
-            f"+0 or +15, up to {limit_m:g}",
+            f"+0 or +15, up to {load_position_rules().max_distance_m:g}"
         )
+        raise InputError(where, text, expected)
     return Position(is_behind=sign == "+", distance_m=distance_m)
 
 
@@ -179,11 +173,7 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 # ---------- positions of cases
 def is_bound(case: Case) -> bool:
-    """True if a case has one place: the VUT turns, the VRU's road is there, or it was recorded.
-
-    All others - people who cross the VUT's lane, those who move ahead in it - may happen anywhere
-    along an arm.
-    """
+    """True if a case has one place: the VUT turns, the VRU's road is there, or it was recorded."""
     if case.kind in ("turning", "recorded"):
         return True
     return case.vru_line is not None and case.vru_line.along != "crosswalk"

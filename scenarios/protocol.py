@@ -1,6 +1,6 @@
 """Cases laid on the approaches of any junction, by the rules of the protocol."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,48 +12,13 @@ from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
 
+from . import staging, ways
 from .cases import Case
-from .courses import Turn, follow_gently, follow_lane, pick_turn
+from .courses import follow_gently, follow_lane, pick_turn
+from .encounters import Encounter
 from .obstructions import hide, park
 from .paths import MPS_PER_KMH, Path, travel_time_s
 from .positions import AT_ZERO, Position, is_bound
-from .staging import (
-    CannotCarryError,
-    NoRoadError,
-    Settle,
-    Staging,
-    find_crossing,
-    find_meeting,
-    first_that_fits,
-    impact_offset_m,
-    is_vehicle,
-    load_obstruction_rules,
-    load_way_rules,
-    set_off,
-)
-from .ways import (
-    CurvedWay,
-    Joint,
-    StraightWay,
-    Turning,
-    Way,
-    WayAcross,
-    along_connection,
-    arm_ahead,
-    arm_at,
-    check_straight,
-    free_aside_m,
-    is_bent,
-    joints,
-    lane_way,
-    meeting_m,
-    on_lanes,
-    on_straights,
-    reversed_way,
-    straight_lane,
-    straight_line,
-    way_across,
-)
 
 
 def stage_by_protocol(
@@ -64,8 +29,8 @@ def stage_by_protocol(
     vut_speed_kmh: float,
     vut: Actor,
     position: Position = AT_ZERO,
-    settle: Settle = lambda staging: staging,
-) -> Staging:
+    settle: staging.Settle = lambda laid: laid,
+) -> staging.Staging:
     """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
     The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
@@ -86,28 +51,27 @@ def stage_by_protocol(
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
-        raise NoRoadError(case.not_laid)
+        raise staging.NoRoadError(case.not_laid)
     arm = junction.arms[approach]
     if not arm.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {approach}")
+        raise staging.NoRoadError(f"no lane leads into the junction from the {approach}")
     if position != AT_ZERO and is_bound(case):
-        raise CannotCarryError("the case is bound to the junction: it has no other positions")
+        raise staging.CannotCarryError(
+            "the case is bound to the junction: it has no other positions"
+        )
+    asked = _Asked(case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh)
     if case.kind == "turning":
-        return first_that_fits(_turnings(case, junction, arm, vut_speed_kmh, vut), settle)
+        return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
     places = (
-        _places_through(junction, arm, position, vut)
+        _places_through(asked, position)
         if position.is_behind or is_met_head_on
-        else _places_before(case, junction, arm, position, vut)
+        else _places_before(asked, position)
     )
     if _comes_through(case):
-        return first_that_fits(_crossings(case, junction, arm, places, vut_speed_kmh, vut), settle)
+        return staging.first_that_fits(_crossings(asked, places), settle)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
-
-    def staged(place: Callable[[], _Place]) -> Callable[[], Staging]:
-        return lambda: lay(case, junction, place(), vut_speed_kmh, vut)
-
-    return first_that_fits((staged(place) for place in places), settle)
+    return staging.first_that_fits((partial(lay, asked, place) for place in places), settle)
 
 
 def _comes_through(case: Case) -> bool:
@@ -116,10 +80,26 @@ def _comes_through(case: Case) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Asked:
+    """What is to be laid."""
+
+    case: Case
+    junction: Junction
+    arm: Arm  # from which the VUT comes
+    vut: Actor
+    vut_speed_kmh: float
+
+    @property
+    def entry_line(self) -> Line:
+        """The straight line along the VUT's lane at the kerb."""
+        return ways.straight_line(self.arm.entry_lanes[0], is_in=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Place:
     """Where along the VUT's way a case is laid."""
 
-    way: Way
+    way: ways.Way
     crosswalk: Line
     entry_lane: Lane
     followed: Lane  # the same, with what is assumed before it
@@ -129,37 +109,35 @@ class _Place:
     is_checked: bool  # the way is known to follow its lanes
 
     def meeting_point(self) -> tuple[float, FloatArray]:
-        """Station and point (2,) at which the VUT's way and a crossing VRU's meet.
-
-        Raises NoRoadError where no lane of the map lies.
-        """
+        """Station and point (2,) where a crossing VRU is met; NoRoadError: no lane is there."""
         station_m, point_m = self.way.crossing(self.crosswalk)
         if self.ahead_m == 0.0:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise NoRoadError("the mapped lane does not reach so far")
+            raise staging.NoRoadError("the mapped lane does not reach so far")
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
         """Raise if a straight way leaves the lane within some metres before the meeting point."""
         if not self.is_checked:
-            check_straight(self.way, self.followed, driven_m - self.ahead_m)
+            ways.check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
-def _places_before(
-    case: Case, junction: Junction, arm: Arm, position: Position, vut: Actor
-) -> Iterator[Callable[[], _Place]]:
-    """Places on the arm from which the VUT comes, the protocol's first.
+_Lay = Callable[[], _Place]  # or raises CannotCarryError
 
-    Where the lane bends, also along its bends; where the corner leaves no kerb to park at before
-    the crosswalk, nearest before it.
+
+def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
+    """Places on the arm from which the VUT comes, the protocol's first; then along a lane's bends.
+
+    Where the corner leaves no kerb to park at before the crosswalk, nearest before it.
     """
-    lane = straight_lane(junction, arm) if is_bound(case) else arm.entry_lanes[0]
-    followed = junction.followed(lane)
+    case, arm = asked.case, asked.arm
+    lane = ways.straight_lane(asked.junction, arm) if is_bound(case) else arm.entry_lanes[0]
+    followed = asked.junction.followed(lane)
 
-    def at(way: Callable[[], Way], before_m: float = 0.0) -> Callable[[], _Place]:
-        return lambda: _Place(
+    def place(way: Callable[[], ways.Way], before_m: float = 0.0) -> _Place:
+        return _Place(
             way=way(),
             crosswalk=arm.crosswalk,
             entry_lane=lane,
@@ -170,200 +148,193 @@ def _places_before(
             is_checked=False,
         )
 
-    ways: list[Callable[[], Way]] = [lambda: StraightWay(line=straight_line(lane, is_in=True))]
-    if is_bent(followed, is_in=True):
-        free_m = free_aside_m(vut, followed)
-        ways.append(lambda: CurvedWay(course=follow_lane(followed.centreline_m, is_in=True)))
-        ways.append(
-            lambda: CurvedWay(course=follow_gently([followed.centreline_m], [free_m], origin=1))
-        )
-    yield from (at(way) for way in ways)
+    chain_m = followed.centreline_m
+    lines: list[Callable[[], ways.Way]] = [
+        lambda: ways.StraightWay(line=ways.straight_line(lane, is_in=True))
+    ]
+    if ways.is_bent(followed, is_in=True):
+        free_m = ways.free_aside_m(asked.vut, followed)
+        lines.append(lambda: ways.CurvedWay(course=follow_lane(chain_m, is_in=True)))
+        lines.append(lambda: ways.CurvedWay(course=follow_gently([chain_m], [free_m], origin=1)))
+    yield from (partial(place, way) for way in lines)
     if position == AT_ZERO and case.obstruction and case.obstruction.kind == "beside-vut":
-        rules = load_obstruction_rules()
-        for before_m in np.arange(1.0, rules.max_before_m + 0.5).tolist():
-            yield from (at(way, before_m) for way in ways)
+        for before_m in np.arange(
+            1.0, staging.load_obstruction_rules().max_before_m + 0.5
+        ).tolist():
+            yield from (partial(place, way, before_m) for way in lines)
 
 
-def _places_through(
-    junction: Junction, arm: Arm, position: Position, vut: Actor
-) -> Iterator[Callable[[], _Place]]:
-    """Places on the way straight through the junction, by lane from the kerb, then on gentler ways.
-
-    Behind the junction they count from the crosswalk of the arm ahead.
-    """
-    ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
+def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
+    """Places on the way straight through, counted behind it from the arm ahead's crosswalk."""
+    arm = asked.arm
+    ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError("no lane leads straight on out of the junction")
-    crosswalk = ahead.crosswalk if position.is_behind else arm.crosswalk
-
-    def at(across: Callable[[], WayAcross]) -> Callable[[], _Place]:
-        def place() -> _Place:
-            found = across()
-            return _Place(
-                way=found.way,
-                crosswalk=crosswalk,
-                entry_lane=found.entry,
-                followed=found.entry,
-                begin_m=found.begin_m,
-                end_m=lane_length_m(found.leaving),
-                ahead_m=position.ahead_m,
-                is_checked=True,
-            )
-
-        return place
-
-    yield from (at(across) for across in _ways_through(junction, arm, ahead, vut))
+        raise staging.NoRoadError("no lane leads straight on out of the junction")
+    yield from _ways_through(
+        asked.junction,
+        arm,
+        ahead,
+        asked.vut,
+        crosswalk=ahead.crosswalk if position.is_behind else arm.crosswalk,
+        ahead_m=position.ahead_m,
+    )
 
 
 def _ways_through(
-    junction: Junction, arm: Arm, ahead: Arm, body: Actor
-) -> Iterator[Callable[[], WayAcross]]:
+    junction: Junction,
+    arm: Arm,
+    ahead: Arm,
+    body: Actor,
+    *,
+    crosswalk: Line | None = None,
+    ahead_m: float = 0.0,
+) -> Iterator[_Lay]:
     """Ways of a vehicle from one arm straight on into another, by lane from the kerb."""
 
-    def across(joint: Joint, *, is_gentle: bool) -> WayAcross:
-        entry, connection, leaving = joint
+    def place(entry: Lane, connection: Lane | None, leaving: Lane, *, is_gentle: bool) -> _Place:
         entry = junction.followed(entry)
-        return way_across(
-            entry,
-            leaving,
-            connection,
-            max_bend_m=load_way_rules().max_lane_bend_m,
-            free_m=free_aside_m(body, entry, leaving) if is_gentle else None,
+        free_m = ways.free_aside_m(body, entry, leaving) if is_gentle else None
+        way, begin_m = ways.way_across(entry, leaving, connection, free_m=free_m)
+        return _Place(
+            way=way,
+            crosswalk=crosswalk or arm.crosswalk,
+            entry_lane=entry,
+            followed=entry,
+            begin_m=begin_m,
+            end_m=lane_length_m(leaving),
+            ahead_m=ahead_m,
+            is_checked=True,
         )
 
-    found = joints(junction, arm, ahead, "through")
+    found = ways.joints(junction, arm, ahead, "through")
     for is_gentle in (False, True):
-        yield from (partial(across, joint, is_gentle=is_gentle) for joint in found)
+        yield from (partial(place, *joint, is_gentle=is_gentle) for joint in found)
 
 
 # ---------- crossing and longitudinal cases
 _MOUTH_M = 15.0  # of a lane, that tell where it leads
 
 
-def _crossings(
-    case: Case,
-    junction: Junction,
-    arm: Arm,
-    places: Iterable[Callable[[], _Place]],
-    vut_speed_kmh: float,
-    vut: Actor,
-) -> Iterator[Callable[[], Staging]]:
-    """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
-    is_near = case.vru_side == "near"
-    side = arm_at(junction, straight_line(arm.entry_lanes[0], is_in=True), to_left=not is_near)
+def _side(asked: _Asked, line: Line) -> Arm:
+    """The arm on the side from which the VRU comes."""
+    side = ways.arm_at(asked.junction, line, to_left=asked.case.vru_side != "near")
     if side is None or not side.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {case.vru_side} side")
+        raise staging.NoRoadError(
+            f"no lane leads into the junction from the {asked.case.vru_side} side"
+        )
+    return side
+
+
+def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], staging.Staging]]:
+    """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
+    side = _side(asked, asked.entry_line)
     # What counts is how the other road leads into the junction, not where it comes from.
     mouth, _ = lane_line(side.entry_lanes[0], is_in=True, length_m=_MOUTH_M)
-    ahead = arm_ahead(junction, side, mouth)
+    ahead = ways.arm_ahead(asked.junction, side, mouth)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError(f"no road leads straight across from the {case.vru_side} side")
-
-    def lay(place: Callable[[], _Place], across: Callable[[], WayAcross]) -> Callable[[], Staging]:
-        return lambda: _lay_crossing(
-            case, junction, place(), vut_speed_kmh, vut, arm=arm, vru_way=across().way
+        raise staging.NoRoadError(
+            f"no road leads straight across from the {asked.case.vru_side} side"
         )
-
     every = tuple(places)
-    for across in _ways_through(junction, side, ahead, case.vru):
-        yield from (lay(place, across) for place in every)
+    for across in _ways_through(asked.junction, side, ahead, asked.case.vru):
+        yield from (partial(_lay_crossing, asked, place, across) for place in every)
 
 
-def _lay_crossing(
-    case: Case,
-    junction: Junction,
-    place: _Place,
-    vut_speed_kmh: float,
-    vut: Actor,
-    *,
-    arm: Arm | None = None,
-    vru_way: Way | None = None,
-) -> Staging:
-    """A crossing; of a vehicle with its way, `vru_way`, and the arm from which the VUT comes."""
-    vut_way = place.way
-    if vru_way is None:
-        vut_m, vru_way, vru_m = _crossing(case, junction, place)
+def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> staging.Staging:
+    """A crossing; of a vehicle with its way, `across`."""
+    place = laid()
+    case, vut, vut_way = asked.case, asked.vut, place.way
+    if across is None:
+        vut_m, vru_way, vru_m = _crossing(asked, place)
     else:
-        vut_m, vru_way, vru_m = _meet(vut_way, vru_way)
-    vru_line = vru_way.tangent(vru_m)
+        vut_m, vru_way, vru_m = _meet(vut_way, across().way)
     # Far enough back for any gap between the lines; the impact lies near their crossing.
     behind_m = 2.0 * (vut.length_m + case.vru.length_m)
-    meeting = find_meeting(
+    vut_distance_m, vru_distance_m = staging.find_meeting(
         case,
         vut=vut,
         vut_path=vut_way.vut_path(vut_m - behind_m, vut),
-        vru_line=vru_line,
+        vru_line=vru_way.tangent(vru_m),
         search_m=(0.0, 2.0 * behind_m),
     )
-    travel_m = _travel_m(case, meeting.vru_distance_m)
+    travel_m = _travel_m(case, vru_distance_m)
     begin_s = -_travel_s(case, travel_m)
-    driven_m = -begin_s * vut_speed_kmh * MPS_PER_KMH
+    driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(driven_m)
-    encounter = set_off(
-        case,
-        vut=vut,
-        vut_path=vut_way.vut_path(vut_m - behind_m + meeting.vut_distance_m - driven_m, vut),
-        vut_start_s=begin_s,
-        vut_speed_kmh=vut_speed_kmh,
-        vru_path=_path_of(case, vru_way, vru_m + (meeting.vru_distance_m - travel_m)),
-        vru_start_s=begin_s,
-    )
+    vut_path = vut_way.vut_path(vut_m - behind_m + vut_distance_m - driven_m, vut)
+    encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m + (vru_distance_m - travel_m))
     obstruction = case.obstruction
-    if obstruction is None or max(vut_speed_kmh, case.vru_speed_kmh) > obstruction.max_speed_kmh:
-        return Staging(encounter=encounter, obstruction=())
+    is_too_fast = obstruction and max(asked.vut_speed_kmh, case.vru_speed_kmh) > (
+        obstruction.max_speed_kmh
+    )
+    if obstruction is None or is_too_fast:
+        return staging.Staging(encounter=encounter, obstruction=())
     if obstruction.kind == "beside-road":
-        assert arm is not None
-        row_way, bumper_m, side = _beside_road(case, junction, arm, place, vut_m)
+        row_way, bumper_m, side = _beside_road(asked, place, vut_m)
         return park(encounter, obstruction, row_way=row_way, bumper_m=bumper_m, side=side)
     return hide(encounter, obstruction, vut_way=vut_way, vut_m=vut_m, vru_way=vru_way, vru_m=vru_m)
 
 
-def _beside_road(
-    case: Case, junction: Junction, arm: Arm, place: _Place, vut_m: float
-) -> tuple[Way, float, float]:
-    """The lane next to which cars park on the side from which a vehicle comes.
+def _set_off(
+    asked: _Asked,
+    vut_path: Path,
+    begin_s: float,
+    vru_way: ways.Way,
+    vru_m: float,
+    *,
+    vru_begin_s: float | None = None,
+    brakes_s: float = np.inf,
+) -> Encounter:
+    """Both set off at `begin_s`, or the VRU at its own time, from a station of its way."""
+    vru = asked.case.vru
+    return staging.set_off(
+        asked.case,
+        vut=asked.vut,
+        vut_path=vut_path,
+        vut_start_s=begin_s,
+        vut_speed_kmh=asked.vut_speed_kmh,
+        vru_path=vru_way.vut_path(vru_m, vru)
+        if staging.is_vehicle(vru)
+        else vru_way.vru_path(vru_m),
+        vru_start_s=begin_s if vru_begin_s is None else vru_begin_s,
+        vru_brakes_s=brakes_s,
+    )
 
-    In the VUT's direction; the station of the first one's bumper; and +1 to the left of it, -1 to
-    the right.
+
+def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[ways.Way, float, float]:
+    """The lane next to which cars park on the side from which a vehicle comes, as the VUT drives.
+
+    The station of the first one's bumper; and +1 to the left of the lane, -1 to the right.
     """
-    assert case.obstruction is not None
-    bumper_m, side = vut_m - case.obstruction.first_gap_m, -1.0
+    arm, row = asked.arm, asked.case.obstruction
+    assert row is not None
+    bumper_m, side = vut_m - row.first_gap_m, -1.0
     lane, is_in = arm.entry_lanes[0], True
-    if case.vru_side == "far":
+    if asked.case.vru_side == "far":
         side = 1.0
         lane, is_in = (arm.exit_lanes[0], False) if arm.exit_lanes else (arm.entry_lanes[-1], True)
-    row_m = sum(body.length_m + case.obstruction.between_gap_m for body in case.obstruction.bodies)
-    way = lane_way(
-        junction.followed(lane) if is_in else lane,
-        is_in=is_in,
-        length_m=row_m + case.obstruction.first_gap_m,
-        max_bend_m=load_way_rules().max_lane_bend_m,
-    )
+    row_m = sum(body.length_m + row.between_gap_m for body in row.bodies)
+    followed = asked.junction.followed(lane) if is_in else lane
+    way = ways.lane_way(followed, is_in=is_in, length_m=row_m + row.first_gap_m)
     if not is_in:
-        way = reversed_way(way)
+        way = ways.reversed_way(way)
     return way, way.station_of(place.way.point(bumper_m, 0.0)), side
 
 
-def _crossing(case: Case, junction: Junction, place: _Place) -> tuple[float, Way, float]:
+def _crossing(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
     """The VRU's way, and the stations of the VUT's and of it at which they cross."""
-    vut_way = place.way
+    case, vut_way = asked.case, place.way
     assert case.vru_line is not None
-    is_near = case.vru_side == "near"
     if case.vru_line.along == "crosswalk":
         vut_m, point = place.meeting_point()
         if place.ahead_m != 0.0:
-            _check_no_junction(junction, point)
+            _check_no_junction(asked.junction, point)
         left = vut_way.direction(vut_m).left
-        line = Line(point_m=point, direction=left if is_near else -left)
-        return vut_m, StraightWay(line=line), 0.0
-    side = arm_at(junction, vut_way.tangent(0.0), to_left=not is_near)
-    if side is None or not side.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {case.vru_side} side")
-    lane, left_m = _cyclists_lane(case, side)
+        line = Line(point_m=point, direction=left if case.vru_side == "near" else -left)
+        return vut_m, ways.StraightWay(line=line), 0.0
+    lane, left_m = _cyclists_lane(case, _side(asked, vut_way.tangent(0.0)))
     ridden_m = _travel_m(case, 0.0)
-    middle = lane_way(
-        lane, is_in=True, length_m=ridden_m, max_bend_m=load_way_rules().max_lane_bend_m
-    )
+    middle = ways.lane_way(lane, is_in=True, length_m=ridden_m)
     return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
 
 
@@ -380,20 +351,16 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
         begin = lane.centreline_m[0]
         is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
         if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
-            raise NoRoadError("another junction lies there: nobody crosses in its middle")
+            raise staging.NoRoadError("another junction lies there: nobody crosses in its middle")
 
 
-def _across(line: Line, direction: FloatArray) -> StraightWay:
-    return StraightWay(line=Line(point_m=line.point_m, direction=direction))
-
-
-def _meet(vut_way: Way, vru_way: Way) -> tuple[float, Way, float]:
+def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]:
     """Station of the VUT's way, the VRU's way and its station, where the two cross."""
-    if isinstance(vut_way, StraightWay) and isinstance(vru_way, StraightWay):
+    if isinstance(vut_way, ways.StraightWay) and isinstance(vru_way, ways.StraightWay):
         _, point = vru_way.crossing(vut_way.line)
         line = Line(point_m=point, direction=vru_way.line.direction)
-        return float(vut_way.line.coordinates(line.point_m)[0]), StraightWay(line=line), 0.0
-    vut_m, vru_m = meeting_m(vut_way, vru_way)
+        return float(vut_way.line.coordinates(line.point_m)[0]), ways.StraightWay(line=line), 0.0
+    vut_m, vru_m = ways.meeting_m(vut_way, vru_way)
     return vut_m, vru_way, vru_m
 
 
@@ -405,41 +372,34 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
     outer, left_m = side.entry_lanes[0], case.vru_line.left_m
     if case.vru_line.lane == "inner" and len(side.entry_lanes) > 1:
         # Not at the road's axis, with traffic on both sides.
-        return outer, load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m
+        return outer, staging.load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m
     most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))  # narrow lanes
     return outer, min(left_m, most_m)
 
 
-def _lay_longitudinal(
-    case: Case, junction: Junction, place: _Place, vut_speed_kmh: float, vut: Actor
-) -> Staging:
-    vut_way = place.way
+def _lay_longitudinal(asked: _Asked, laid: _Lay) -> staging.Staging:
+    place = laid()
+    case, vut, vut_way = asked.case, asked.vut, place.way
     impact_m, _ = place.meeting_point()
-    travel_m, begin_s, brakes_s = _drive_ahead(case, vut_speed_kmh)
+    travel_m, begin_s, brakes_s = _drive_ahead(case, asked.vut_speed_kmh)
     before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m + place.begin_m
-    if before_lane_m > 0.0 and not (is_vehicle(case.vru) or junction.is_led_on(place.entry_lane)):
-        if place.ahead_m != 0.0:  # one reason for many positions
-            raise CannotCarryError("the VRU would set off before the mapped lane begins")
-        raise CannotCarryError(
-            f"the VRU would set off {before_lane_m:.1f} m before the mapped lane begins"
+    is_led_on = staging.is_vehicle(case.vru) or asked.junction.is_led_on(place.entry_lane)
+    if before_lane_m > 0.0 and not is_led_on:
+        # At other positions than 0 one reason for many of them.
+        how_far = f"{before_lane_m:.1f} m " if place.ahead_m == 0.0 else ""
+        raise staging.CannotCarryError(
+            f"the VRU would set off {how_far}before the mapped lane begins"
         )
-    driven_m = -begin_s * vut_speed_kmh * MPS_PER_KMH
+    driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
-    vru_way, vru_m = vut_way.offset(impact_offset_m(case, vut), impact_m, back_m=travel_m)
+    vru_way, vru_m = vut_way.offset(staging.impact_offset_m(case, vut), impact_m, back_m=travel_m)
     if case.vru_direction == "opposite":
-        vru_way, vru_m = reversed_way(vru_way), -vru_m
-    encounter = set_off(
-        case,
-        vut=vut,
-        vut_path=vut_way.vut_path(impact_m - gap_m - driven_m, vut),
-        vut_start_s=begin_s,
-        vut_speed_kmh=vut_speed_kmh,
-        vru_path=_path_of(case, vru_way, vru_m + (0.0 - travel_m)),
-        vru_start_s=begin_s,
-        vru_brakes_s=brakes_s,
-    )
-    return Staging(encounter=encounter, obstruction=())
+        vru_way, vru_m = ways.reversed_way(vru_way), -vru_m
+    vut_path = vut_way.vut_path(impact_m - gap_m - driven_m, vut)
+    vru_m += 0.0 - travel_m
+    encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, brakes_s=brakes_s)
+    return staging.Staging(encounter=encounter, obstruction=())
 
 
 def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]:
@@ -468,221 +428,183 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
 
 
 # ---------- turning cases
-def _turnings(
-    case: Case, junction: Junction, arm: Arm, vut_speed_kmh: float, vut: Actor
-) -> Iterator[Callable[[], Staging]]:
+def _turnings(asked: _Asked) -> Iterator[Callable[[], staging.Staging]]:
     """The VUT's ways into another arm: along the junction's lanes, then on the protocol's curve."""
+    case, junction, arm = asked.case, asked.junction, asked.arm
     is_far = case.turn == "far"
-    entry = straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
-    target = arm_at(junction, entry, to_left=is_far)
+    entry = ways.straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
+    target = ways.arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
-    try:
-        turn = pick_turn(case.turn, vut_speed_kmh)
-    except InputError as error:
-        raise CannotCarryError(str(error)) from None
-    found = joints(junction, arm, target, "left" if is_far else "right")
-    oncoming = tuple(_oncoming(case, junction, arm, entry)) if _comes_through(case) else (None,)
-
-    def lay(
-        turning: Callable[[], Turning], across: Callable[[], WayAcross] | None
-    ) -> Callable[[], Staging]:
-        if across is None:
-            return lambda: _lay_turn(case, junction, arm, target, turning(), vut_speed_kmh, vut)
-        return lambda: _lay_turn_across(case, turning(), across().way, vut_speed_kmh, vut)
-
-    for turning in _turnings_between(found, turn, junction, vut):
-        yield from (lay(turning, across) for across in oncoming)
+        raise staging.NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
+    lines = _turnings_into(asked, target)
+    if _comes_through(case):
+        oncoming = tuple(_oncoming(asked, entry))
+        for turning in lines:
+            yield from (partial(_lay_turn_across, asked, turning, across) for across in oncoming)
+    else:
+        yield from (partial(_lay_turn, asked, target, turning) for turning in lines)
 
 
-def _turnings_between(
-    found: Sequence[Joint], turn: Turn, junction: Junction, vut: Actor
-) -> Iterator[Callable[[], Turning]]:
+def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning]]:
     """Turns from lane to lane: along the junction's own lanes, then on the protocol's curve."""
-    for before, connection, after in found:
-        if connection is not None:
-            yield partial(along_connection, junction.followed(before), connection, after, vut)
+    junction, vut = asked.junction, asked.vut
+    try:
+        turn = pick_turn(asked.case.turn, asked.vut_speed_kmh)
+    except InputError as error:
+        raise staging.CannotCarryError(str(error)) from None
+    joined = ways.joints(
+        junction, asked.arm, target, "left" if asked.case.turn == "far" else "right"
+    )
+    found = [(junction.followed(before), connection, after) for before, connection, after in joined]
+    lines: list[Callable[[], ways.Turning]] = [
+        partial(ways.along_connection, before, connection, after, vut)
+        for before, connection, after in found
+        if connection is not None
+    ]
     for before, _, after in found:
-        before = junction.followed(before)
-        yield partial(on_straights, before, after, turn, vut)
-        if is_bent(before, is_in=True) or is_bent(after, is_in=False):
-            yield partial(on_lanes, before, after, turn, vut)
+        lines.append(partial(ways.on_straights, before, after, turn, vut))
+        if ways.is_bent(before, is_in=True) or ways.is_bent(after, is_in=False):
+            lines.append(partial(ways.on_lanes, before, after, turn, vut))
+    return lines
 
 
-def _lay_turn(
-    case: Case,
-    junction: Junction,
-    arm: Arm,
-    target: Arm,
-    turning: Turning,
-    vut_speed_kmh: float,
-    vut: Actor,
-) -> Staging:
-    vru_way, vru_m = _turning_way(case, junction, arm, target, turning)
-    meeting = find_meeting(
+def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> staging.Staging:
+    case, turning = asked.case, turn()
+    vru_way, vru_m = _turning_way(asked, target, turning)
+    vut_distance_m, vru_distance_m = staging.find_meeting(
         case,
-        vut=vut,
+        vut=asked.vut,
         vut_path=turning.path_with(0.0),
         vru_line=vru_way.tangent(vru_m),
         search_m=(0.0, turning.turn_m + lane_length_m(target.exit_lanes[0])),
     )
-    travel_m = _travel_m(case, meeting.vru_distance_m)
-    speed_mps = vut_speed_kmh * MPS_PER_KMH
+    travel_m = _travel_m(case, vru_distance_m)
+    vru_begin_s = -_travel_s(case, travel_m)
+    vut_path, begin_s = _turned(asked, turning, vut_distance_m, -vru_begin_s)
+    vru_m += vru_distance_m - travel_m
+    encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, vru_begin_s=vru_begin_s)
+    return staging.Staging(encounter=encounter, obstruction=())
+
+
+def _turned(
+    asked: _Asked, turning: ways.Turning, vut_distance_m: float, vru_s: float
+) -> tuple[Path, float]:
+    """The VUT's path through a turn with a straight part before it, and when it begins."""
+    speed_mps = asked.vut_speed_kmh * MPS_PER_KMH
     begin_s = -max(
-        _travel_s(case, travel_m),
-        meeting.vut_distance_m / speed_mps + load_way_rules().start_before_curve_s,
+        vru_s, vut_distance_m / speed_mps + staging.load_way_rules().start_before_curve_s
     )
-    straight_m = -begin_s * speed_mps - meeting.vut_distance_m
+    straight_m = -begin_s * speed_mps - vut_distance_m
     if turning.is_straight:
-        check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
-    encounter = set_off(
-        case,
-        vut=vut,
-        vut_path=turning.path_with(straight_m),
-        vut_start_s=begin_s,
-        vut_speed_kmh=vut_speed_kmh,
-        vru_path=_path_of(case, vru_way, vru_m + (meeting.vru_distance_m - travel_m)),
-        vru_start_s=-_travel_s(case, travel_m),
-    )
-    return Staging(encounter=encounter, obstruction=())
+        ways.check_straight(ways.StraightWay(line=turning.entry), turning.entry_lane, straight_m)
+    return turning.path_with(straight_m), begin_s
 
 
-def _oncoming(
-    case: Case, junction: Junction, arm: Arm, entry: Line
-) -> Iterator[Callable[[], WayAcross]]:
+def _oncoming(asked: _Asked, entry: Line) -> Iterator[_Lay]:
     """Ways of a vehicle that comes towards the VUT and drives straight on past it."""
-    ahead = arm_ahead(junction, arm, entry)
+    ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
     if ahead is None or not ahead.entry_lanes:
-        raise NoRoadError("no lane leads towards the VUT from straight ahead")
-    if not arm.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction to the {arm.name}")
-    yield from _ways_through(junction, ahead, arm, case.vru)
+        raise staging.NoRoadError("no lane leads towards the VUT from straight ahead")
+    if not asked.arm.exit_lanes:
+        raise staging.NoRoadError(f"no lane leads out of the junction to the {asked.arm.name}")
+    yield from _ways_through(asked.junction, ahead, asked.arm, asked.case.vru)
 
 
 def _lay_turn_across(
-    case: Case, turning: Turning, vru_way: Way, vut_speed_kmh: float, vut: Actor
-) -> Staging:
+    asked: _Asked, turn: Callable[[], ways.Turning], across: _Lay
+) -> staging.Staging:
     """A turn across the way of an oncoming vehicle.
 
     Its front is where the VUT's front axle will cross its way, when the VUT's front is short of
     there by what the vehicle is wide at 45 degrees, or where it is to meet the middle of that
     front, by nothing.
     """
+    case, vut, turning, vru_way = asked.case, asked.vut, turn(), across().way
     path = turning.path_with(0.0)
-    crossing_m, vru_m = find_crossing(vut, path, vru_way.tangent, turning.turn_m + vut.length_m)
+    crossing_m, vru_m = staging.find_crossing(
+        vut, path, vru_way.tangent, turning.turn_m + vut.length_m
+    )
     short_m = case.vru.width_m / np.sqrt(2.0) if case.meets_corner else 0.0
     vut_distance_m = crossing_m - (0.5 * vut.length_m - vut.front_axle_ahead_m) - short_m
-    speed_mps = vut_speed_kmh * MPS_PER_KMH
-    begin_s = -max(
-        _travel_s(case, _travel_m(case, 0.0)),
-        vut_distance_m / speed_mps + load_way_rules().start_before_curve_s,
-    )
-    straight_m = -begin_s * speed_mps - vut_distance_m
-    if turning.is_straight:
-        check_straight(StraightWay(line=turning.entry), turning.entry_lane, straight_m)
+    vru_s = _travel_s(case, _travel_m(case, 0.0))
+    vut_path, begin_s = _turned(asked, turning, vut_distance_m, vru_s)
     travel_m = -begin_s * case.vru_speed_kmh * MPS_PER_KMH
-    encounter = set_off(
-        case,
-        vut=vut,
-        vut_path=turning.path_with(straight_m),
-        vut_start_s=begin_s,
-        vut_speed_kmh=vut_speed_kmh,
-        vru_path=_path_of(case, vru_way, vru_m - case.vru_reference_m - travel_m),
-        vru_start_s=begin_s,
-    )
-    return Staging(encounter=encounter, obstruction=())
+    vru_m = vru_m - case.vru_reference_m - travel_m
+    encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m)
+    return staging.Staging(encounter=encounter, obstruction=())
 
 
-def _turning_way(
-    case: Case, junction: Junction, arm: Arm, target: Arm, turning: Turning
-) -> tuple[Way, float]:
+def _turning_way(asked: _Asked, target: Arm, turning: ways.Turning) -> tuple[ways.Way, float]:
     """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
+    case, entry, rules = asked.case, turning.entry, staging.load_way_rules()
     assert case.vru_line is not None
-    entry = turning.entry
     direction = entry.direction if case.vru_direction == "same" else -entry.direction
     if case.vru_line.along == "crosswalk":
         exit_m, point = turning.exit_way.crossing(target.crosswalk)
         exit_line = turning.exit_way.direction(exit_m)
         along = float(direction @ exit_line.direction)
-        if abs(along) > np.sin(np.radians(load_way_rules().max_skew_deg)):
+        if abs(along) > np.sin(np.radians(rules.max_skew_deg)):
             # Askew: across the lane, not along the other one.
             direction = exit_line.left * np.sign(direction @ exit_line.left)
-        return StraightWay(line=Line(point_m=point, direction=direction)), 0.0
+        return ways.StraightWay(line=Line(point_m=point, direction=direction)), 0.0
     ridden_m = _travel_m(case, 0.0)
-    kerb = _kerb(case, arm)
-    beside = straight_line(kerb.lane, is_in=kerb.is_in)
-    line = Line(point_m=beside.at(0.0, kerb.left_m), direction=direction)
-    way = _ridden_lane(case, junction, arm, entry)
-    if turning.is_straight and _is_along(way, line, ridden_m, load_way_rules().max_kerb_step_m):
-        way = StraightWay(line=line)
+    lane, is_in, left_m = _kerb(case, asked.arm)
+    beside = ways.straight_line(lane, is_in=is_in)
+    line = Line(point_m=beside.at(0.0, left_m), direction=direction)
+    way = _ridden_lane(asked, entry)
+    if turning.is_straight and _is_along(way, line, ridden_m, rules.max_kerb_step_m):
+        way = ways.StraightWay(line=line)
     _, way, vru_m = _meet(turning.exit_way, way)
     return way, vru_m
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Kerb:
-    """A line next to a lane."""
+def _kerb(case: Case, arm: Arm) -> tuple[Lane, bool, float]:
+    """Where cyclists ride beside the approach road on the side of the turn.
 
-    lane: Lane
-    is_in: bool
-    left_m: float  # of the lane's middle, in its driving direction
-
-
-def _kerb(case: Case, arm: Arm) -> _Kerb:
-    """Where cyclists ride next to the VUT's approach road, on the side to which it turns."""
+    A lane, whether it leads into the junction, and metres to the left of its middle.
+    """
     assert case.vru_line is not None
-    outside_m = case.vru_line.left_m
+    side, cycleways = -1.0, arm.cycleways_out
     if case.turn == "near":
-        lane, is_in, side = arm.lanes_in[0], True, -1.0
-        cycleways = arm.cycleways_in
+        lane, is_in, cycleways = arm.lanes_in[0], True, arm.cycleways_in
     elif arm.lanes_out:
-        lane, is_in, side = arm.lanes_out[0], False, -1.0
-        cycleways = arm.cycleways_out
+        lane, is_in = arm.lanes_out[0], False
     else:  # a one-way road: the kerb is to the left of its lanes
-        lane, is_in, side = arm.lanes_in[-1], True, 1.0
-        cycleways = ()
+        lane, is_in, side, cycleways = arm.lanes_in[-1], True, 1.0, ()
     if cycleways:
-        return _Kerb(lane=cycleways[0], is_in=is_in, left_m=0.0)
-    return _Kerb(lane=lane, is_in=is_in, left_m=side * (0.5 * lane.width_m + outside_m))
+        return cycleways[0], is_in, 0.0
+    return lane, is_in, side * (0.5 * lane.width_m + case.vru_line.left_m)
 
 
-def _ridden_lane(case: Case, junction: Junction, arm: Arm, entry: Line) -> Way:
+def _ridden_lane(asked: _Asked, entry: Line) -> ways.Way:
     """The way along the kerb of the arm from which the cyclist comes."""
+    case = asked.case
     assert case.vru_line is not None
-    rules = load_way_rules()
     if case.vru_direction == "same":
-        kerb = _kerb(case, arm)
-        is_against = not kerb.is_in
+        lane, is_in, left_m = _kerb(case, asked.arm)
+        is_against = not is_in
     else:
-        ahead = arm_ahead(junction, arm, entry)
+        ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
         lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
         if ahead is None or not lanes:
-            raise NoRoadError("no lane lies ahead from which the cyclist could come")
+            raise staging.NoRoadError("no lane lies ahead from which the cyclist could come")
         is_against = case.turn == "near"
-        cycleways = ahead.cycleways_out if is_against else ahead.cycleways_in
-        left_m = -(0.5 * lanes[0].width_m + case.vru_line.left_m)
-        kerb = _Kerb(lane=lanes[0], is_in=not is_against, left_m=left_m)
-        if cycleways:
-            kerb = _Kerb(lane=cycleways[0], is_in=not is_against, left_m=0.0)
+        is_in = not is_against
+        lane, left_m = lanes[0], -(0.5 * lanes[0].width_m + case.vru_line.left_m)
+        if cycleways := ahead.cycleways_out if is_against else ahead.cycleways_in:
+            lane, left_m = cycleways[0], 0.0
     ridden_m = _travel_m(case, 0.0)
-    way = lane_way(kerb.lane, is_in=kerb.is_in, length_m=ridden_m, max_bend_m=rules.max_lane_bend_m)
-    left_m = kerb.left_m
+    way = ways.lane_way(lane, is_in=is_in, length_m=ridden_m)
     if is_against:
-        way, left_m = reversed_way(way), -left_m
+        way, left_m = ways.reversed_way(way), -left_m
     return way.offset(left_m, 0.0, back_m=ridden_m)[0]
 
 
-def _is_along(way: Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:
+def _is_along(way: ways.Way, line: Line, ridden_m: float, tolerance_m: float) -> bool:
     """True if a way stays on a line, from the mouth back to where the VRU sets off."""
     stations = np.linspace(-ridden_m, 0.0, 20)
     points = np.array([way.tangent(float(station)).point_m for station in stations])
     return bool((np.abs(line.coordinates(points)[:, 1]) <= tolerance_m).all())
-
-
-# ---------- the VRU's way
-def _path_of(case: Case, way: Way, station_m: float) -> Path:
-    """The VRU's path along a way; a vehicle tows its rear axle."""
-    return way.vut_path(station_m, case.vru) if is_vehicle(case.vru) else way.vru_path(station_m)
 
 
 def _travel_m(case: Case, vru_distance_m: float) -> float:
@@ -698,7 +620,9 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     assert case.start_distance_m is not None
     travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
     if travel_m <= 0.0:
-        raise CannotCarryError("the VUT would come to the VRU's way before the VRU sets off")
+        raise staging.CannotCarryError(
+            "the VUT would come to the VRU's way before the VRU sets off"
+        )
     return travel_m
 
 

@@ -77,11 +77,11 @@ def load_placements() -> tuple[CasePlacement, ...]:
 
 def find_placement(scene_name: str, case: Case, approach: str) -> CasePlacement | None:
     """Where a case is driven from an approach of a scene; None if no file says."""
-    for placement in load_placements():
-        wanted = (placement.scene_name, placement.case.name, placement.approach)
-        if wanted == (scene_name, case.name, approach):
-            return placement
-    return None
+    wanted = scene_name, case.name, approach
+    found = (
+        one for one in load_placements() if (one.scene_name, one.case.name, one.approach) == wanted
+    )
+    return next(found, None)
 
 
 def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Actor) -> Staging:
@@ -94,26 +94,20 @@ def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Acto
     vut_speed, vru_speed = vut_speed_kmh * MPS_PER_KMH, case.vru_speed_kmh * MPS_PER_KMH
     gap_m = 0.5 * (case.vru.width_m if case.kind == "crossing" else case.vru.length_m)
     vut_distance = placement.vut_meeting_m - 0.5 * vut.length_m - gap_m
-    vru_distance = placement.vru_meeting_m + impact_offset_m(case, vut) * _crossing_sign(placement)
-    encounter = Encounter(
-        vut=vut,
-        vut_motion=Motion(
-            path=placement.vut_path, speed_mps=vut_speed, start_time_s=-vut_distance / vut_speed
-        ),
-        vru=case.vru,
-        vru_motion=Motion(
-            path=placement.vru_path, speed_mps=vru_speed, start_time_s=-vru_distance / vru_speed
-        ),
-    )
-    return Staging(encounter=encounter, obstruction=placement.obstruction)
-
-
-def _crossing_sign(placement: CasePlacement) -> float:
-    """+1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path."""
-    if placement.case.kind == "longitudinal":
-        return 0.0
+    # +1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path
     ahead, walking = placement.vut_path.direction, placement.vru_path.direction
-    return float(np.sign(ahead[0] * walking[1] - ahead[1] * walking[0]))
+    sign = float(np.sign(ahead[0] * walking[1] - ahead[1] * walking[0]))
+    sign *= case.kind != "longitudinal"
+    vru_distance = placement.vru_meeting_m + impact_offset_m(case, vut) * sign
+    vut_motion, vru_motion = (
+        Motion(path=path, speed_mps=speed, start_time_s=-distance / speed)
+        for path, speed, distance in (
+            (placement.vut_path, vut_speed, vut_distance),
+            (placement.vru_path, vru_speed, vru_distance),
+        )
+    )
+    encounter = Encounter(vut=vut, vut_motion=vut_motion, vru=case.vru, vru_motion=vru_motion)
+    return Staging(encounter=encounter, obstruction=placement.obstruction)
 
 
 def _build_placement(

@@ -2,18 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from geometry.actors import Actor, MovingActor, PlacedActor
-from geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    float_array,
-    freeze,
-)
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.junction import Junction, build_junction, mirrored
 from geometry.scene import Scene
@@ -22,13 +16,12 @@ from geometry.weather import load_weathers
 
 from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
 from .cases import Case, at_vru_speed, worded_for
-from .encounters import Encounter
+from .encounters import Encounter, RecordedEncounter
 from .obstructions import make_room
 from .paths import MPS_PER_KMH
 from .positions import AT_ZERO, Position, is_bound, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
-from .recorded import RecordedEncounter
 from .staging import CannotCarryError, NoRoadError, Staging, is_vehicle, mirror_staging
 from .trajectories import load_trajectory_rules
 
@@ -49,12 +42,9 @@ class Run:
         several speeds of whoever is met, both: "case/approach/30x50".
     case : Case
         What is driven, with the speed of whoever is met in this run.
-    approach : str
-        The arm from which the VUT comes.
-    position : str
-        Where along its way, see :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15".
-    weather : str
-        One of ``WEATHERS``.
+    approach, position, weather : str
+        The arm from which the VUT comes; where along its way, see
+        :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15"; one of ``WEATHERS``.
     vut_speed_kmh : float
         Constant. [km/h]
     encounter : Encounter
@@ -62,18 +52,15 @@ class Run:
     time_s : (n_frames,) float
         Times of the frames, ascending, relative to the impact; the last one is 0, or at most one
         frame before. [s]
-    vut_position_m, vru_position_m : (n_frames, 2) float
-        Middles of the footprints. World frame. [m]
-    vut_yaw_deg, vru_yaw_deg : (n_frames,) float
-        Headings. [deg]
+    vut_position_m, vru_position_m, vut_yaw_deg, vru_yaw_deg : (n_frames, 2), (n_frames,) float
+        Middles of the footprints, world frame [m], and headings [deg].
     vru_shape : (n_frames,) int
         Which shape of its gait the VRU has.
-    obstruction : tuple of PlacedActor
-        Parked bodies of this run.
+    obstruction, traffic : tuple of PlacedActor, of MovingActor
+        Parked bodies of this run, and vehicles that drive by, frame by frame; nobody touches VUT or
+        VRU before the impact.
     last_brake_time_s : float
         Latest onset of braking that avoids. [s]
-    traffic : tuple of MovingActor
-        Vehicles that drive by, frame by frame; nobody touches VUT or VRU before the impact.
     terrain : Terrain or None
         The ground on which all of them stand; None: the plane z = 0.
     """
@@ -188,14 +175,9 @@ class FrameAxis:
 
 
 def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
-    """Lay the frames of runs end to end.
+    """Lay the frames of runs end to end, with weights (n_runs,) that sum to 1.
 
-    The weights (n_runs,) are shares that sum to 1.
-
-    Raises
-    ------
-    InputError
-        There is no run, or the weights do not fit.
+    Raises InputError: there is no run, or the weights do not fit.
     """
     if not runs:
         raise InputError("runs", Unquoted("none"), "at least one run")
@@ -258,7 +240,12 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
     """
     n_frames = np.diff(axis.run_start)
     last_brake_s = axis.last_brake_time_s.repeat(n_frames)
-    known_s = _known_s(arrival_s, axis, rule)
+    # When the VUT knows of the window of frames that ends in each one, (n_frames,).
+    known_s = np.full(axis.n_frames, np.inf)
+    if axis.n_frames >= rule.n_confirmations:
+        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, rule.n_confirmations)
+        known_s[rule.n_confirmations - 1 :] = windows.max(axis=1)
+    known_s[~_is_within_run(axis, rule.n_confirmations)] = np.inf
     is_known = np.asarray(is_in_time(known_s, last_brake_s, latency_s=0.0))
     arrives = np.asarray(is_in_time(arrival_s, last_brake_s, latency_s=0.0))
     is_live = is_known & _held(arrives, axis, rule)
@@ -277,16 +264,6 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
         onset_s=onset_s,
         is_in_time=has_live,
     )
-
-
-def _known_s(arrival_s: FloatArray, axis: FrameAxis, rule: AebRule) -> FloatArray:
-    """When the VUT knows of the window of frames that ends in each one, (n_frames,)."""
-    known = np.full(axis.n_frames, np.inf)
-    if axis.n_frames >= rule.n_confirmations:
-        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, rule.n_confirmations)
-        known[rule.n_confirmations - 1 :] = windows.max(axis=1)
-    known[~_is_within_run(axis, rule.n_confirmations)] = np.inf
-    return known
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
@@ -322,16 +299,11 @@ class Refusal:
 
     Attributes
     ----------
-    case : Case
-        What is not driven.
-    approach : str
-        The arm from which the VUT would come.
-    position : str
-        Where along its way.
-    speeds_kmh : tuple of float
-        At which speeds, one for each run. [km/h]
-    vru_speeds_kmh : tuple of float
-        Speeds of whoever is met that go with them; empty where the case has one. [km/h]
+    case, approach, position : Case, str, str
+        What is not driven, the arm from which the VUT would come, and where along its way.
+    speeds_kmh, vru_speeds_kmh : tuple of float
+        At which speeds, one for each run; those of whoever is met that go with them, empty where
+        the case has one. [km/h]
     reason : str
         Why, in words.
     is_possible : bool
@@ -384,14 +356,11 @@ def build_runs(
         are known for a case, they are taken; all else follows the rules of the protocol.
     cases : iterable of Case
         What is driven, at the speeds that each says.
-    vut : Actor
-        The vehicle under test.
-    rule : AebRule
-        Braking and frame rate.
-    approaches : sequence of str, optional
-        Arms from which the VUT comes; by default all.
-    weathers : sequence of str
-        Every run is driven once in each. See ``WEATHERS``.
+    vut, rule : Actor, AebRule
+        The vehicle under test, its braking and frame rate.
+    approaches, weathers : sequence of str
+        Arms from which the VUT comes, by default all; every run is driven once in each of
+        ``WEATHERS``.
     positions : sequence of Position
         Where along the arms; cases that are bound to the junction have one place.
     is_spread : bool
@@ -403,10 +372,9 @@ def build_runs(
 
     Returns
     -------
-    runs : tuple of Run
-        In the order of cases, approaches, positions, speeds, weathers.
-    refusals : tuple of Refusal
-        What could not be laid, with the reason.
+    runs, refusals : tuple of Run, tuple of Refusal
+        In the order of cases, approaches, positions, speeds, weathers; what could not be laid, and
+        why.
 
     Raises
     ------
@@ -443,7 +411,11 @@ def build_runs(
                     rule=rule,
                 )
                 laid, refused = drive.lay(turn if is_spread else None)
-                runs += [_in_weather(run, one) for run in laid for one in dict.fromkeys(weathers)]
+                runs += [
+                    run if one == run.weather else replace(run, id=f"{run.id}/{one}", weather=one)
+                    for run in laid
+                    for one in dict.fromkeys(weathers)
+                ]
                 refusals += refused
     return tuple(runs), tuple(refusals)
 
@@ -472,14 +444,19 @@ def _highest_limit_kmh(junction: Junction) -> float | None:
 def left_out_case(case: Case, approach: str, reason: str, left_out: LeftOut) -> Refusal:
     """Refusal of a case at all its speeds, whatever the junction looks like."""
     pairs = [(vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)]
+    return _refusal(case, approach, pairs, reason=reason, is_possible=False, left_out=left_out)
+
+
+def _refusal(
+    case: Case, approach: str, pairs: Sequence[tuple[float, float]], **fields: Any
+) -> Refusal:
+    """Refusal of a case at speeds of the VUT and whoever it meets that go together."""
     return Refusal(
         case=case,
         approach=approach,
         speeds_kmh=tuple(vut for vut, _ in pairs),
         vru_speeds_kmh=tuple(vru for _, vru in pairs) if case.pairs_kmh else (),
-        reason=reason,
-        is_possible=False,
-        left_out=left_out,
+        **fields,
     )
 
 
@@ -527,12 +504,11 @@ class _Drive:
             reasons.setdefault(missing, []).extend(pairs)
             limits[above] = limit_kmh
         return runs, [
-            Refusal(
-                case=self.case,
-                approach=self.approach,
+            _refusal(
+                self.case,
+                self.approach,
+                pairs,
                 position=self.position.name,
-                speeds_kmh=tuple(vut for vut, _ in pairs),
-                vru_speeds_kmh=tuple(vru for _, vru in pairs) if self.case.pairs_kmh else (),
                 reason=reason,
                 is_possible=is_possible,
                 limit_kmh=limits.get((reason, is_possible)),
@@ -549,26 +525,21 @@ class _Drive:
 
     def _pairs(self, turn: int | None) -> list[tuple[float, float]]:
         """Speeds of the VUT and of whoever it meets, ascending."""
-        speeds_kmh = self.case.vut_speeds_kmh
+        case = self.case
+        speeds_kmh = case.vut_speeds_kmh
         if turn is not None:
-            impact_turn = (0, 1) if is_bound(self.case) else self.case.impact_turn
-            speeds_kmh = spread_speeds(
-                speeds_kmh, self.position, turn=turn, impact_turn=impact_turn
-            )
-        return [
-            (speed_kmh, vru_speed_kmh)
-            for speed_kmh in speeds_kmh
-            for vru_speed_kmh in self.case.vru_speeds_kmh(speed_kmh)
-        ]
+            points = (0, 1) if is_bound(case) else case.impact_turn
+            speeds_kmh = spread_speeds(speeds_kmh, self.position, turn=turn, impact_turn=points)
+        return [(vut, vru) for vut in speeds_kmh for vru in case.vru_speeds_kmh(vut)]
 
     def _stage(self, case: Case, speed_kmh: float) -> Staging:
-        scene, position = self.scene, self.position
+        scene = self.scene
         if case.recorded is not None:
             return self._stage_recorded(case, case.recorded, speed_kmh)
-        at_zero = position == AT_ZERO
-        placement = find_placement(scene.name, case, self.approach) if at_zero else None
-        if placement is not None:
-            return stage_published(placement, vut_speed_kmh=speed_kmh, vut=self.vut)
+        if self.position == AT_ZERO:
+            placement = find_placement(scene.name, case, self.approach)
+            if placement is not None:
+                return stage_published(placement, vut_speed_kmh=speed_kmh, vut=self.vut)
 
         def settle(staging: Staging) -> Staging:
             return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
@@ -580,7 +551,7 @@ class _Drive:
             self.approach,
             vut_speed_kmh=speed_kmh,
             vut=self.vut,
-            position=position,
+            position=self.position,
             settle=settle,
         )
 
@@ -629,9 +600,3 @@ class _Drive:
             terrain=terrain_of(self.scene),
             last_brake_time_s=last_brake_time_s(encounter, self.rule),
         )
-
-
-def _in_weather(run: Run, weather: str) -> Run:
-    if weather == run.weather:
-        return run
-    return replace(run, id=f"{run.id}/{weather}", weather=weather)

@@ -21,7 +21,6 @@ from geometry.errors import InputError
 from geometry.files import Text, load_toml, read_table
 
 from .aeb import AebRule, find_contacts, last_onsets_s
-from .encounters import Encounter
 from .paths import MPS_PER_KMH
 from .runs import Run
 
@@ -52,10 +51,7 @@ class Criterion(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_criteria(score: str) -> tuple[Criterion, ...]:
-    """Criteria of a score, from ``data/scores.toml``; none of "avoided".
-
-    Raises InputError if there is no such score.
-    """
+    """Criteria of a score from ``data/scores.toml``, none of "avoided"; or InputError."""
     if score == AVOIDED:
         return ()
     tables = load_toml(files(__package__) / "data" / "scores.toml")
@@ -79,7 +75,11 @@ def bands_kmh(
     ((0.0, 1.0), (10.0, 0.5), (20.0, 0.25))
     """
     found = [(0.0, 1.0)]
-    for criterion in _criteria_of(load_criteria(score), case_name)[:1]:
+    words = case_name.split("-")
+    names = ["-".join(words[:n]) for n in range(len(words), 0, -1)]
+    criteria = load_criteria(score)
+    # The criterion that names the case, or the most of what its name begins with.
+    for criterion in [one for name in names for one in criteria if name in one.cases][:1]:
         bands = max(
             (one for one in criterion.bands if one.vut_from_kmh <= vut_speed_kmh),
             key=lambda one: one.vut_from_kmh,
@@ -90,13 +90,6 @@ def bands_kmh(
             if below_kmh > 0.0:
                 found.append((below_kmh, share))
     return tuple(found)
-
-
-def _criteria_of(criteria: Sequence[Criterion], case_name: str) -> list[Criterion]:
-    """Criteria that name a case, or what its name begins with; the most of it first."""
-    words = case_name.split("-")
-    names = ["-".join(words[:n]) for n in range(len(words), 0, -1)]
-    return [one for name in names for one in criteria if name in one.cases]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,7 +149,10 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
         limits = tuple(below for below, _ in bands[1:])
         key = id(run.encounter), limits  # one and the same in all weathers
         if limits and key not in known:
-            known[key] = _deadlines_s(run.encounter, rule, limits, run.last_brake_time_s)
+            below_mps = [limit * MPS_PER_KMH for limit in limits]
+            known[key] = last_onsets_s(
+                run.encounter, rule, below_mps=below_mps, avoids_until_s=run.last_brake_time_s
+            )
         deadlines = [run.last_brake_time_s, *(known[key].tolist() if limits else [])]
         told = [
             (below, share, at_s)
@@ -178,10 +174,3 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
         gain=np.array(gain, dtype=np.float64),
         deadline_s=np.array(deadline_s, dtype=np.float64),
     )
-
-
-def _deadlines_s(
-    encounter: Encounter, rule: AebRule, limits_kmh: tuple[float, ...], last_brake_s: float
-) -> FloatArray:
-    below_mps = [limit * MPS_PER_KMH for limit in limits_kmh]
-    return last_onsets_s(encounter, rule, below_mps=below_mps, avoids_until_s=last_brake_s)

@@ -51,10 +51,9 @@ class TooFastError(NoRoadError):
 
     def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
-        there = "to the target there" if is_target else "there"
-        super().__init__(
-            f"{BENDS}: {limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h {there}"
-        )
+        where = "to the target there" if is_target else "there"
+        allowed = f"{limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h {where}"
+        super().__init__(f"{BENDS}: {allowed}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,26 +69,15 @@ class Staging:
     max_aside_m: float = 0.0  # how far it may be moved aside
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Meeting:
-    """Where the bodies are at the impact.
-
-    The VUT's distance is along its path, the VRU's that of its middle from its line's point.
-    """
-
-    vut_distance_m: float
-    vru_distance_m: float
-
-
 def find_meeting(
     case: Case, *, vut: Actor, vut_path: Path, vru_line: Line, search_m: tuple[float, float]
-) -> Meeting:
-    """Where the VRU meets the VUT at the case's impact position.
+) -> tuple[float, float]:
+    """Where the VUT's and the VRU's middle are when they meet at the case's impact position.
 
-    Front: the VRU's point is `impact_percent` across the VUT's width, and the VUT's front has just
-    reached the VRU's box. Side: the point is on the VUT's side. `search_m` are the first and the
-    last distance along the VUT's path to look at. Raises CannotCarryError: the VUT's path does not
-    lead there.
+    Along the VUT's path, and along the VRU's line from its point. Front: the VRU's point is
+    `impact_percent` across the VUT's width, and the VUT's front has just reached the VRU's box.
+    Side: the point is on the VUT's side. `search_m` are the first and the last distance along the
+    VUT's path to look at. Raises CannotCarryError: the VUT's path does not lead there.
     """
     from scipy.optimize import brentq
 
@@ -106,7 +94,7 @@ def find_meeting(
 
     vut_distance_m = float(brentq(gap_at, distances[first], distances[first + 1], xtol=1.0e-10))
     _, vru_distance = gap(case, vut, vut_path, vru_line, np.array([vut_distance_m]))
-    return Meeting(vut_distance_m=vut_distance_m, vru_distance_m=float(vru_distance[0]))
+    return vut_distance_m, float(vru_distance[0])
 
 
 def find_crossing(
@@ -121,7 +109,6 @@ def find_crossing(
     from scipy.optimize import brentq
 
     distances = np.arange(0.0, search_m + _SCAN_STEP_M, _SCAN_STEP_M)
-
     station_m = 0.0
     for _ in range(_MAX_STEPS):
         line = vru_tangent(station_m)
@@ -145,10 +132,14 @@ def find_crossing(
 
 def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:
     middle, yaw_deg = path.at(distance_m)
-    yaw = np.radians(yaw_deg)
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    front: FloatArray = middle + vut.front_axle_ahead_m * ahead
+    front: FloatArray = middle + vut.front_axle_ahead_m * _axes(yaw_deg)[0]
     return front
+
+
+def _axes(yaw_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors ahead and to the left, (..., 2) each."""
+    cosine, sine = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    return np.stack([cosine, sine], axis=-1), np.stack([-sine, cosine], axis=-1)
 
 
 def impact_offset_m(case: Case, vut: Actor) -> float:
@@ -214,22 +205,17 @@ def _gap_to_front(
 ) -> tuple[FloatArray, FloatArray]:
     """Separation while the VRU's point is at the impact position, and where the VRU then is."""
     position, yaw_deg = vut_path.at(distance_m)
-    yaw = np.radians(yaw_deg)
-    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+    ahead, left = _axes(yaw_deg)
     across = left @ vru_line.direction
     across = np.where(np.abs(across) < _NEVER_PARALLEL, _NEVER_PARALLEL, across)
     offset = ((vru_line.point_m - position) * left).sum(axis=-1)
     along = (impact_offset_m(case, vut) - offset) / across - case.vru_reference_m
     middle = vru_line.point_m + along[:, None] * vru_line.direction
-    is_ahead = ((middle - position) * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)).sum(axis=-1)
+    is_ahead = ((middle - position) * ahead).sum(axis=-1)
+    vru, vru_yaw_deg = case.vru, np.full(len(middle), vru_line.yaw_deg)
     separation = footprint_separation(
         footprint_corners(position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m),
-        footprint_corners(
-            middle,
-            np.full(len(middle), vru_line.yaw_deg),
-            length_m=case.vru.length_m,
-            width_m=case.vru.width_m,
-        ),
+        footprint_corners(middle, vru_yaw_deg, length_m=vru.length_m, width_m=vru.width_m),
     )
     return np.where(is_ahead > 0.0, separation, np.inf), along
 
@@ -239,9 +225,7 @@ def _gap_to_side(
 ) -> tuple[FloatArray, FloatArray]:
     """How far the impact position on the VUT's side is from the VRU's line, and where along it."""
     position, yaw_deg = vut_path.at(distance_m)
-    yaw = np.radians(yaw_deg)
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
+    ahead, left = _axes(yaw_deg)
     ahead_m = (case.impact_percent / 100.0 - 0.5) * vut.length_m
     is_left = "far" in (case.turn, case.vru_side)
     left_m = 0.5 * vut.width_m * (1.0 if is_left else -1.0)
@@ -259,15 +243,11 @@ _BEND_STEPS = 4  # bends are taken over a metre: courses are smooth over at leas
 _ROUND_KMH = 5
 
 
-def lateral_acceleration_mps2(encounter: Encounter) -> float:
-    """Largest acceleration to the side of the VUT's front axle up to the impact, in m/s^2.
+def lateral_mps2(motion: Motion, body: Actor) -> float:
+    """Largest acceleration to the side of a vehicle's front axle up to the impact, in m/s^2.
 
     From a car's length before the start: its rear axle still turns into what the front has passed.
     """
-    return _lateral_mps2(encounter.vut_motion, encounter.vut)
-
-
-def _lateral_mps2(motion: Motion, body: Actor) -> float:
     distance = np.arange(-body.length_m, float(motion.distance_m(0.0)), _BEND_STEP_M)
     steps = np.diff(_front_axle_m(body, motion.path, distance), axis=0)
     heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
@@ -281,9 +261,9 @@ Settle = Callable[[Staging], Staging]
 def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> Staging:
     """The first of some stagings that a car can drive, settled where it has room.
 
-    `lays`: each returns a staging or raises CannotCarryError. `settle`: makes room for a staging.
-    Where there is no kerb the next one is tried. Raises CannotCarryError: none fits; the reason is
-    that of the one that came farthest.
+    Each of `lays` returns a staging or raises CannotCarryError, `settle` makes room for it: where
+    there is no kerb the next one is tried. Raises the error of the one that came farthest: none
+    fits.
     """
     errors: list[CannotCarryError] = []
     for lay in lays:
@@ -310,14 +290,11 @@ def _check_bends(encounter: Encounter) -> None:
     if is_vehicle(encounter.vru):
         driven.append((encounter.vru_motion, encounter.vru))
     for motion, body in driven:
-        lateral_mps2 = _lateral_mps2(motion, body)
-        if lateral_mps2 > limit_mps2:
-            speed_mps = motion.speed_mps * np.sqrt(limit_mps2 / lateral_mps2)
-            raise TooFastError(
-                limit_mps2,
-                _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH),
-                is_target=body is not encounter.vut,
-            )
+        reached_mps2 = lateral_mps2(motion, body)
+        if reached_mps2 > limit_mps2:
+            speed_mps = motion.speed_mps * np.sqrt(limit_mps2 / reached_mps2)
+            allowed_kmh = _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH)
+            raise TooFastError(limit_mps2, allowed_kmh, is_target=body is not encounter.vut)
 
 
 def is_vehicle(body: Actor) -> bool:
@@ -326,8 +303,6 @@ def is_vehicle(body: Actor) -> bool:
 
 
 # ---------- stagings in a mirror, for traffic that keeps left
-
-
 def mirror_staging(staging: Staging) -> Staging:
     """A staging in a mirror that swaps north and south.
 
@@ -335,32 +310,27 @@ def mirror_staging(staging: Staging) -> Staging:
     side of a parked car stays.
     """
     encounter = staging.encounter
-    return Staging(
-        encounter=replace(
-            encounter,
-            vut_motion=_mirror_motion(encounter.vut_motion),
-            vru_motion=_mirror_motion(encounter.vru_motion),
-        ),
-        obstruction=tuple(_mirror_placed(placed) for placed in staging.obstruction),
+    vut_motion, vru_motion = (
+        replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
+        for motion in (encounter.vut_motion, encounter.vru_motion)
+    )
+    obstruction = tuple(
+        replace(
+            placed,
+            pose=Pose(
+                position_m=placed.pose.position_m * [1.0, -1.0, 1.0],
+                yaw_deg=-placed.pose.yaw_deg,
+                pitch_deg=placed.pose.pitch_deg,
+            ),
+        )
+        for placed in staging.obstruction
+    )
+    return replace(
+        staging,
+        encounter=replace(encounter, vut_motion=vut_motion, vru_motion=vru_motion),
+        obstruction=obstruction,
         aside=staging.aside * NORTH_TO_SOUTH,
         back=staging.back * NORTH_TO_SOUTH,
-        max_aside_m=staging.max_aside_m,
-    )
-
-
-def _mirror_motion(motion: Motion) -> Motion:
-    return replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
-
-
-def _mirror_placed(placed: PlacedActor) -> PlacedActor:
-    pose = placed.pose
-    return replace(
-        placed,
-        pose=Pose(
-            position_m=pose.position_m * [1.0, -1.0, 1.0],
-            yaw_deg=-pose.yaw_deg,
-            pitch_deg=pose.pitch_deg,
-        ),
     )
 
 

@@ -59,27 +59,13 @@ def load_trajectory_rules() -> TrajectoryRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """Where a road user was.
+    """Where a road user was."""
 
-    Attributes
-    ----------
-    id : str
-        As in the file.
-    class_name : str
-        "vehicle", "pedestrian", "cyclist" or "motorcyclist".
-    time_s : (n,) float
-        Ascending, on the recording's clock; n >= 3. [s]
-    position_m : (n, 2) float
-        Middle of the body. The recording's frame. [m]
-    yaw_deg : (n,) float
-        Counter-clockwise from x; not a number where the file does not say. [deg]
-    """
-
-    id: str
-    class_name: str
-    time_s: FloatArray
-    position_m: FloatArray
-    yaw_deg: FloatArray
+    id: str  # as in the file
+    class_name: str  # "vehicle", "pedestrian", "cyclist" or "motorcyclist"
+    time_s: FloatArray  # (n,), n >= 3; ascending, on the recording's clock
+    position_m: FloatArray  # (n, 2); middle of the body, in the recording's frame
+    yaw_deg: FloatArray  # (n,); counter-clockwise from x; not a number where the file does not say
 
     def __repr__(self) -> str:
         return f"Track({self.id!r}, {self.class_name}, {len(self.time_s)} samples)"
@@ -117,24 +103,12 @@ def read_tracks(
 ) -> tuple[tuple[Track, ...], int]:
     """Tracks of a file, and how many road users are left out: of other classes, or seen briefly.
 
-    Parameters
-    ----------
-    path : Path
-        ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data).
-    columns : mapping, optional
-        Names of CSV columns by what they hold (id, time, frame, x, y, heading, heading_rad,
-        class), in place of those that are recognised.
-    frame_rate_hz : float, optional
-        For CSV files that count frames. [Hz]
-    class_name : str
-        Of everybody in a CSV file without such a column.
-
-    Raises
-    ------
-    InputError
-        With file and line, or element: no such format or column, a number is missing or not
-        finite, times of a track do not ascend or are not whole steps of the file (mixed frame
-        rates), or a track jumps.
+    `path`: ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data). Of CSV files:
+    `columns` gives their names by what they hold (id, time, frame, x, y, heading, heading_rad,
+    class), in place of those that are recognised, `frame_rate_hz` is for those that count frames,
+    and `class_name` for those without classes. Raises InputError with file and line, or element: no
+    such format or column, a number is missing or not finite, times of a track do not ascend or are
+    not whole steps of the file (mixed frame rates), or a track jumps.
     """
     if class_name:
         check_one_of("class", class_name, load_trajectory_rules().classes)
@@ -286,6 +260,12 @@ _LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
 
 
 # ---------- XML
+_COMMONROAD_STATE = (
+    *("time/exact", "position/point/x", "position/point/y"),
+    "orientation/exact",
+)
+
+
 def _xml_samples(path: Path) -> Iterator[_Sample]:
     root = read_xml(path, expected="CommonRoad or SUMO")
     if root.tag == "fcd-export":
@@ -311,10 +291,7 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
                 place = f"{here}, state {number}"
                 time, x, y, yaw = (
                     _number(state.findtext(name), f"{place}: {name.split('/')[0]}")
-                    for name in (
-                        *("time/exact", "position/point/x", "position/point/y"),
-                        "orientation/exact",
-                    )
+                    for name in _COMMONROAD_STATE
                 )
                 word = (thing.findtext("type") or "").strip()
                 name = f"{thing.get('id')}"

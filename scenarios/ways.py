@@ -1,8 +1,8 @@
 """Ways of road users: along lanes, straight or bent, and through the junction into other arms."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -22,15 +22,7 @@ from geometry.scene import Lane, Scene
 from geometry.scene import Turn as Movement
 from geometry.scene_checks import Finding
 
-from .courses import (
-    Course,
-    Turn,
-    follow_connection,
-    follow_gently,
-    follow_lane,
-    follow_lanes,
-    join_by_turn,
-)
+from . import courses
 from .paths import MPS_PER_KMH, CoursePath, Path, StraightPath, TowedPath, TurnPath
 from .staging import CannotCarryError, NoRoadError, load_way_rules
 
@@ -42,34 +34,38 @@ _LEAST_FREE_M = 0.1  # in lanes that are narrower than the VUT, by the map
 _CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
 
 
-class Way(Protocol):
-    """A line that road users follow, through the junction and along the lane of an arm.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StraightWay:
+    """Along a straight line, whose point is the origin of stations.
 
-    Stations count along it from the lane's mouth, ahead in the way's direction.
+    Stations count along a way from the lane's mouth, ahead in the way's direction.
     """
+
+    line: Line
 
     def tangent(self, station_m: float) -> Line:
         """The straight line that touches it; its point is at the station."""
-        ...
+        return Line(point_m=self.line.at(station_m), direction=self.line.direction)
 
     def direction(self, station_m: float) -> Line:
         """As :meth:`tangent`; but its point may be any on it."""
-        ...
+        return self.line
 
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """Station and point (2,) at which it crosses a straight line, nearest to the mouth.
-
-        Raises CannotCarryError: it does not.
-        """
-        ...
+        """Station and point (2,) where it crosses a line, nearest to the mouth, or raises."""
+        try:
+            point = self.line.crossing_with(line)
+        except np.linalg.LinAlgError:
+            raise CannotCarryError(DO_NOT_MEET) from None
+        return float(self.line.coordinates(point)[0]), point
 
     def point(self, station_m: float, left_m: float) -> FloatArray:
         """The point some metres to the left of a station, (2,)."""
-        ...
+        return self.line.at(station_m, left_m)
 
     def station_of(self, point_m: FloatArray) -> float:
         """Station of its point that is nearest to a point (2,)."""
-        ...
+        return float(self.line.coordinates(point_m)[0])
 
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
@@ -78,79 +74,34 @@ class Way(Protocol):
 
         It is needed so far back from the station and so far ahead; beyond it may go straight.
         """
-        ...
-
-    def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """A vehicle's path that begins with the middle of its footprint at a station."""
-        ...
-
-    def vru_path(self, station_m: float) -> Path:
-        """Path of a pedestrian or cyclist that begins at a station."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StraightWay:
-    """Along a straight line, whose point is the origin of stations."""
-
-    line: Line
-
-    def tangent(self, station_m: float) -> Line:
-        """See :meth:`Way.tangent`."""
-        return Line(point_m=self.line.at(station_m), direction=self.line.direction)
-
-    def direction(self, station_m: float) -> Line:
-        """See :meth:`Way.direction`."""
-        return self.line
-
-    def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """See :meth:`Way.crossing`."""
-        try:
-            point = self.line.crossing_with(line)
-        except np.linalg.LinAlgError:
-            raise CannotCarryError(DO_NOT_MEET) from None
-        return float(self.line.coordinates(point)[0]), point
-
-    def point(self, station_m: float, left_m: float) -> FloatArray:
-        """See :meth:`Way.point`."""
-        return self.line.at(station_m, left_m)
-
-    def station_of(self, point_m: FloatArray) -> float:
-        """See :meth:`Way.station_of`."""
-        return float(self.line.coordinates(point_m)[0])
-
-    def offset(
-        self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
-    ) -> "tuple[Way, float]":
-        """See :meth:`Way.offset`."""
         beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
         return StraightWay(line=beside), 0.0
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """See :meth:`Way.vut_path`."""
+        """A vehicle's path that begins with the middle of its footprint at a station."""
         return self.vru_path(station_m)
 
     def vru_path(self, station_m: float) -> Path:
-        """See :meth:`Way.vru_path`."""
+        """Path of a pedestrian or cyclist that begins at a station."""
         return StraightPath(start_m=self.line.at(station_m), yaw_deg=self.line.yaw_deg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CurvedWay:
-    """Along a course."""
+    """Along a course; its methods are those of :class:`StraightWay`."""
 
-    course: Course
+    course: courses.Course
 
     def tangent(self, station_m: float) -> Line:
-        """See :meth:`Way.tangent`."""
+        """See :meth:`StraightWay.tangent`."""
         return self.course.tangent(station_m)
 
     def direction(self, station_m: float) -> Line:
-        """See :meth:`Way.direction`."""
+        """See :meth:`StraightWay.direction`."""
         return self.course.tangent(station_m)
 
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """See :meth:`Way.crossing`."""
+        """See :meth:`StraightWay.crossing`."""
         stations = self.course.crossings_m(line)
         if not len(stations):
             raise CannotCarryError(DO_NOT_MEET)
@@ -158,29 +109,28 @@ class CurvedWay:
         return station, self.course.at(station)[0]
 
     def point(self, station_m: float, left_m: float) -> FloatArray:
-        """See :meth:`Way.point`."""
+        """See :meth:`StraightWay.point`."""
         return self.course.tangent(station_m).at(0.0, left_m)
 
     def station_of(self, point_m: FloatArray) -> float:
-        """See :meth:`Way.station_of`."""
+        """See :meth:`StraightWay.station_of`."""
         return self.course.station_of(point_m)
 
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """See :meth:`Way.offset`."""
+        """See :meth:`StraightWay.offset`."""
         try:
             end_m = min(station_m + ahead_m, self.course.end_m)
             near = self.course.between(station_m - back_m, end_m)
             course = near.offset(left_m)
         except InputError:
-            raise CannotCarryError(
-                f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
-            ) from None
+            why = f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
+            raise CannotCarryError(why) from None
         return CurvedWay(course=course), course.station_of(self.point(station_m, left_m))
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """See :meth:`Way.vut_path`."""
+        """See :meth:`StraightWay.vut_path`."""
         return TowedPath(
             course=self.course,
             start_m=station_m + vut.front_axle_ahead_m,
@@ -189,8 +139,11 @@ class CurvedWay:
         )
 
     def vru_path(self, station_m: float) -> Path:
-        """See :meth:`Way.vru_path`."""
+        """See :meth:`StraightWay.vru_path`."""
         return CoursePath(course=self.course, start_m=station_m)
+
+
+Way = StraightWay | CurvedWay
 
 
 def straight_line(lane: Lane, *, is_in: bool) -> Line:
@@ -201,10 +154,9 @@ def straight_line(lane: Lane, *, is_in: bool) -> Line:
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     """How far a lane leaves its straight line, over a length from its mouth, in metres."""
     points = lane.centreline_m[::-1] if is_in else lane.centreline_m  # the mouth comes first
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    end_m = min(max(length_m, 0.0), float(along[-1]))
-    end = np.array([np.interp(end_m, along, points[:, axis]) for axis in (0, 1)])
-    near: FloatArray = np.concatenate([points[along <= end_m], end[None]])
+    along = courses.along_m(points)
+    end_m = np.clip(length_m, 0.0, along[-1])[None]
+    near = np.concatenate([points[along <= end_m], courses.sampled(points, along, end_m)])
     line = straight_line(lane, is_in=is_in)
     return float(np.abs(line.coordinates(near)[:, 1]).max())
 
@@ -228,24 +180,11 @@ def free_aside_m(vut: Actor, *lanes: Lane) -> float:
     return float(np.clip(room_m, _LEAST_FREE_M, load_way_rules().max_ease_aside_m))
 
 
-def lane_way(lane: Lane, *, is_in: bool, length_m: float, max_bend_m: float) -> Way:
-    """The way along a lane, in its driving direction: straight where the lane is, as far as asked.
-
-    Straight means that it leaves its line by at most `max_bend_m` within `length_m` of its mouth.
-    """
-    if off_line_m(lane, is_in=is_in, length_m=length_m) <= max_bend_m:
+def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
+    """The way along a lane, in its driving direction: straight where the lane is so far."""
+    if off_line_m(lane, is_in=is_in, length_m=length_m) <= load_way_rules().max_lane_bend_m:
         return StraightWay(line=straight_line(lane, is_in=is_in))
-    return CurvedWay(course=follow_lane(lane.centreline_m, is_in=is_in))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WayAcross:
-    """The way along a lane, through the junction, and along a lane by which it is left."""
-
-    way: Way  # its stations count from the mouth of the lane that leads out
-    entry: Lane
-    leaving: Lane
-    begin_m: float  # station at which the first lane begins
+    return CurvedWay(course=courses.follow_lane(lane.centreline_m, is_in=is_in))
 
 
 def way_across(
@@ -253,47 +192,46 @@ def way_across(
     leaving: Lane,
     connection: Lane | None,
     *,
-    max_bend_m: float,
     free_m: float | None = None,
-) -> WayAcross:
-    """The way from a lane into the junction straight on into a lane out of it.
+) -> tuple[Way, float]:
+    """The way from a lane into the junction straight on into a lane out of it, and its begin.
 
-    Straight, where all its lanes stay within `max_bend_m` of the first one's line; else along the
-    lanes' bends, and between them on the junction's own lane `connection`, or, where the map has
-    none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the gentlest
-    that leaves the lanes' middles by no more, and such a curve by no more than a metre. Raises
-    CannotCarryError: the lane out of the junction does not lie ahead.
+    Stations count from the mouth of the lane out of it; its begin is that at which the first lane
+    begins. Straight, where all its lanes stay on the first one's line; else
+    along the lanes' bends, and between them on the junction's own lane `connection`, or, where the
+    map has none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the
+    gentlest that leaves the lanes' middles by no more, and such a curve by no more than a metre.
+    Raises CannotCarryError: the lane out of the junction does not lie ahead.
     """
     chains = [entry.centreline_m, leaving.centreline_m]
     if connection is not None:
         chains.insert(1, connection.centreline_m)
     line = straight_line(entry, is_in=True)
-    if np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max() <= max_bend_m:
+    if (
+        np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max()
+        <= load_way_rules().max_lane_bend_m
+    ):
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
-        begin_m = -mouth_m - lane_length_m(entry)
-        return WayAcross(way=way, entry=entry, leaving=leaving, begin_m=begin_m)
+        return way, -mouth_m - lane_length_m(entry)
     between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
     before, after = entry.centreline_m, leaving.centreline_m
     if free_m is not None:
         aside_m = _CUT_OFF_M if connection is None else free_m
-        course = follow_gently([before, between, after], [free_m, aside_m, free_m], origin=2)
+        course = courses.follow_gently(
+            [before, between, after], [free_m, aside_m, free_m], origin=2
+        )
     elif connection is None:
-        course = follow_lanes([np.concatenate([before, between]), after])
+        course = courses.follow_lanes([np.concatenate([before, between]), after])
     else:
-        course = follow_connection(before, between, after, is_origin_behind=True)
+        course = courses.follow_connection(before, between, after, is_origin_behind=True)
     across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
-    return WayAcross(
-        way=CurvedWay(course=course),
-        entry=entry,
-        leaving=leaving,
-        begin_m=-across_m - lane_length_m(entry),
-    )
+    return CurvedWay(course=course), -across_m - lane_length_m(entry)
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
-    before = follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
-    after = follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
+    before = courses.follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
+    after = courses.follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
     try:
         return curve_between(
             replace(before, point_m=entry.centreline_m[-1]),
@@ -313,10 +251,7 @@ def reversed_way(way: Way) -> Way:
 
 
 def meeting_m(one: Way, other: Way) -> tuple[float, float]:
-    """Stations of two ways at which they cross nearest to their origins.
-
-    Raises CannotCarryError: they do not.
-    """
+    """Stations of two ways at which they cross nearest to their origins, or CannotCarryError."""
     station = other_station = 0.0
     for _ in range(_MAX_STEPS):
         other_station, _ = other.crossing(one.tangent(station))
@@ -335,10 +270,7 @@ Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of 
 
 
 def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
-    """The arm to the left or right of the VUT; None if there is none.
-
-    One about at a right angle, or else the one that is nearest to it.
-    """
+    """The arm to a side of the VUT, about at a right angle or else nearest to it; or None."""
     side = vut_line.left if to_left else -vut_line.left
     rules = load_way_rules()
     for skew_deg, length_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):
@@ -357,17 +289,14 @@ def arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
     best, best_cosine = None, np.cos(np.radians(load_way_rules().max_skew_deg))
     for arm in junction.arms.values():
         cosine = float(_outwards(arm, 15.0) @ vut_line.direction)
-        if arm is not approach and cosine >= best_cosine and _lies_ahead(arm, vut_line):
+        is_in_line = arm is not approach and cosine >= best_cosine
+        mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
+        mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
+        ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
+        # One of its lanes begins or ends no farther aside than ahead.
+        if is_in_line and (np.abs(left_m) <= ahead_m).any():
             best, best_cosine = arm, cosine
     return best
-
-
-def _lies_ahead(arm: Arm, vut_line: Line) -> bool:
-    """True if one of an arm's lanes begins or ends no farther aside of a line than ahead."""
-    mouths = [lane.centreline_m[-1] for lane in arm.lanes_in]
-    mouths += [lane.centreline_m[0] for lane in arm.lanes_out]
-    ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
-    return bool((np.abs(left_m) <= ahead_m).any())
 
 
 def _outwards(arm: Arm, length_m: float) -> FloatArray:
@@ -380,12 +309,10 @@ def _outwards(arm: Arm, length_m: float) -> FloatArray:
 def straight_lane(junction: Junction, arm: Arm) -> Lane:
     """The lane at the kerb from which cars drive straight on; that at the kerb if none may."""
     ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
-    if ahead is None or not ahead.exit_lanes:
-        return arm.entry_lanes[0]
-    try:
-        return joints(junction, arm, ahead, "through")[0][0]
-    except NoRoadError:
-        return arm.entry_lanes[0]
+    if ahead is not None and ahead.exit_lanes:
+        with suppress(NoRoadError):
+            return joints(junction, arm, ahead, "through")[0][0]
+    return arm.entry_lanes[0]
 
 
 def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> list[Joint]:
@@ -412,14 +339,14 @@ def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> lis
     free = marked or [lane for lane in before if not lane.turns]
     if not free:
         raise NoRoadError(f"by their markings no lane from the {arm.name} leads {_LEADS[movement]}")
-    return [(lane, None, other) for lane in free for other in _in_order(lane, after, movement)]
-
-
-def _in_order(lane: Lane, after: Sequence[Lane], movement: Movement) -> list[Lane]:
     if movement != "through":
-        return list(after)
-    line = straight_line(lane, is_in=True)
-    return sorted(after, key=lambda other: abs(float(line.coordinates(other.centreline_m[0])[1])))
+        return [(lane, None, other) for lane in free for other in after]
+    found: list[Joint] = []
+    for lane in free:
+        line = straight_line(lane, is_in=True)
+        aside_m = [abs(float(line.coordinates(other.centreline_m[0])[1])) for other in after]
+        found += [(lane, None, after[index]) for index in np.argsort(aside_m, kind="stable")]
+    return found
 
 
 def _has_connections(junction: Junction) -> bool:
@@ -442,13 +369,12 @@ class Turning:
     turn_m: float  # its length
     path_with: Callable[[float], Path]  # some metres before it
     is_straight: bool  # but for the turn
-    bend_per_m: float  # largest curvature of the turn
 
 
 _AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
 
 
-def on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turning:
+def on_straights(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor) -> Turning:
     """The protocol's curve between the straight lines of two lanes."""
     entry = straight_line(entry_lane, is_in=True)
     exit_line = straight_line(exit_lane, is_in=False)
@@ -482,20 +408,18 @@ def on_straights(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> T
         turn_m=turn.length_m,
         path_with=path_with,
         is_straight=True,
-        bend_per_m=1.0 / turn.radius_m,
     )
 
 
-def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turning:
+def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor) -> Turning:
     """The protocol's curve between two lanes that bend."""
-    entry = follow_lane(entry_lane.centreline_m, is_in=True)
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    entry = courses.follow_lane(entry_lane.centreline_m, is_in=True)
+    exit_course = courses.follow_lane(exit_lane.centreline_m, is_in=False)
     try:
-        course, turn = join_by_turn(entry, exit_course, turn)
+        course, turn = courses.join_by_turn(entry, exit_course, turn)
     except (InputError, np.linalg.LinAlgError):
-        raise CannotCarryError(
-            f"no turn of {turn.radius_m:g} m leads from lane {entry_lane.id} into {exit_lane.id}"
-        ) from None
+        between = f"from lane {entry_lane.id} into {exit_lane.id}"
+        raise CannotCarryError(f"no turn of {turn.radius_m:g} m leads {between}") from None
     _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
     end = course.tangent(turn.length_m)
     _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
@@ -504,18 +428,14 @@ def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: Turn, vut: Actor) -> Turni
 
 def along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> Turning:
     """Along the junction's own lane between two others."""
-    course = follow_connection(
-        entry_lane.centreline_m,
-        connection.centreline_m,
-        exit_lane.centreline_m,
-        is_origin_behind=False,
-    )
-    exit_course = follow_lane(exit_lane.centreline_m, is_in=False)
+    chains = (lane.centreline_m for lane in (entry_lane, connection, exit_lane))
+    course = courses.follow_connection(*chains, is_origin_behind=False)
+    exit_course = courses.follow_lane(exit_lane.centreline_m, is_in=False)
     return _towed(entry_lane, exit_course, course, lane_length_m(connection), vut)
 
 
 def _towed(
-    entry_lane: Lane, exit_course: Course, course: Course, turn_m: float, vut: Actor
+    entry_lane: Lane, exit_course: courses.Course, course: courses.Course, turn_m: float, vut: Actor
 ) -> Turning:
     def path_with(straight_m: float) -> TowedPath:
         return TowedPath(
@@ -532,7 +452,6 @@ def _towed(
         turn_m=turn_m,
         path_with=path_with,
         is_straight=False,
-        bend_per_m=course.between(0.0, turn_m).max_bend_per_m,
     )
 
 
@@ -554,17 +473,15 @@ def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
     except InputError:  # another finding says so
         return
     for arm in junction.arms.values():
-        speed_kmh, distance_m, lane = min(
-            _bends(junction, arm), key=lambda found: found[0] - _limit_kmh(found[2])
-        )
+        bends = _bends(junction, arm)
+        speed_kmh, distance_m, lane = min(bends, key=lambda one: one[0] - _limit_kmh(one[2]))
         if speed_kmh < _limit_kmh(lane):
-            yield Finding(
-                level="warning",
-                what=f"arm {arm.name}",
-                why=f"lane {lane.id} bends {distance_m:.0f} m from the junction: "
+            why = (
+                f"lane {lane.id} bends {distance_m:.0f} m from the junction: "
                 f"{rules.max_lateral_mps2:g} m/s^2 to the side allow {speed_kmh:.0f} km/h there, "
-                "and what is faster is not driven past it",
+                "and what is faster is not driven past it"
             )
+            yield Finding(level="warning", what=f"arm {arm.name}", why=why)
 
 
 def _limit_kmh(lane: Lane) -> float:
@@ -580,7 +497,7 @@ def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
         for lane in lanes:
             followed = junction.followed(lane) if is_in else lane
             free_m = free_aside_m(vut, followed)
-            course = follow_gently([followed.centreline_m], [free_m], origin=int(is_in))
+            course = courses.follow_gently([followed.centreline_m], [free_m], origin=int(is_in))
             reach = (-_REACH_M, 0.0) if is_in else (0.0, _REACH_M)
             near = course.between(*reach)
             bend_per_m = np.abs(near.yaw_rad[step:] - near.yaw_rad[:-step]) / _OVER_M

@@ -60,7 +60,14 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
         where = f"{path}: line {line}"
         amount = _read_weight(row["weight"], where)
         row["position"] = _read_position(row["position"], where)
-        members = [index for index, run in enumerate(runs) if _is_named(run, row)]
+        members = [
+            index
+            for index, run in enumerate(runs)
+            if run.case.name == row["case"]
+            and row["approach"] in (*_ANY, run.approach)
+            and row["position"] in (*_ANY, run.position)
+            and row["weather"] in (*_ANY, run.weather)
+        ]
         if not members:
             raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
         again = named[members][named[members] > 0]
@@ -71,6 +78,11 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
         weight[members] = amount / len(members)
     if not weight.any():
         raise InputError(f"{path}: weight", Unquoted("0 in all rows"), "one weight more than 0")
+    return _shares(weight)
+
+
+def _shares(weight: FloatArray) -> FloatArray:
+    """Weights that sum to 1."""
     shares: FloatArray = weight / weight.sum()
     return shares
 
@@ -122,15 +134,6 @@ def _read_position(text: str, where: str) -> str:
     return read_position(signed, f"{where}: position").name
 
 
-def _is_named(run: Run, row: Mapping[str, str]) -> bool:
-    return (
-        run.case.name == row["case"]
-        and row["approach"] in (*_ANY, run.approach)
-        and row["position"] in (*_ANY, run.position)
-        and row["weather"] in (*_ANY, run.weather)
-    )
-
-
 def _words(row: Mapping[str, str]) -> str:
     return ", ".join(repr(row[key]) for key in ("case", "approach", *_OPTIONAL) if row[key])
 
@@ -157,10 +160,6 @@ class _Score(Struct, frozen=True, kw_only=True):
     weather: str
 
 
-class _Rating(Struct, frozen=True, kw_only=True):
-    scores: tuple[_Score, ...]
-
-
 def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
@@ -169,9 +168,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     score, such as all in the rain, weigh nothing. The weights sum to 1. Raises MissingExtraError:
     the package is not installed. InputError: no run has points.
     """
-    points = load_points()
     weight = np.zeros(len(runs))
-    for (cases, weather), score in points.items():
+    for (cases, weather), score in load_points().items():
         members = [
             index
             for index, run in enumerate(runs)
@@ -181,16 +179,14 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     if not weight.any():
         driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))
         raise InputError("weights", RATING, f"a run that has points in 2026; driven: {driven}")
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return _shares(weight)
 
 
 @cache
 def load_points() -> dict[tuple[tuple[str, ...], str], float]:
     """Points by cases (what our names begin with) and weather, from the installed package.
 
-    Raises MissingExtraError: the package is not installed. InputError: the package does not know a
-    score any more.
+    Raises MissingExtraError: it is not installed. InputError: it does not know a score any more.
     """
     try:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
@@ -199,9 +195,9 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
             f"`weights` {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
     where = "rating_2026.toml"
-    table = read_table(load_toml(files(__package__) / "data" / where), _Rating, where)
+    tables = load_toml(files(__package__) / "data" / where)["scores"]
     points = {}
-    for index, score in enumerate(table.scores):
+    for index, score in enumerate(read_table(tables, tuple[_Score, ...], where)):
         if score.name not in TOTAL_SCORES:
             got = Unquoted(f"{score.name!r}, unknown to the installed {RATING}")
             raise InputError(f"{where}: scores[{index}]", got, "a score of it")
@@ -235,7 +231,7 @@ class CrashTypes(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_crash_types() -> CrashTypes:
-    """Types of accidents, from ``data/crash_types.toml``."""
+    """Types of accidents and what is known of them."""
     where = "crash_types.toml"
     return read_table(load_toml(files(__package__) / "data" / where), CrashTypes, where)
 
@@ -250,12 +246,13 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     """
     table = load_crash_types()
     weight = np.zeros(len(runs))
+    away_m = [read_position(run.position, run.id).distance_m for run in runs]
     for kind in table.types:
         members = [
             index
             for index, run in enumerate(runs)
             if run.case.family in kind.cases
-            and kind.place in ("any", "near" if _away_m(run) <= table.near_m else "far")
+            and kind.place in ("any", "near" if away_m[index] <= table.near_m else "far")
         ]
         if members:
             of_type = weight_per_case([runs[index] for index in members])
@@ -263,12 +260,7 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     if not weight.any():
         driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
         raise InputError("weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
-    shares: FloatArray = weight / weight.sum()
-    return shares
-
-
-def _away_m(run: Run) -> float:
-    return read_position(run.position, run.id).distance_m
+    return _shares(weight)
 
 
 # ---------- weights by accidents around a place
@@ -300,7 +292,8 @@ def weight_by_accidents(
             members[key] = [
                 index
                 for index, run in enumerate(runs)
-                if _begins(run.case.name, cases) and run.weather in ([key[1]] if key[1] else lit)
+                if any(f"{run.case.name}-".startswith(f"{one}-") for one in cases)
+                and run.weather in ([key[1]] if key[1] else lit)
             ]
         if members[key]:
             counts[key] += 1
@@ -318,12 +311,7 @@ def weight_by_accidents(
     weight = np.zeros(len(runs))
     for key, count in counts.items():
         weight[members[key]] += count * weight_per_case([runs[index] for index in members[key]])
-    shares: FloatArray = weight / weight.sum()
-    return shares
-
-
-def _begins(case_name: str, beginnings: Sequence[str]) -> bool:
-    return any(f"{case_name}-".startswith(f"{one}-") for one in beginnings)
+    return _shares(weight)
 
 
 # ---------- weights by a word
@@ -331,10 +319,7 @@ _BY_WORD = ("run", "case", CRASH_TYPES, RATING)
 
 
 def default_weights(cases: str) -> str:
-    """The word for :func:`weigh` where the user gives none, by the words for the cases.
-
-    The runs of the study's set count the same, as in the study; else all cases do.
-    """
+    """The word for :func:`weigh` by default: of the study's set "run", else "case"."""
     return "run" if is_study_set(cases) else "case"
 
 
@@ -346,7 +331,7 @@ def weigh(
     near: tuple[float, float] | None = None,
     within_m: float | None = None,
 ) -> FloatArray:
-    """Weights by the word of a user.
+    """Weights by the word of a user, (n_runs,); they sum to 1.
 
     Parameters
     ----------
@@ -355,21 +340,15 @@ def weigh(
     how : str
         "run": every run the same, as in the study; "case": every case the same, see
         :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
-        :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points,
-        see :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the
+        :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points, see
+        :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the
         accidents around a place, see :func:`scenarios.weights.weight_by_accidents`; else a CSV
         file, see :func:`scenarios.weights.weight_from_csv`.
     refused : sequence of Refusal
         What was asked for next to the runs, and could not be laid: "case" alone looks at it.
-    near : (float, float), optional
-        Latitude and longitude of the place. [deg]
-    within_m : float, optional
-        How far from there accidents count; default: that of ``data/accidents.toml``. [m]
-
-    Returns
-    -------
-    weight : (n_runs,) float
-        Sums to 1.
+    near, within_m : (float, float), float, optional
+        Latitude and longitude of the place [deg], and how far from there accidents count [m];
+        default: that of ``data/accidents.toml``.
 
     Raises
     ------
@@ -396,10 +375,7 @@ def weigh(
 
 
 def check_weights(how: str) -> None:
-    """Check what can be checked of the word of a user without runs, see :func:`weigh`.
-
-    Raises InputError or MissingExtraError as :func:`weigh` does.
-    """
+    """Check the word of a user as far as it goes without runs; raises as :func:`weigh`."""
     if how == RATING:
         load_points()
     if how in _BY_WORD:
@@ -442,8 +418,7 @@ def weight_by_function(runs: Sequence[Run], function: Callable[[Run], float]) ->
         raise InputError(f"weights: {run.id}", float(weight[wrong[0]]), "a finite number >= 0")
     if not weight.any():
         raise InputError("weights", Unquoted("0 for all runs"), "one weight more than 0")
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return _shares(weight)
 
 
 def weight_per_run(runs: Sequence[Run]) -> FloatArray:
@@ -476,8 +451,7 @@ def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> 
     weight = np.array(
         [1.0 / (n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key]) for key in keys]
     )
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return _shares(weight)
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:

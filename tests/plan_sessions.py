@@ -39,7 +39,7 @@ class InThread:
             if self._tasks is None:
                 self._tasks = Tasks(self._work, tell)
                 if not self._work.question.scene:
-                    self._tasks._setting = self._setting
+                    self._tasks.setting = self._setting
             try:
                 return await asyncio.to_thread(getattr(self._tasks, method), *args, **kwargs)
             except InputError as error:
@@ -60,7 +60,7 @@ def small_session(folder, setting, *, variants=(), asked=None, **given):
     work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {}))
     plan = Plan(variants=tuple(variants)) if variants else None
     given.setdefault("make_worker", lambda work: InThread(work, setting))
-    return Session(work, setting, plan=plan, **given)
+    return Session(work, setting, begun=plan, **given)
 
 
 @pytest.fixture

@@ -27,16 +27,7 @@ from placement.layout import load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
-from .speed import (
-    REPEATS,
-    Figures,
-    build_bench_problem,
-    measure_casting,
-    measure_evaluation,
-    measure_optimiser,
-    measure_single,
-    measure_table,
-)
+from . import speed
 
 _OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
 _LIMIT_S = 240.0
@@ -55,16 +46,16 @@ def _candidates() -> tuple[CandidatePose, ...]:
     return build_candidates(load_study_scene(), grid, extra=study.units)
 
 
-PARTS: dict[str, Callable[[int], Figures]] = {
+PARTS: dict[str, Callable[[int], speed.Figures]] = {
     "command": lambda budget: _measure_command(budget),
-    "rays": lambda _: measure_casting(_setting(_OWN_CASES), _candidates()),
-    "table": lambda _: measure_table(_setting(), _candidates()),
-    "evaluator": lambda _: measure_evaluation(_setting()),
-    "optimiser": lambda budget: measure_optimiser(
-        build_bench_problem(_setting(), _candidates(), budget)
+    "rays": lambda _: speed.measure_casting(_setting(_OWN_CASES), _candidates()),
+    "table": lambda _: speed.measure_table(_setting(), _candidates()),
+    "evaluator": lambda _: speed.measure_evaluation(_setting()),
+    "optimiser": lambda budget: speed.measure_optimiser(
+        speed.build_bench_problem(_setting(), _candidates(), budget)
     ),
-    "single": lambda budget: measure_single(
-        build_bench_problem(_setting(), _candidates(), budget, fusion="single")
+    "single": lambda budget: speed.measure_single(
+        speed.build_bench_problem(_setting(), _candidates(), budget, fusion="single")
     ),
 }
 """Functions of the budget of units that measure, by name."""
@@ -93,11 +84,11 @@ def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
         assert out is not None
         out.write_text(json.dumps(PARTS[name](budget)), encoding="utf-8")
         return
-    figures: dict[str, Figures] = {}
+    figures: dict[str, speed.Figures] = {}
     if out is not None and out.exists():
         before = json.loads(out.read_text(encoding="utf-8"))
         figures = {name: before[name] for name in PARTS if isinstance(before.get(name), dict)}
-    machine: Figures = {"processors": os.cpu_count(), "rays by": caster_name()}
+    machine: speed.Figures = {"processors": os.cpu_count(), "rays by": caster_name()}
     for name in names:
         click.echo(f"{name} ...", err=True)
         figures[name] = run_part(name, budget=budget, limit_s=limit)
@@ -109,7 +100,7 @@ def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
             out.write_text(json.dumps(ordered, indent=2) + "\n", encoding="utf-8")
 
 
-def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
+def run_part(name: str, *, budget: int, limit_s: float) -> speed.Figures:
     """Figures of a part, measured in a process of its own, which ends when its time is up."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "figures.json"
@@ -130,11 +121,11 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
                 process.wait()
         if code:
             raise click.ClickException(f"{name}: ended with exit code {code}")
-        figures: Figures = json.loads(path.read_text(encoding="utf-8"))
+        figures: speed.Figures = json.loads(path.read_text(encoding="utf-8"))
     return figures | {f"{name}: seconds to measure": time.perf_counter() - began_s}
 
 
-def _measure_command(budget: int) -> Figures:
+def _measure_command(budget: int) -> speed.Figures:
     """The main job cold and warm, its memory, and the start-up."""
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"PLACE_RSUS_CACHE": str(Path(folder) / "cache")}
@@ -153,7 +144,7 @@ def _measure_command(budget: int) -> Figures:
         cold_s, warm_s = seconds(*job), seconds(*job)
         evaluate_s = seconds("evaluate", "--layout", "carlancap-12", "--quiet")
         peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-        help_s = statistics.median(seconds("--help") for _ in range(REPEATS))
+        help_s = statistics.median(seconds("--help") for _ in range(speed.REPEATS))
     return {
         "command: seconds, cold (under 120)": cold_s,
         "command: seconds, warm": warm_s,

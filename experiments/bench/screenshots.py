@@ -46,14 +46,9 @@ _REPORT_PARTS = (
 def _browser() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as library:
-        browser = library.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
-        try:
-            yield browser
-        finally:
-            browser.close()
+    chromium = {"executable_path": shutil.which("chromium"), "args": ["--no-sandbox"]}
+    with sync_playwright() as library, library.chromium.launch(**chromium) as browser:
+        yield browser
 
 
 @contextmanager
@@ -63,7 +58,7 @@ def _serve(setting: Setting, question: Question, variant: Variant, folder: Path)
 
     work = Work(question=question, scratch=folder, compute=Compute())
     server = RunningServer(
-        lambda: Session(work, setting, plan=Plan(variants=(variant,))), host="127.0.0.1", port=0
+        lambda: Session(work, setting, begun=Plan(variants=(variant,))), host="127.0.0.1", port=0
     )
     server.start()
     try:

@@ -16,6 +16,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.raycast import FloatRays, Open3dCaster, RayCaster, caster_name
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
+from placement.detection_table import DetectionTable
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, load_carlancap_layout
 from placement.optimiser import Effort, PlacementProblem, presolve, run_margins_s, solve_placement
@@ -111,8 +112,8 @@ class _Recorder:
 def measure_casting(setting: Setting, candidates: Sequence[CandidatePose]) -> Figures:
     """Number of the table's rays, and their time against bare Embree.
 
-    Ours are cast as when the table is built, all of one mount in one thread. Bare Embree gets the
-    same rays in one call per scene and thread, with everything prepared.
+    Ours are cast as when the table is built; bare Embree gets them in one call per scene and
+    thread.
     """
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
     mounts = list({tuple(c.pose.position_m): c for c in candidates}.values())[:_N_MOUNTS]
@@ -134,10 +135,7 @@ def measure_casting(setting: Setting, candidates: Sequence[CandidatePose]) -> Fi
             for n_threads in dict.fromkeys((1, WORKERS))
         }
     n_rays = sum(len(origins) for *_, recorder in cast_to for origins, _ in recorder.rays)
-    n_views = sum(
-        int((np.linalg.norm(_from_mount(world, mount), axis=1) <= _MAX_DISTANCE_M).sum())
-        for mount in mounts
-    )
+    n_views = sum(int((_distance_m(world, one) <= _MAX_DISTANCE_M).sum()) for one in mounts)
     n_points = n_views * world.views.axes_m.shape[2]
     return {
         "rays cast": n_rays,
@@ -185,11 +183,13 @@ def _record(
     return [mesh for mesh in meshes if mesh[2].rays]
 
 
-def _from_mount(world: World, mount: CandidatePose) -> FloatArray:
-    """Way from a mount to the middle of each view's footprint, (n_views, 3)."""
+def _distance_m(world: World, mount: CandidatePose) -> FloatArray:
+    """From a mount to the middle of each view's footprint, (n_views,)."""
     offset_m = mount.pose.position_m - world.origin_m
     ground_m = world.views.position_m - offset_m[:2]
-    return np.column_stack([ground_m, offset_m[2] - world.views.up_m])
+    to_view_m = np.column_stack([ground_m, offset_m[2] - world.views.up_m])
+    distance_m: FloatArray = np.linalg.norm(to_view_m, axis=1)
+    return distance_m
 
 
 def _split(rays: Sequence[Rays], n_parts: int) -> Iterator[Rays]:
@@ -217,13 +217,22 @@ def measure_table(setting: Setting, candidates: Sequence[CandidatePose]) -> Figu
     """Verdicts of the table per second, over the whole build for some mounts."""
     positions = list(dict.fromkeys(tuple(c.pose.position_m) for c in candidates))[::_EVERY_MOUNT]
     some = [c for c in candidates if tuple(c.pose.position_m) in set(positions)]
-    seconds = _seconds(
-        lambda: build_detection_table(
-            setting.scene, some, setting.runs, setting.axis, detector=setting.table_detector
-        )
-    )
+    seconds = _seconds(lambda: _table(setting, some, Compute()))
     per_second = len(some) * setting.axis.n_frames / seconds
     return {"table: million verdicts per second (before 3.4; at least 30)": per_second / 1e6}
+
+
+def _table(
+    setting: Setting, candidates: Sequence[CandidatePose], compute: Compute
+) -> DetectionTable:
+    return build_detection_table(
+        setting.scene,
+        candidates,
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
+        compute=compute,
+    )
 
 
 def _seconds(work: Callable[[], object]) -> float:
@@ -262,14 +271,7 @@ def build_bench_problem(
     setting: Setting, candidates: Sequence[CandidatePose], budget: int, *, fusion: Fusion = "any"
 ) -> PlacementProblem:
     """The question of so many units, on a table that is built for it."""
-    table = build_detection_table(
-        setting.scene,
-        candidates,
-        setting.runs,
-        setting.axis,
-        detector=setting.table_detector,
-        compute=Compute(workers=WORKERS),
-    )
+    table = _table(setting, candidates, Compute(workers=WORKERS))
     wishes = Wishes(budget_units=budget)
     return build_problem(setting, candidates, table, wishes=wishes, fusion=fusion)
 
@@ -307,7 +309,9 @@ def measure_budgets(problem: PlacementProblem, *, units: Sequence[int] = _BUDGET
 
 def measure_single(single: PlacementProblem) -> Figures:
     """All stages where each unit confirms alone, against maximal covering by HiGHS alone."""
-    covers = _covers(single)
+    # A[c, r]: pose c avoids run r by itself.
+    poses = range(single.table.n_poses)
+    covers = np.stack([np.isfinite(run_margins_s(single, [pose])) for pose in poses])
     best: dict[str, float] = {}
 
     def ours() -> None:
@@ -320,13 +324,6 @@ def measure_single(single: PlacementProblem) -> Figures:
     if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
         raise RuntimeError(f"optima differ: {best}")
     return {"optimiser: all stages, single / bare HiGHS, APR only": ratio(ours_s, direct_s)}
-
-
-def _covers(problem: PlacementProblem) -> BoolArray:
-    """A[c, r]: pose c avoids run r by itself."""
-    return np.stack(
-        [np.isfinite(run_margins_s(problem, [pose])) for pose in range(problem.table.n_poses)]
-    )
 
 
 def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:

@@ -4,7 +4,7 @@ Parts that are short fit on a screen together: what is not avoided, what to moun
 what it is compared with. With ``--verbose`` all are printed.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from geometry.junction import compass_bearing_deg
@@ -39,17 +39,9 @@ from ..parts.explanation import (
     missed_sentences,
 )
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
-from ..parts.road_users import RoadUserGroups
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
-from ..results.numbers import (
-    cars_words,
-    first_of,
-    number,
-    percent,
-    several,
-    shortened,
-)
+from ..results.numbers import cars_words, first_of, number, percent, several, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
 
 _TOGETHER = "fused: in each frame, any of the units may detect"
@@ -75,16 +67,13 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         parties[f"{result.baseline.name} fused"] = result.baseline.evaluation.judged
     if result.baselines.expert is not None:
         parties["expert rule, fused"] = result.baselines.expert.score
-    others: dict[str, EvaluationRecord] = {}
-    units: dict[str, int] = {}
+    compared: list[tuple[str, comparison.Compared]] = [("greedy", result.greedy)]
     if result.highest is not None and result.highest.compared is not None:
-        others[HIGHEST] = result.highest.compared.evaluation
-        units[HIGHEST] = len(result.highest.compared.layout)
-    others["greedy"] = result.greedy.evaluation
-    units["greedy"] = len(result.greedy.layout)
+        compared.insert(0, (HIGHEST, result.highest.compared))
     if result.baseline is not None:
-        others[result.baseline.name] = result.baseline.evaluation
-        units[result.baseline.name] = len(result.baseline.layout)
+        compared.append((result.baseline.name, result.baseline))
+    others = {name: other.evaluation for name, other in compared}
+    units = {name: len(other.layout) for name, other in compared}
     measure = proof.measure_of(result)
     further = f"{next_unit.next_unit_sentence(result.next_unit, measure)}."
     return [
@@ -97,7 +86,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
             is_short=True,
         ),
         Part(notes=result.assumed_prices),
-        Part(words=[f"{proof.words(result)}."], is_short=True),
+        _said(f"{proof.words(result)}."),
         Part(table=proof.table(result)),
         Part(
             title="Evaluated by full perception and emergency braking:",
@@ -110,8 +99,8 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
             notes=[f"{_together(result)}; greedy: units chosen one by one."],
         ),
         _impacts(result, others),
-        Part(words=[] if further == "." else [further], is_short=True),
-        Part(words=answer.doubts(result), is_short=True),
+        _said(*([] if further == "." else [further])),
+        _said(*answer.doubts(result)),
         *_explained(result),
         _without_optimiser(result.baselines, n_units=n_units),
         _study_part(result.study_cases),
@@ -146,7 +135,11 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
             notes=[*([more] if n_left else []), *unit_notes(units), _cost(result)],
             is_short=not is_long,
         ),
-        *_said([f"{result.name}: {len(result.layout)} units; {_cost(result)}."] if is_long else []),
+        *(
+            [_said(f"{result.name}: {len(result.layout)} units; {_cost(result)}.")]
+            if is_long
+            else []
+        ),
         Part(
             title="Evaluated by full perception and emergency braking:",
             table=_summary_table(result, {}, {}, None),
@@ -166,8 +159,8 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
             notes=[f"each unit by itself; {_together(result)}."],
         ),
         _impacts(result, {}),
-        *_said(answer.doubts(result)),
-        *_said(answer.private_ground(result)),
+        _said(*answer.doubts(result)),
+        _said(*answer.private_ground(result)),
         _last(out),
     ]
 
@@ -175,10 +168,8 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
 def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     """Layouts side by side, and the runs in which the first differs from each other."""
     parties: dict[str, _Apr] = {}
-    for name, evaluation in (
-        (result.name, result.evaluation),
-        *((other.name, other.evaluation) for other in result.compared),
-    ):
+    others = {other.name: other.evaluation for other in result.compared}
+    for name, evaluation in {result.name: result.evaluation, **others}.items():
         parties[name] = evaluation.judged
         words = "alone" if result.cars else "and VUT"
         parties[f"{name} {words}"] = _other_view(evaluation)[1]
@@ -191,7 +182,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
             title=f"{result.name} against {names} on {result.runs} runs{cars_words(result.cars)}:",
             table=_summary_table(
                 result,
-                {other.name: other.evaluation for other in result.compared},
+                others,
                 {other.name: len(other.layout) for other in result.compared},
                 result.baselines,
             ),
@@ -201,13 +192,10 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
             table=_apr_table(parties | {"VUT alone": result.evaluation.vut}),
             notes=[f"each layout's units are {_together(result)}."],
         ),
-        _impacts(result, {other.name: other.evaluation for other in result.compared}),
-        Part(
-            words=[f"{text}." for text in comparison.words(result.name, result.compared)],
-            is_short=True,
-        ),
-        *_said(answer.doubts(result)),
-        *_said(answer.private_ground(result)),
+        _impacts(result, others),
+        _said(*(f"{text}." for text in comparison.words(result.name, result.compared))),
+        _said(*answer.doubts(result)),
+        _said(*answer.private_ground(result)),
         *_sampled(result),
         _without_optimiser(result.baselines, n_units=len(result.layout)),
         _study_part(result.study_cases),
@@ -244,41 +232,30 @@ def _impacts(result: Result, others: Mapping[str, EvaluationRecord]) -> Part:
     return Part(words=words, is_short=result.score != AVOIDED)
 
 
-def _said(sentences: Sequence[str]) -> list[Part]:
+def _said(*sentences: str) -> Part:
     """A part that is sentences, which all are short."""
-    return [Part(words=sentences, is_short=True)]
+    return Part(words=sentences, is_short=True)
 
 
 def _head(result: Result) -> list[Part]:
     """The head: runs that are not avoided, better layouts, what was left out or assumed."""
+    groups = result.road_users
     reasons = [*result.driven[1 : 1 + _MOST_REASONS]]
     n_reasons = len(result.driven) - 1 - len(reasons)
     if n_reasons > 0:
         more = several(n_reasons, "more reason", "more reasons")
         reasons.append(f"and {more} in the report's list")
     return [
-        *_said(
-            [
-                *added.words(result.added),
-                *dangers.words(result.dangers, result.runs, cars=result.cars),
-            ]
+        _said(
+            *added.words(result.added),
+            *dangers.words(result.dangers, result.runs, cars=result.cars),
         ),
-        *_said([*answer.preferred(result), *answer.planned_only(result)]),
-        *_said([*result.driven[:1], *result.without_effect]),
+        _said(*answer.preferred(result), *answer.planned_only(result)),
+        _said(*result.driven[:1], *result.without_effect),
         Part(notes=reasons),
-        *_road_users(result.road_users),
+        *([_said(*road_users.words(groups))] if groups else []),
+        *([Part(table=road_users.table(groups))] if groups and len(groups.groups) > 1 else []),
         *assumption_parts(result),
-    ]
-
-
-def _road_users(found: RoadUserGroups | None) -> list[Part]:
-    """Whose runs count; the numbers of each group where there are several."""
-    if found is None:
-        return []
-    several_groups = len(found.groups) > 1
-    return [
-        *_said(road_users.words(found)),
-        Part(table=road_users.table(found)) if several_groups else Part(),
     ]
 
 
@@ -290,7 +267,7 @@ def assumption_parts(result: Result) -> list[Part]:
     things = several(len(assumed), "thing is", "things are")
     n_left = len(assumed) - _MOST_ASSUMED
     return [
-        Part(words=[f"{things} assumed of the map."], is_short=True),
+        _said(f"{things} assumed of the map."),
         Part(
             title="Assumed, for the map does not say it:",
             words=assumed[:_MOST_ASSUMED],
@@ -311,8 +288,8 @@ def _explained(result: PlacementResult) -> list[Part]:
         if result.front is not None
         else Part(),
         *explanation_parts(result.explained),
-        *_said(answer.private_ground(result)),
-        *_said(answer.refinement(result)),
+        _said(*answer.private_ground(result)),
+        _said(*answer.refinement(result)),
         *_sampled(result),
     ]
 
@@ -320,10 +297,8 @@ def _explained(result: PlacementResult) -> list[Part]:
 def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
     if result.sampled is None:
         return []
-    return [
-        *_said(answer.uncertainty(result)[:1]),
-        Part(words=answer.uncertainty(result)[1:], table=sampled_worlds.table(result.sampled)),
-    ]
+    first, rest = answer.uncertainty(result)[:1], answer.uncertainty(result)[1:]
+    return [_said(*first), Part(words=rest, table=sampled_worlds.table(result.sampled))]
 
 
 def _without_optimiser(found: Baselines | None, *, n_units: int) -> Part:
@@ -344,7 +319,7 @@ def _study_part(found: StudyCases | None) -> Part:
 def _last(out: Path | None) -> Part:
     """Where the rest is."""
     written = [] if out is None else [f"Written to {out}: report.html and more."]
-    return Part(words=[*written, "--verbose prints why, APR by case, and all else."], is_short=True)
+    return _said(*written, "--verbose prints why, APR by case, and all else.")
 
 
 # ---------- tables
@@ -352,35 +327,16 @@ def _last(out: Path | None) -> Part:
 
 def _units_table(units: Sequence[UnitRecord]) -> Table:
     """Units, where they are mounted and look."""
-    return Table(
-        caption="Units",
-        columns=["unit", "kind", "height m", "bearing", "tilt", "east m", "north m", "at"],
-        rows=[
-            [
-                unit.id,
-                unit.kind or "-",
-                f"{unit.z_m:.2f}",
-                f"{compass_bearing_deg(unit.yaw_deg):.1f}",
-                _tilt(unit.pitch_deg),
-                f"{unit.x_m:.2f}",
-                f"{unit.y_m:.2f}",
-                _where(unit),
-            ]
-            for unit in units
-        ],
-        numeric=range(1, 7),
-    )
-
-
-def _tilt(pitch_deg: float) -> str:
-    return f"{abs(pitch_deg):.1f} {'down' if pitch_deg < 0.0 else 'up'}" if pitch_deg else "level"
-
-
-def _where(unit: UnitRecord) -> str:
-    """The whole name of a unit's site, whether it is assumed, and where it is."""
-    site = f"{unit.site} (assumed)" if unit.assumed else unit.site
-    known = [text for text in (site, unit.place) if text]
-    return ", ".join(known)
+    rows = []
+    for unit in units:
+        site = f"{unit.site} (assumed)" if unit.assumed else unit.site
+        bearing = f"{compass_bearing_deg(unit.yaw_deg):.1f}"
+        tilt = f"{abs(unit.pitch_deg):.1f} {'down' if unit.pitch_deg < 0.0 else 'up'}"
+        looks = [f"{unit.z_m:.2f}", bearing, tilt if unit.pitch_deg else "level"]
+        stands = [f"{unit.x_m:.2f}", f"{unit.y_m:.2f}", ", ".join(filter(None, (site, unit.place)))]
+        rows.append([unit.id, unit.kind or "-", *looks, *stands])
+    heads = ["unit", "kind", "height m", "bearing", "tilt", "east m", "north m", "at"]
+    return Table(caption="Units", columns=heads, rows=rows, numeric=range(1, 7))
 
 
 def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
@@ -412,15 +368,16 @@ def _summary_table(
     found: Baselines | None,
 ) -> Table:
     """A row per sensing party: APR, when the most needed unit fails, and on the study's cases."""
-    study = {} if result.study_cases is None else _shares(result.study_cases.parties)
+    parties = () if result.study_cases is None else result.study_cases.parties
+    study = {party.name: percent(party.all) for party in parties}
     evaluation = result.evaluation
+
+    def row_of(name: str, n_units: int, judged: EvaluationRecord) -> list[str | None]:
+        shares = percent(judged.judged.all), percent(judged.apr_without_worst_unit)
+        return [name, str(n_units), *shares, study.get(name)]
+
     rows = [
-        [
-            result.name,
-            str(len(result.layout)),
-            *_apr_and_failed(evaluation),
-            study.get(result.name),
-        ],
+        row_of(result.name, len(result.layout), evaluation),
         _other_row(evaluation),
         ["VUT alone", "", percent(evaluation.vut.all), "", study.get("VUT alone")],
         *(
@@ -429,15 +386,13 @@ def _summary_table(
         ),
     ]
     for name, other in others.items():
-        rows.append([name, str(n_units[name]), *_apr_and_failed(other), study.get(name)])
+        rows.append(row_of(name, n_units[name], other))
         if isinstance(result, ComparisonResult):
             rows.append(_other_row(other))
-    if found is not None and found.expert is not None:
-        expert = found.expert
-        failed = percent(expert.apr_without_worst_unit)
-        share = percent(expert.score.all)
+    if found is not None and (expert := found.expert) is not None:
+        shares = percent(expert.score.all), percent(expert.apr_without_worst_unit)
         name = "expert rule"
-        rows.append([name, str(len(expert.layout)), share, failed, study.get(name)])
+        rows.append([name, str(len(expert.layout)), *shares, study.get(name)])
     if found is not None and found.random is not None:
         name = f"random, mean of {found.random.layouts} on the table"
         rows.append([name, str(found.random.units), percent(found.random.mean), "", None])
@@ -474,14 +429,6 @@ def _together(result: Result) -> str:
     return f"{_TOGETHER}, and {who}"
 
 
-def _shares(parties: Iterable[Score]) -> dict[str, str]:
-    return {party.name: percent(party.all) for party in parties}
-
-
-def _apr_and_failed(evaluation: EvaluationRecord) -> tuple[str, str]:
-    return percent(evaluation.judged.all), percent(evaluation.apr_without_worst_unit)
-
-
 def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
     """Road users who announce themselves, where there are any."""
     parties = {"VAM alone": evaluation.vam, "all and VAM": evaluation.all_sources}
@@ -490,24 +437,17 @@ def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
 
 def _apr_table(parties: Mapping[str, _Apr]) -> Table:
     """APR by case and by position along the arms: a row for each, a column per party."""
-    first = next(iter(parties.values()))
+    all_of = list(parties.values())
+    first = all_of[0]
     positions = list(first.by_position) if len(first.by_position) > 1 else []
-    return Table(
-        caption="APR",
-        columns=["APR", *parties],
-        rows=[
-            ["all runs", *(percent(party.all) for party in parties.values())],
-            *(
-                [case, *(percent(party.by_case[case]) for party in parties.values())]
-                for case in first.by_case
-            ),
-            *(
-                [f"at {at} m", *(percent(party.by_position.get(at)) for party in parties.values())]
-                for at in positions
-            ),
-        ],
-        numeric=range(1, 1 + len(parties)),
-    )
+    rows = [["all runs", *(percent(party.all) for party in all_of)]]
+    rows += [[case, *(percent(party.by_case[case]) for party in all_of)] for case in first.by_case]
+    rows += [
+        [f"at {at} m", *(percent(party.by_position.get(at)) for party in all_of)]
+        for at in positions
+    ]
+    numeric = range(1, 1 + len(parties))
+    return Table(caption="APR", columns=["APR", *parties], rows=rows, numeric=numeric)
 
 
 def failure_notes(evaluation: EvaluationRecord) -> list[str]:
@@ -570,9 +510,7 @@ def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
 
 def _missed_in_short(group: Sequence[Unavoided]) -> str:
     first = group[0]
-    runs = first_of([entry.run for entry in group], _MAX_RUNS)
-    words = f"{runs}: {OUTCOMES[first.outcome]}"
+    words = f"{first_of([entry.run for entry in group], _MAX_RUNS)}: {OUTCOMES[first.outcome]}"
     if first.reasons:
         words += f"; for {first.unit} {cause(first.reasons[0])}"
-    rescue = first.rescue
-    return words if rescue is None else f"{words}; would be saved by {rescue.unit}"
+    return f"{words}; would be saved by {first.rescue.unit}" if first.rescue else words

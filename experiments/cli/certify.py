@@ -5,35 +5,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import N_BLOCKS, N_JUDGED, N_SAMPLES, Question
+from placement.question import N_BLOCKS, N_JUDGED, N_SAMPLES
 
-from ..progress import StageProgress
-from .options import (
-    JUDGED,
-    MOUNTED,
-    SectionedCommand,
-    fields_in,
-    folder_option,
-    job_options,
-    option,
-    question_options,
-)
-from .running import begin, command_line, print_result
+from . import options
+from .running import Job, command_line
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
     from ..parts.certified import CertifiedResult
 
-_ASKED = ("budget", "budget_cost", *fields_in(MOUNTED))
-_SOUGHT = (
-    *("solver", "time_limit_s", "gap", "fusion"),
-    *("samples", "uncertainty", "traffic"),
-)
+_ASKED = ("budget", "budget_cost", *options.fields_in(options.MOUNTED))
+_SOUGHT = ("solver", "time_limit_s", "gap", "fusion", "samples", "uncertainty", "traffic")
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus certify --budget 3 --detector response
@@ -41,7 +27,7 @@ Examples:
   place-rsus certify --budget 3 --detector response --out results/certified
   place-rsus verify results/certified""",
 )
-@option(
+@options.option(
     "--blocks",
     "n_blocks",
     type=click.IntRange(min=2),
@@ -51,7 +37,7 @@ Examples:
     show_default=True,
     help="Blocks of --samples worlds each; a layout and a bound is found in each.",
 )
-@option(
+@options.option(
     "--judge",
     "n_judged",
     type=click.IntRange(min=2),
@@ -61,40 +47,27 @@ Examples:
     show_default=True,
     help="Fresh worlds to choose among these layouts in, and as many others to judge the best in.",
 )
-@folder_option("layout.json and certified.json")
-@question_options(*_ASKED, *_SOUGHT, *JUDGED, defaults={"samples": N_SAMPLES})
-@job_options(has_cache=True)
-@click.pass_obj
-def certify(
-    progress: StageProgress,
-    *,
-    n_blocks: int,
-    n_judged: int,
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-) -> None:
+@options.folder_option("layout.json and certified.json")
+@options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
+def certify(job: Job, *, n_blocks: int, n_judged: int, out: Path | None) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.
 
     Worlds differ in mounting errors, traffic, misses and lost messages. In each of some blocks of
     worlds the best layout is found, and a bound is proven. The mean of the bounds limits what any
     layout can prevent over all worlds; the best of the layouts is judged in worlds of its own.
     """
-    question = begin(progress, question, quiet=quiet)
+    job = job.begin()
     from ..parts.certified import run_certify
 
     result = run_certify(
-        question,
+        job.question,
         n_blocks=n_blocks,
         n_judged=n_judged,
         out=out,
-        compute=compute,
         command=command_line(),
-        progress=progress,
+        **job.means,
     )
-    print_result(result, progress, as_json, lambda: certified_text(result, out))
+    job.print(result, lambda: certified_text(result, out))
 
 
 def certified_text(result: "CertifiedResult", out: Path | None) -> str:

@@ -34,10 +34,9 @@ _LIBRARIES = (
 
 
 def examine(cache_folder: Path) -> dict[str, Any]:
-    """The installation, and the folder where detection tables are kept: content of ``--json``.
+    """The installation, and the folder of detection tables: content of ``--json``.
 
-    A version is None where a package is not installed. Well: everything that is not an extra is
-    there, and the cache can be written.
+    Well: everything that is not an extra is there, and the cache can be written.
     """
     from geometry.raycast import caster_name, open3d_problem
 
@@ -101,7 +100,7 @@ def _version(package: str) -> str | None:
 
 
 def _examine_cache(folder: Path) -> dict[str, Any]:
-    tables = sorted(folder.glob("table-*.npz")) if folder.is_dir() else []
+    tables = list(folder.glob("table-*.npz"))
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent

@@ -7,90 +7,71 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
-from ..progress import StageProgress
-from .options import (
-    JUDGED,
-    SectionedCommand,
-    folder_option,
-    job_options,
-    layout_option,
-    option,
-    question_options,
-)
+from . import options
 from .recording import check_recording_options, recording_options, recording_table
-from .running import begin, command_line, load_one_layout, print_answer, print_result
+from .running import Job, command_line
 
 if TYPE_CHECKING:
     from placement.layout import Layout
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus evaluate --layout carlancap-12
   place-rsus evaluate --layout results/latest/layout.json --out results/mine
   place-rsus evaluate --recording ncap_data""",
 )
-@layout_option
+@options.layout_option
 @recording_options
-@folder_option("a report")
-@question_options("no_look", *JUDGED)
-@job_options(has_cache=True)
-@click.pass_obj
+@options.folder_option("a report")
+@options.asking("no_look", *options.JUDGED)
 def evaluate(
-    progress: StageProgress,
+    job: Job,
     *,
     layout_names: tuple[str, ...],
     recording: Path | None,
     min_confidence: float,
     out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
 ) -> None:
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
     check_recording_options(recording)
     if recording is not None:
-        progress.start(quiet=quiet)
+        job.progress.start(quiet=job.quiet)
         from ..parts import recording as recording_job
 
         summary = recording_job.run_recording(
-            question,
+            job.question,
             folder=recording,
             min_confidence=min_confidence,
             out=out,
-            progress=progress,
+            progress=job.progress,
         )
-        print_result(summary, progress, as_json, lambda: recording_table(summary, out))
+        job.print(summary, lambda: recording_table(summary, out))
         return
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names, question)
+    job = job.begin()
+    layout = job.layout(layout_names)
     from ..jobs import placement
 
     result = placement.run_evaluation(
-        question,
+        job.question,
         layout=layout,
-        no_look=question.no_look,
+        no_look=job.question.no_look,
         out=out,
-        compute=compute,
         command=command_line(),
-        progress=progress,
+        **job.means,
     )
     from .answers import evaluation_parts
 
-    print_answer(result, progress, as_json, lambda: evaluation_parts(result, out))
+    job.print_answer(result, lambda: evaluation_parts(result, out))
 
 
 # ---------- any number of layouts on the same runs
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus compare results/latest/layout.json carlancap-12
@@ -98,27 +79,17 @@ Examples:
   place-rsus compare a.json b.json --samples 60     is the difference sure?""",
 )
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
-@option(
+@options.option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
+@options.option(
     "--report",
     "--out",
     "out",
     type=click.Path(path_type=Path),
     help="Folder for a report; else none.",
 )
-@question_options("samples", "uncertainty", "traffic", "no_look", *JUDGED)
-@job_options(has_cache=True)
-@click.pass_obj
+@options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
-    progress: StageProgress,
-    *,
-    layouts: tuple[str, ...],
-    more_layouts: tuple[str, ...],
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
+    job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None
 ) -> None:
     """Compare layouts on the same runs: the first against each of the others.
 
@@ -132,23 +103,22 @@ def compare(
     from placement.layout import find_layout
 
     found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
-    question = begin(progress, question, quiet=quiet)
+    job = job.begin()
     from ..jobs import placement
 
     result = placement.run_comparison(
-        question,
+        job.question,
         layouts=found,
-        samples=question.samples,
-        uncertainty=question.uncertainty,
-        no_look=question.no_look,
+        samples=job.question.samples,
+        uncertainty=job.question.uncertainty,
+        no_look=job.question.no_look,
         out=out,
-        compute=compute,
         command=command_line(),
-        progress=progress,
+        **job.means,
     )
     from .answers import comparison_parts
 
-    print_answer(result, progress, as_json, lambda: comparison_parts(result, out))
+    job.print_answer(result, lambda: comparison_parts(result, out))
 
 
 def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layout"]:

@@ -5,22 +5,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
 from ..export import FORMAT_NAMES
-from ..progress import StageProgress, tell, write_out
-from .options import (
-    JUDGED,
-    SectionedCommand,
-    job_options,
-    layout_option,
-    option,
-    question_options,
-    quiet_option,
-    scene_option,
-)
-from .running import begin, load_one_layout, print_result, unwritable
+from ..progress import StageProgress, tell
+from . import options
+from .running import Job, load_one_layout, write_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -58,14 +46,14 @@ Examples:
   place-rsus export --run CPNC-50/east/40 --layout a.json \\
       --format cpm-uper --out cpm.bin""",
 )
-@layout_option
-@option(
+@options.layout_option
+@options.option(
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="FILE",
     help="Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or Tsai.",
 )
-@option(
+@options.option(
     "--size",
     nargs=2,
     type=click.IntRange(min=1),
@@ -74,7 +62,7 @@ Examples:
     needs="calibration",
     help="With --calibration: of pictures, where the file does not tell.",
 )
-@option(
+@options.option(
     "--format",
     "format_name",
     required=True,
@@ -82,18 +70,20 @@ Examples:
     type=click.Choice(FORMAT_NAMES),
     help="One of those below.",
 )
-@scene_option
-@option(
+@options.scene_option
+@options.option(
     "--run",
     "run_id",
     default="",
     metavar="RUN",
     help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
 )
-@option("--release", metavar="V", help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.")
-@option("--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons.")
-@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
-@quiet_option
+@options.option("--release", metavar="V", help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.")
+@options.option(
+    "--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons."
+)
+@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.quiet_option
 @click.pass_obj
 def export(
     progress: StageProgress,
@@ -125,25 +115,15 @@ def export(
         content = _convert(calibration, format_name, size)
     else:
         layout = load_one_layout(layout_names)
-        options: dict[str, str | bool] = {} if release is None else {"release": release}
+        given: dict[str, str | bool] = {} if release is None else {"release": release}
         if views:
-            options["views"] = True
-        content = export_layout(
-            layout, format_name, scene_path=scene, run_id=run_id, options=options
-        )
+            given["views"] = True
+        content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, options=given)
         missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
-    if out is None:
-        write_out(content)
-        return
-    from geometry.files import write_atomically
-
-    try:
-        write_atomically(out, content)
-    except OSError as error:
-        raise unwritable(out, error) from None
-    if chosen.told is not None and isinstance(content, bytes) and not quiet:
+    write_result(out, content)
+    if out is not None and chosen.told is not None and isinstance(content, bytes) and not quiet:
         tell(chosen.told(content), err=True)
 
 
@@ -167,38 +147,27 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
   place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json""",
 )
-@layout_option
-@option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
-@question_options(*JUDGED)
-@job_options()
-@click.pass_obj
-def sheet(
-    progress: StageProgress,
-    *,
-    layout_names: tuple[str, ...],
-    out: Path,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-) -> None:
+@options.layout_option
+@options.option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
+@options.asking(*options.JUDGED, has_cache=False)
+def sheet(job: Job, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.
 
     Where, how high, where it looks in words and degrees, what it will see (rendered), a plan, the
     nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
     """
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names, question)
+    job = job.begin()
+    layout = job.layout(layout_names)
     from ..parts.sheet import run_sheet
 
-    summary = run_sheet(question, layout=layout, out=out, compute=compute, progress=progress)
-    print_result(summary, progress, as_json, lambda: sheet_text(summary))
+    summary = run_sheet(job.question, layout=layout, out=out, **job.means)
+    job.print(summary, lambda: sheet_text(summary))
 
 
 def sheet_text(summary: "SheetResult") -> str:

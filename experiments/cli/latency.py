@@ -6,21 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
-from ..progress import StageProgress
 from ..results.numbers import percent
-from .options import (
-    JUDGED,
-    SectionedCommand,
-    folder_option,
-    job_options,
-    layout_option,
-    option,
-    question_options,
-)
-from .running import begin, load_one_layout, print_result
+from . import options
+from .running import Job
 from .terminal import driven_lines, sentences, table
 
 if TYPE_CHECKING:
@@ -30,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus latency --layout carlancap-12
@@ -38,14 +26,14 @@ Examples:
   place-rsus latency --layout mine.json --budget mine.toml --json
   place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2""",
 )
-@layout_option
-@option(
+@options.layout_option
+@options.option(
     "--budget",
     metavar="NAME|FILE",
     help="study (one number, 25 ms), cpm-100ms, cpm-50ms, or a .toml file with parts of one's own; "
     "default: study.",
 )
-@option(
+@options.option(
     "--vut-latency",
     "vut_latency_s",
     type=click.FloatRange(min=0.0),
@@ -53,7 +41,7 @@ Examples:
     expected="seconds, at least 0",
     help="Of the VUT's own sensors, which wait for no message; default: that of all others.",
 )
-@option(
+@options.option(
     "--max",
     "max_latency_s",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -61,22 +49,18 @@ Examples:
     expected="seconds, more than 0",
     help="Longest latency shown; default: 0.5, or as far as the budget reaches.",
 )
-@folder_option("latency.csv and latency.png")
-@question_options(*(name for name in JUDGED if name not in ("latency_budget", "cars")))
-@job_options()
-@click.pass_obj
+@options.folder_option("latency.csv and latency.png")
+@options.asking(
+    *(name for name in options.JUDGED if name not in ("latency_budget", "cars")), has_cache=False
+)
 def latency(
-    progress: StageProgress,
+    job: Job,
     *,
     layout_names: tuple[str, ...],
     budget: str | None,
     vut_latency_s: float | None,
     max_latency_s: float | None,
     out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
 ) -> None:
     """How much latency a layout bears: accidents prevented against the time to braking.
 
@@ -84,21 +68,20 @@ def latency(
     long as the budget says: exposure, detector, the wait for the next collective perception
     message (CPM), radio, decision.
     """
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names, question)
+    job = job.begin()
+    layout = job.layout(layout_names)
     from ..parts.latency import run_latency
 
     summary = run_latency(
-        question,
+        job.question,
         layout=layout,
         budget=budget,
         vut_latency_s=vut_latency_s,
         max_latency_s=max_latency_s,
         out=out,
-        compute=compute,
-        progress=progress,
+        **job.means,
     )
-    print_result(summary, progress, as_json, lambda: latency_text(summary, out))
+    job.print(summary, lambda: latency_text(summary, out))
 
 
 _COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VUT alone"}
@@ -115,26 +98,22 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
     from ..parts.latency import APR_LEVELS, STEP_S
 
     parties, budget = summary.parties, summary.budget
+    latencies_s, main = summary.latencies_s, [parties[name] for name in _COLUMNS]
     rows = [round(latency_s / STEP_S) for latency_s in _SHOWN_S]
     at = [
-        [_ms(summary.latencies_s[row]), *(percent(parties[name].apr[row]) for name in _COLUMNS)]
+        [_ms(latencies_s[row]), *(percent(party.apr[row]) for party in main)]
         for row in rows
-        if row < len(summary.latencies_s)
+        if row < len(latencies_s)
     ]
     longest = [
-        [
-            f"{100.0 * level:g} %",
-            *(_longest(parties[name].longest_s(summary.latencies_s, level)) for name in _COLUMNS),
-        ]
+        [f"{100.0 * level:g} %", *(_longest(one.longest_s(latencies_s, level)) for one in main)]
         for level in APR_LEVELS
     ]
     names = _COLUMNS | {name: _OTHERS.get(name, name) for name in parties if name not in _COLUMNS}
     within = [
-        [
-            words,
-            *map(percent, (parties[name].at_best, parties[name].at_mean, parties[name].at_worst)),
-        ]
+        [words, *map(percent, (party.at_best, party.at_mean, party.at_worst))]
         for name, words in names.items()
+        for party in [parties[name]]
     ]
     lines = [
         *driven_lines(summary.driven, summary.without_effect),

@@ -4,8 +4,8 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import wraps
+from dataclasses import asdict, dataclass
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -25,7 +25,7 @@ from placement.question import (
     save_question,
 )
 
-from .running import cache_folder, check_address_space
+from .running import Job, cache_folder, check_address_space
 
 ASKED = "What is asked"
 MOUNTED = "What may be mounted, and where"
@@ -169,20 +169,15 @@ class WordedOption(click.Option):
             me = option_name(self)
             if raw == "" and not self.expected:  # else what is expected is said
                 raise click.UsageError(f"{me}: got nothing; expected a value, or no {me}")
-            others = {param.name: param for param in ctx.command.params}
-            for name in filter(None, (self.needs, self.excludes)):
-                other = others.get(name)
-                if other is None:
-                    continue
+            related = [one for one in ctx.command.params if one.name in (self.needs, self.excludes)]
+            for other in related:
                 found, of_other = other.consume_value(ctx, opts)
                 is_set = of_other is not ParameterSource.DEFAULT and bool(found)
                 is_set &= found not in ("0", other.default)
-                if is_set != (name == self.needs):
-                    got = "beside" if is_set else "without"
-                    raise click.UsageError(
-                        f"{me}: got it {got} {option_name(other)}; expected "
-                        + ("one of them" if is_set else "both")
-                    )
+                if is_set != (other.name == self.needs):
+                    got, wanted = ("beside", "one of them") if is_set else ("without", "both")
+                    other_name = option_name(other)
+                    raise click.UsageError(f"{me}: got it {got} {other_name}; expected {wanted}")
         return super().handle_parse_result(ctx, opts, args)
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
@@ -230,8 +225,8 @@ def complete_paths(
     context: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Leaves it to the shell to complete a path; the study's layout goes by its name."""
-    takes_layouts = str(param.name) in ("layout_names", "keep", "within")
-    if takes_layouts and incomplete and BASELINE_NAME.startswith(incomplete):
+    takes_layouts = incomplete and param.name in ("layout_names", "keep", "within")
+    if takes_layouts and BASELINE_NAME.startswith(incomplete):
         return [CompletionItem(BASELINE_NAME)]
     return [CompletionItem(incomplete, type="file")]
 
@@ -259,18 +254,13 @@ PLANNED = (*fields_in(ASKED, MOUNTED, SOUGHT), "fusion")
 """Fields of commands that look for layouts."""
 JUDGED = fields_in(DRIVEN, SEEN, but=("fusion",))
 """Fields of commands that evaluate layouts."""
-_WEIGHED = ("weights", "near", "accidents_within_m", "score")
-PICTURED = fields_in(
-    DRIVEN,
-    SEEN,
-    but=("fusion", *_WEIGHED, "vut_sensors", "cars", "packet_loss", "vam_rate", "track_memory_s"),
+_JUDGING = (
+    *("fusion", "weights", "near", "accidents_within_m", "score"),
+    *("vut_sensors", "cars", "packet_loss", "vam_rate"),
 )
+PICTURED = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "track_memory_s"))
 """Fields of commands that draw what each unit sees, whoever judges it."""
-ONLY_DRIVEN = fields_in(
-    DRIVEN,
-    SEEN,
-    but=("fusion", *_WEIGHED, "detector", "vut_sensors", "cars", "packet_loss", "vam_rate"),
-)
+ONLY_DRIVEN = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "detector"))
 """Fields of commands that show what is driven and judge nothing."""
 
 
@@ -281,15 +271,10 @@ def field_option(field: QuestionField, default: Any = None) -> Decorator:
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
     limit: Any = limits[0] if limits else Meta()
     settings: dict[str, Any] = {
+        **asdict(shown),
         "default": default,
         "show_default": bool(default),
         "help": help_of(field),
-        "section": shown.section,
-        "is_common": shown.is_common,
-        "is_path": shown.is_path,
-        "takes_infinity": shown.takes_infinity,
-        "needs": shown.needs,
-        "excludes": shown.excludes,
         "metavar": shown.metavar or None,
         "expected": limit.description or "",
     }
@@ -350,19 +335,13 @@ def _refuse_program_of_file(question: Question) -> None:
     """Refuse a network that only a question file names: it is a program, and files come by mail."""
     source = click.get_current_context().get_parameter_source("detector")
     if source is ParameterSource.DEFAULT_MAP and ".onnx" in question.detector:
-        raise InputError(
-            "--question: detector",
-            question.detector,
-            f"no network, which is a program, or --detector {question.detector} as well if you "
-            "trust it",
-        )
+        trusted = f"--detector {question.detector} as well if you trust it"
+        expected = f"no network, which is a program, or {trusted}"
+        raise InputError("--question: detector", question.detector, expected)
 
 
 def one_run_options() -> Decorator:
-    """The argument and the options that name a single run, and how it brakes.
-
-    The command gets them as one `question`, and the `position` of the run.
-    """
+    """The argument and options that name a run: the command gets `question` and `position`."""
     naming = (
         click.argument("cases", metavar="CASE"),
         option("--approach", "approaches", required=True, metavar="ARM", help="Such as east."),
@@ -382,11 +361,8 @@ def one_run_options() -> Decorator:
         ),
     )
     apart = ("cases", "approaches", "speeds")
-    others = question_options(
-        *(name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")),
-        named_apart=apart,
-        has_file=False,
-    )
+    asked = [name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")]
+    others = question_options(*asked, named_apart=apart, has_file=False)
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         return _decorate(others(command), naming)
@@ -426,44 +402,32 @@ _save_question_option = option(
 # ---------- options that several commands share
 
 
-def _be_verbose(context: click.Context, param: click.Parameter, is_verbose: bool) -> None:
-    if is_verbose:
-        context.obj.tell_more()
-
-
-def _show_traceback(context: click.Context, param: click.Parameter, is_shown: bool) -> None:
+def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: bool) -> None:
     if is_shown:
         context.obj.shows_tracebacks = True
 
 
-json_option = option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    section=PROGRAM,
-    help="Print JSON on stdout and nothing else.",
+_of_program = partial(option, section=PROGRAM)
+_seldom = partial(option, section=PROGRAM, is_common=False)
+
+json_option = _of_program(
+    "--json", "as_json", is_flag=True, help="Print JSON on stdout and nothing else."
 )
-_verbose_option = option(
+_verbose_option = _seldom(
     "--verbose",
     is_flag=True,
     expose_value=False,
-    callback=_be_verbose,
-    section=PROGRAM,
-    is_common=False,
+    callback=lambda context, _, is_given: is_given and context.obj.tell_more(),
     help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
 )
-_debug_option = option(
+_debug_option = _seldom(
     "--debug",
     is_flag=True,
     expose_value=False,
     callback=_show_traceback,
-    section=PROGRAM,
-    is_common=False,
     help="Show the full text of an unexpected error.",
 )
-_quiet_option = option(
-    "--quiet", is_flag=True, section=PROGRAM, help="Nothing but errors on stderr."
-)
+_quiet_option = _of_program("--quiet", is_flag=True, help="Nothing but errors on stderr.")
 
 
 def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -471,55 +435,42 @@ def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
     return _quiet_option(_verbose_option(_debug_option(command)))
 
 
-_workers_option = option(
+_workers_option = _seldom(
     "--workers",
     type=click.IntRange(min=1),
     metavar="N",
     default=os.cpu_count() or 1,
     show_default="one per processor",
     expected="a number of threads, at least 1",
-    section=PROGRAM,
-    is_common=False,
     help="Threads.",
 )
-_seed_option = option(
+_seed_option = _seldom(
     "--seed",
     type=click.IntRange(min=0),
     metavar="N",
     default=0,
     show_default=True,
     expected="a whole number, at least 0",
-    section=PROGRAM,
-    is_common=False,
     help="Of all that is left to chance: points on the road users, misses, lost messages.",
 )
-_cache_option = option(
+_cache_option = _seldom(
     "--cache/--no-cache",
     "uses_cache",
     default=True,
     show_default=True,
-    section=PROGRAM,
-    is_common=False,
     help="Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
 )
-
-
-_rays_option = option(
+_rays_option = _seldom(
     "--rays",
     type=click.Choice(RAYS),
     default=RAYS[0],
     show_default=True,
-    section=PROGRAM,
-    is_common=False,
     help="Library that casts rays; auto: the fastest that loads. The results are the same.",
 )
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:
-    """Options that say how to compute; the command gets them as one `compute`.
-
-    `has_cache`: the command builds detection tables, which can be kept.
-    """
+    """Options that say how to compute, as a `compute`; `has_cache`: it builds tables."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
@@ -547,13 +498,33 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
 
 
 def job_options(*, has_cache: bool = False) -> Decorator:
-    """The last options of a command that computes: what it prints, what it tells, and how.
-
-    The command gets `as_json`, `quiet` and `compute`; `has_cache` as in :func:`compute_options`.
-    """
+    """The last options of a command that computes: it gets `as_json`, `quiet` and `compute`."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         return _decorate(command, [json_option, quiet_option, compute_options(has_cache=has_cache)])
+
+    return decorate
+
+
+def asking(
+    *names: str, defaults: dict[str, Any] | None = None, has_cache: bool = True
+) -> Decorator:
+    """Options of a command that asks something and computes; it gets them as one `job`."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_job(
+            *, question: Question, compute: Compute, as_json: bool, quiet: bool, **values: Any
+        ) -> Any:
+            progress = click.get_current_context().find_root().obj
+            job = Job(
+                progress=progress, question=question, compute=compute, as_json=as_json, quiet=quiet
+            )
+            return command(job, **values)
+
+        return question_options(*names, defaults=defaults)(
+            job_options(has_cache=has_cache)(with_job)
+        )
 
     return decorate
 
@@ -626,12 +597,8 @@ class SectionedCommand(click.Command):
         _write_sections(self, ctx, formatter)
 
 
-class SectionedGroup(click.Group):
+class SectionedGroup(SectionedCommand, click.Group):
     """A group with options of its own, listed in sections, and commands."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.params = _with_help_all(self.params)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write commands first: whoever looks for one need not pass by the options."""
@@ -657,17 +624,10 @@ def with_option_names(message: str, group: click.Group) -> str:
     return re.sub(r"\A([a-z0-9_]+)(?=:| in )", name, message)
 
 
-def _option_names(group: click.Group) -> Iterator[tuple[str, str]]:
+def _option_names(command: click.Command) -> Iterator[tuple[str, str]]:
     """Names of parameters with those of their options, of a group after those of its commands."""
-    for command in group.commands.values():
-        if isinstance(command, click.Group):
-            yield from _option_names(command)
-        else:
-            yield from _names_of(command)
-    yield from _names_of(group)
-
-
-def _names_of(command: click.Command) -> Iterator[tuple[str, str]]:
+    for one in command.commands.values() if isinstance(command, click.Group) else ():
+        yield from _option_names(one)
     for param in command.params:
         if isinstance(param, click.Option) and param.name is not None:
-            yield param.name, max(param.opts, key=len)
+            yield param.name, option_name(param)

@@ -5,26 +5,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
 from ..parts import Part
-from ..progress import StageProgress
 from ..results.numbers import cars_words, several
-from .options import (
-    ASKED,
-    JUDGED,
-    MOUNTED,
-    Decorator,
-    SectionedCommand,
-    fields_in,
-    folder_option,
-    job_options,
-    layout_option,
-    option,
-    question_options,
-)
-from .running import begin, command_line, load_one_layout, print_result
+from . import options
+from .running import Job, command_line
 from .terminal import answer_text, driven_lines
 
 if TYPE_CHECKING:
@@ -36,17 +20,20 @@ _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
 # A front has every APR and every number of units: what asks for one of them has no place here.
-_ASKED = fields_in(ASKED, MOUNTED, but=("budget", "target", "least", "survive", "give_up"))
+_ASKED = options.fields_in(
+    options.ASKED, options.MOUNTED, but=("budget", "target", "least", "survive", "give_up")
+)
 
 
-def front_options(*asked: str) -> Decorator:
-    """Options of a question for commands that look for several layouts, each with its own time."""
-    defaults = {"time_limit_s": _TIME_LIMIT_S}
-    return question_options(*asked, *_SOUGHT, *JUDGED, defaults=defaults)
+def front_options(*asked: str) -> options.Decorator:
+    """Options of commands that look for several layouts, each with its own time."""
+    return options.asking(
+        *asked, *_SOUGHT, *options.JUDGED, defaults={"time_limit_s": _TIME_LIMIT_S}
+    )
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus pareto --max 8                        what each further unit buys
@@ -55,7 +42,7 @@ Examples:
   place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
   place-rsus pareto --max 5 --out results/pareto --json""",
 )
-@option(
+@options.option(
     "--max",
     "max_units",
     type=click.IntRange(min=1),
@@ -65,53 +52,39 @@ Examples:
     show_default=True,
     help="Most units, beside those of --keep.",
 )
-@option(
+@options.option(
     "--by",
     type=click.Choice(("units", "cost")),
     default="units",
     show_default=True,
     help="What there is more and more of: units, or money for units and sites.",
 )
-@option(
+@options.option(
     "--all-stages",
     is_flag=True,
     help="Optimise time to spare and cost, too, not only the APR with and without a failure.",
 )
-@folder_option("pareto.csv, pareto.json and pareto.png")
+@options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
-@job_options(has_cache=True)
-@click.pass_obj
-def pareto(
-    progress: StageProgress,
-    *,
-    max_units: int,
-    by: str,
-    all_stages: bool,
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-) -> None:
+def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | None) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share of
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
-    question = begin(progress, question, quiet=quiet)
+    job = job.begin()
     from ..parts.front import run_pareto
 
     summary = run_pareto(
-        question,
+        job.question,
         by=by,
         max_units=max_units,
         all_stages=all_stages,
         out=out,
-        compute=compute,
         command=command_line(),
-        progress=progress,
+        **job.means,
     )
-    print_result(summary, progress, as_json, lambda: front_text(summary, out))
+    job.print(summary, lambda: front_text(summary, out))
 
 
 def front_text(summary: "FrontResult", out: Path | None) -> str:
@@ -128,8 +101,15 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
         ),
         Part(words=summary.sentences),
     ]
+    return _with_head(summary, parts, out, "pareto.csv, pareto.json and pareto.png")
+
+
+def _with_head(
+    summary: "FrontResult | RetrofitResult", parts: list[Part], out: Path | None, files: str
+) -> str:
+    """An answer with what is driven before it, and the files that were written behind it."""
     if out is not None:
-        parts.append(Part(words=[f"Written to {out}: pareto.csv, pareto.json and pareto.png."]))
+        parts.append(Part(words=[f"Written to {out}: {files}."]))
     head = driven_lines(summary.driven, summary.without_effect)
     return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
 
@@ -138,11 +118,11 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
 
 
 # Existing units are --layout; what is added is asked for by money alone.
-_ADDED = ("budget_cost", *fields_in(MOUNTED, but=("keep", "within", "force_site")))
+_ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus retrofit --layout carlancap-12
@@ -150,8 +130,8 @@ Examples:
   place-rsus retrofit --layout mine.json --sensors carla-ncap-lidar
   place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
 )
-@layout_option
-@option(
+@options.layout_option
+@options.option(
     "--visit-cost",
     "visit_eur",
     type=click.FloatRange(min=0.0),
@@ -159,40 +139,29 @@ Examples:
     expected="euros, at least 0",
     help="Of a re-aim or a removal; default: people and a lift, by the project's assumptions.",
 )
-@folder_option("retrofit.csv and retrofit.json")
+@options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
-@job_options(has_cache=True)
-@click.pass_obj
 def retrofit(
-    progress: StageProgress,
-    *,
-    layout_names: tuple[str, ...],
-    visit_eur: float | None,
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
+    job: Job, *, layout_names: tuple[str, ...], visit_eur: float | None, out: Path | None
 ) -> None:
     """What to change about units that are mounted: remove, re-aim or add one, each priced.
 
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
     re-aims and additions together for the money, too.
     """
-    question = begin(progress, question, quiet=quiet)
-    layout = load_one_layout(layout_names, question)
+    job = job.begin()
+    layout = job.layout(layout_names)
     from ..parts.retrofit import run_retrofit
 
     summary = run_retrofit(
-        question,
+        job.question,
         layout=layout,
         visit_eur=visit_eur,
         out=out,
-        compute=compute,
         command=command_line(),
-        progress=progress,
+        **job.means,
     )
-    print_result(summary, progress, as_json, lambda: retrofit_text(summary, out))
+    job.print(summary, lambda: retrofit_text(summary, out))
 
 
 def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
@@ -213,7 +182,4 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
         ),
         Part(words=summary.sentences),
     ]
-    if out is not None:
-        parts.append(Part(words=[f"Written to {out}: retrofit.csv and retrofit.json."]))
-    head = driven_lines(summary.driven, summary.without_effect)
-    return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
+    return _with_head(summary, parts, out, "retrofit.csv and retrofit.json")

@@ -4,28 +4,15 @@ from pathlib import Path
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
-from ..progress import StageProgress
-from .options import (
-    JUDGED,
-    PLANNED,
-    SectionedGroup,
-    is_given,
-    job_options,
-    option,
-    option_name,
-    question_options,
-)
+from . import options
 from .recording import check_recording_options, recorded_placement_table, recording_options
-from .running import begin, command_line, print_answer, print_result
+from .running import Job, command_line
 
 DEFAULT_OUT = Path("results/latest")
 
 
 @click.group(
-    cls=SectionedGroup,
+    cls=options.SectionedGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="""\b
@@ -58,7 +45,7 @@ Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the i
 cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
-@option(
+@options.option(
     "--out",
     type=click.Path(path_type=Path),
     default=DEFAULT_OUT,
@@ -66,30 +53,18 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
 @recording_options
-@question_options(*PLANNED, *JUDGED)
-@job_options(has_cache=True)
-@click.pass_context
-def cli(
-    context: click.Context,
-    *,
-    recording: Path | None,
-    min_confidence: float,
-    question: Question,
-    out: Path,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-) -> None:
+@options.asking(*options.PLANNED, *options.JUDGED)
+def cli(job: Job, *, recording: Path | None, min_confidence: float, out: Path) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
 
     Finds the best layout for the junction of the CarlaNCAP study, proves that it is, evaluates it
     by full perception and emergency braking, compares it with the study's 12 cameras, and writes
     a report.
     """
+    context, question = click.get_current_context(), job.question
     if context.invoked_subcommand is not None:
-        given = [
-            option_name(param) for param in context.command.params if is_given(str(param.name))
-        ]
+        names = [(param, str(param.name)) for param in context.command.params]
+        given = [options.option_name(param) for param, name in names if options.is_given(name)]
         if given:
             raise click.UsageError(
                 f"{given[0]}: options of {context.invoked_subcommand} go behind its name"
@@ -100,38 +75,32 @@ def cli(
             "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
             "--budget-cost)"
         )
-    progress: StageProgress = context.obj
     check_recording_options(recording)
     if recording is not None:
-        progress.start(quiet=quiet)
+        job.progress.start(quiet=job.quiet)
         from ..parts import recording as recording_job
 
-        folder = out if is_given("out") else None
+        folder = out if options.is_given("out") else None
         summary = recording_job.run_recorded_placement(
             question,
             folder=recording,
             min_confidence=min_confidence,
             out=folder,
-            progress=progress,
+            progress=job.progress,
         )
-        print_result(summary, progress, as_json, lambda: recorded_placement_table(summary, folder))
+        job.print(summary, lambda: recorded_placement_table(summary, folder))
         return
-    question = begin(progress, question, quiet=quiet)
+    job = job.begin()
     from ..jobs import READY
     from ..side_process import side_process
 
-    asks_much = not (is_given("cases") or question.speeds or question.approaches)
-    with side_process(asks_much and compute.workers > 1, **READY) as side:  # loads meanwhile
+    asks_much = not (options.is_given("cases") or question.speeds or question.approaches)
+    with side_process(asks_much and job.compute.workers > 1, **READY) as side:  # loads meanwhile
         from ..jobs import placement
 
         result = placement.run_placement(
-            question,
-            out=out,
-            compute=compute,
-            command=command_line(),
-            progress=progress,
-            side=side,
+            job.question, out=out, command=command_line(), side=side, **job.means
         )
     from .answers import placement_parts
 
-    print_answer(result, progress, as_json, lambda: placement_parts(result, out))
+    job.print_answer(result, lambda: placement_parts(result, out))

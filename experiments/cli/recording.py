@@ -8,7 +8,7 @@ import click
 
 from ..parts import Part
 from ..results.numbers import percent
-from .options import SEEN, is_given, option, option_name
+from . import options
 from .terminal import answer_text, sentences, wide_table
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _NOTE = (
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--recording`` and ``--min-confidence`` to a command."""
-    confidence = option(
+    confidence = options.option(
         "--min-confidence",
         type=click.FloatRange(min=0.0, max=1.0),
         metavar="SHARE",
@@ -37,14 +37,14 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
         default=0.0,
         show_default=True,
         needs="recording",
-        section=SEEN,
+        section=options.SEEN,
         is_common=False,
         help="With --recording: detections below do not count.",
     )
-    return option(
+    return options.option(
         "--recording",
         type=click.Path(path_type=Path),
-        section=SEEN,
+        section=options.SEEN,
         is_common=False,
         metavar="DIR",
         help="Work on recorded detections in the study's folder format; --out gets summary.json.",
@@ -52,16 +52,13 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_recording_options(recording: Path | None) -> None:
-    """Refuse options that say nothing next to a recording.
-
-    Raises click.UsageError: says which.
-    """
+    """Refuse options that say nothing next to a recording, by click.UsageError."""
     if recording is None:
         return
     for param in click.get_current_context().command.params:
-        if param.name not in _WITH_RECORDING and is_given(str(param.name)):
+        if param.name not in _WITH_RECORDING and options.is_given(str(param.name)):
             raise click.UsageError(
-                f"{option_name(param)}: got it beside --recording; expected one of them: "
+                f"{options.option_name(param)}: got it beside --recording; expected one of them: "
                 "a recording has units and drives of its own"
             )
 

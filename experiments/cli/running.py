@@ -4,20 +4,22 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from geometry.files import user_cache_folder
+from geometry.files import user_cache_folder, write_atomically
 
 from ..parts import Part
-from ..progress import StageProgress, tell
+from ..progress import StageProgress, tell, write_out
 from .terminal import answer_text
 
 _LEAST_BYTES = 2_000_000_000
 
 if TYPE_CHECKING:
+    from placement.compute import Compute
     from placement.layout import Layout
     from placement.question import Question
 
@@ -25,8 +27,8 @@ if TYPE_CHECKING:
 class Session(StageProgress):
     """The context object of all commands: progress, and the importer of maps.
 
-    The importer is handed in by the program, so that no command depends on all formats of maps. It
-    returns the folder of the scene, and what was imported in words.
+    It is handed in by the program, so that no command depends on all formats of maps, and returns
+    the folder of the scene, and what was imported in words.
     """
 
     def __init__(self, import_map: Callable[..., tuple[str, str]]) -> None:
@@ -44,8 +46,6 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
     progress.start(quiet=quiet)
     if not (map_options(question) or Path(question.scene).is_file()):
         return question
-    from dataclasses import replace
-
     from geometry.scene_files import has_scene
 
     if has_scene(Path(question.scene)) and not map_options(question):
@@ -58,10 +58,9 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
 
 
 def load_one_layout(names: Sequence[str], question: "Question | None" = None) -> "Layout":
-    """The layout of a command that takes ``--layout`` once.
+    """The layout of ``--layout``, given once, else click.UsageError; InputError: there is none.
 
     With a question, a list of units with places on earth may stand in its place: CSV, or JSON.
-    Raises click.UsageError if it is given several times or not at all, InputError if there is none.
     """
     if len(names) != 1:
         given = f"{len(names)} layouts" if names else "nothing"
@@ -74,6 +73,38 @@ def load_one_layout(names: Sequence[str], question: "Question | None" = None) ->
 
     scene = load_scene(question.scene)
     return find_layout(names[0], "--layout", scene=scene, sensors=question.sensors)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """A call of a command that asks something and computes."""
+
+    progress: StageProgress
+    question: "Question"
+    compute: "Compute"
+    as_json: bool
+    quiet: bool
+
+    def begin(self) -> "Job":
+        """Show what happens from here on; the job with its map imported, see :func:`begin`."""
+        return replace(self, question=begin(self.progress, self.question, quiet=self.quiet))
+
+    def layout(self, names: Sequence[str]) -> "Layout":
+        """The layout of ``--layout``, given once; see :func:`load_one_layout`."""
+        return load_one_layout(names, self.question)
+
+    @property
+    def means(self) -> dict[str, Any]:
+        """What functions that compute take beside what they are asked."""
+        return {"compute": self.compute, "progress": self.progress}
+
+    def print(self, result: Any, text: Callable[[], str]) -> None:
+        """End the command, see :func:`print_result`."""
+        print_result(result, self.progress, self.as_json, text)
+
+    def print_answer(self, result: Any, parts: Callable[[], Iterable[Part]]) -> None:
+        """End a command that answers: in short, or with ``--verbose`` all of it."""
+        self.print(result, lambda: answer_text(parts(), is_verbose=self.progress.is_verbose))
 
 
 def command_line() -> str:
@@ -93,15 +124,6 @@ def print_result(
     tell(to_json_text(result).rstrip() if as_json else text())
 
 
-def print_answer(
-    result: Any, progress: StageProgress, as_json: bool, parts: Callable[[], Iterable[Part]]
-) -> None:
-    """End a command that answers: in short, or with ``--verbose`` all of it."""
-    print_result(
-        result, progress, as_json, lambda: answer_text(parts(), is_verbose=progress.is_verbose)
-    )
-
-
 def cache_folder() -> Path:
     """Where results are cached: PLACE_RSUS_CACHE, or the user's cache folder."""
     folder = os.environ.get("PLACE_RSUS_CACHE")
@@ -109,10 +131,7 @@ def cache_folder() -> Path:
 
 
 def check_address_space() -> None:
-    """Refuse a limit of address space in which libraries end by a segmentation fault.
-
-    Raises click.UsageError: it is below 2 GB: a small question reserves 2.3 where it may.
-    """
+    """Refuse, by click.UsageError, a limit of address space in which libraries end by a fault."""
     try:
         import resource
     except ImportError:  # Windows
@@ -122,6 +141,17 @@ def check_address_space() -> None:
         raise click.UsageError(
             f"ulimit -v: got {limit // 1000:,} kB; expected {_LEAST_BYTES // 1000:,} or no limit"
         )
+
+
+def write_result(out: Path | None, content: str | bytes) -> None:
+    """Write a content to a file, or to stdout. Raises click.UsageError: it cannot be written."""
+    if out is None:
+        write_out(content)
+        return
+    try:
+        write_atomically(out, content)
+    except OSError as error:
+        raise unwritable(out, error) from None
 
 
 def unwritable(path: object, error: OSError) -> click.UsageError:

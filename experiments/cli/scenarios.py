@@ -3,11 +3,10 @@
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -15,24 +14,15 @@ import msgspec
 from geometry.errors import InputError, Unquoted
 from placement.question import Question
 
-from ..progress import StageProgress, tell, write_out
+from ..progress import StageProgress, tell
 from ..results.numbers import several
-from .options import (
-    ONLY_DRIVEN,
-    SectionedCommand,
-    json_option,
-    one_run_options,
-    option,
-    question_options,
-    quiet_option,
-)
-from .running import begin, print_result, unwritable
+from . import options
+from .running import begin, print_result, unwritable, write_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
     from geometry.scene import Scene
     from placement.setting import Drives
-    from scenarios.cases import Case
     from scenarios.runs import Run
     from scenarios.trajectories import Track
 
@@ -67,12 +57,11 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
     for run in drives.runs:
         driven.setdefault((run.case.name, run.approach, run.position), []).append(run)
     refusals = (*drives.refused, *drives.left_out)
+    keyed = [((one.case.name, one.approach, one.position), one) for one in refusals]
     refused: Counter[_Key] = Counter()
-    for refusal in refusals:
-        key = (refusal.case.name, refusal.approach, refusal.position)
+    for key, refusal in keyed:
         refused[key] += len(refusal.speeds_kmh)
-    for refusal in refusals:
-        key = (refusal.case.name, refusal.approach, refusal.position)
+    for key, refusal in keyed:
         is_partly = key in driven or refused[key] > len(refusal.speeds_kmh)
         at = f"at {refusal.speeds_text} km/h: "
         reason = f"{at}{refusal.reason}" if is_partly else refusal.reason
@@ -84,45 +73,35 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
     cases = list(dict.fromkeys(case for case, _, _ in keys))
     pairs = list(dict.fromkeys(key[:2] for key in keys))
     positions = sort_positions(key[2] for key in keys)
-    keys.sort(
-        key=lambda key: (
-            cases.index(key[0]),
-            pairs.index(key[:2]),
-            positions.index(key[2]),
-        )
-    )
+    keys.sort(key=lambda k: (cases.index(k[0]), pairs.index(k[:2]), positions.index(k[2])))
     described = {run.case.name: run.case for run in drives.runs}
     described |= {refusal.case.name: refusal.case for refusal in refusals}
-    return [_row(key, described[key[0]], driven.get(key, []), reasons.get(key, [])) for key in keys]
-
-
-def _row(key: _Key, case: "Case", runs: "Sequence[Run]", reasons: Sequence[str]) -> DrivenRow:
-    # Several runs have the same speed and differ elsewhere: the earliest time is shown.
-    times: dict[float, float] = {}
-    for run in runs:
-        earliest_s = times.get(run.vut_speed_kmh, math.inf)
-        times[run.vut_speed_kmh] = min(earliest_s, run.last_brake_time_s)
-    speeds_kmh, times_s = tuple(times), tuple(times.values())
-    name, approach, position = key
-    return DrivenRow(
-        case=name,
-        title=case.title,
-        road_user=case.road_user,
-        approach=approach,
-        position=position,
-        speeds_kmh=speeds_kmh,
-        vru_speeds_kmh=tuple(sorted({run.case.vru_speed_kmh for run in runs})),
-        n_runs=len(runs),
-        last_brake_time_s=tuple(time_s if math.isfinite(time_s) else None for time_s in times_s),
-        reason="; ".join(reasons) or None,
-    )
+    rows = []
+    for name, approach, position in keys:
+        runs = driven.get((name, approach, position), [])
+        # Several runs have the same speed and differ elsewhere: the earliest time is shown.
+        times: dict[float, float] = {}
+        for run in runs:
+            earliest_s = times.get(run.vut_speed_kmh, math.inf)
+            times[run.vut_speed_kmh] = min(earliest_s, run.last_brake_time_s)
+        row = DrivenRow(
+            case=name,
+            title=described[name].title,
+            road_user=described[name].road_user,
+            approach=approach,
+            position=position,
+            speeds_kmh=tuple(times),
+            vru_speeds_kmh=tuple(sorted({run.case.vru_speed_kmh for run in runs})),
+            n_runs=len(runs),
+            last_brake_time_s=tuple(t if math.isfinite(t) else None for t in times.values()),
+            reason="; ".join(reasons.get((name, approach, position), [])) or None,
+        )
+        rows.append(row)
+    return rows
 
 
 def scenario_table(rows: Sequence[DrivenRow]) -> str:
-    """The rows as a table, a line per case and approach.
-
-    Below it: who meets the VUT in each case; where; and what is not driven or laid, and why.
-    """
+    """The rows as a table, then who meets the VUT, where, and what is not driven, and why."""
     from scenarios.cases import load_unlaid_cases
 
     unlaid = [entry for entry in rows if entry.case in load_unlaid_cases()]
@@ -197,14 +176,9 @@ def _position_table(rows: Sequence[DrivenRow]) -> list[str]:
     cells = []
     for position in sort_positions(entry.position for entry in rows):
         there = [entry for entry in rows if entry.position == position and entry.n_runs]
-        cells.append(
-            [
-                position,
-                str(sum(entry.n_runs for entry in there)),
-                str(len({entry.case for entry in there})),
-                str(len({entry.approach for entry in there})),
-            ]
-        )
+        n_runs, n_cases = sum(one.n_runs for one in there), len({one.case for one in there})
+        n_approaches = len({one.approach for one in there})
+        cells.append([position, str(n_runs), str(n_cases), str(n_approaches)])
     return table(["metres along the arms", "runs", "cases", "approaches"], cells, indent=0)
 
 
@@ -238,15 +212,15 @@ def scenarios() -> None:
 
 @scenarios.command(
     "list",
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west
   place-rsus scenarios list --cases CPNA --along-arms 0,20,40""",
 )
-@question_options(*ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
-@json_option
-@quiet_option
+@options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def list_scenarios(
     progress: StageProgress, *, question: Question, as_json: bool, quiet: bool
@@ -288,13 +262,13 @@ Examples:
   place-rsus scenarios show CPNCO-50 --approach east --speed 40
   place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
 )
-@one_run_options()
-@option(
+@options.one_run_options()
+@options.option(
     "--out",
     type=click.Path(path_type=Path),
     help="Film strip (.png, .svg, .pdf) or animation (.gif); default: a .png in results/scenarios.",
 )
-@quiet_option
+@options.quiet_option
 @click.pass_obj
 def show(
     progress: StageProgress, *, question: Question, position: str, out: Path | None, quiet: bool
@@ -305,11 +279,12 @@ def show(
     scene, run = _drive_one(progress, question, position, quiet=quiet)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
     progress("draw", 0, 0)
-    _write(
-        path,
-        lambda: save_film(path, scene, run, progress=progress),
-        makes_folder=out is None,
-    )
+    try:
+        if out is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        save_film(path, scene, run, progress=progress)
+    except OSError as error:
+        raise unwritable(path, error) from None
     progress.stop()
     tell(f"Written to {path}.")
 
@@ -324,13 +299,25 @@ Examples:
   place-rsus --scene junction --cases near.toml --budget 3""",
 )
 @click.argument("paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path))
-@option("--ttc", "ttc_s", type=float, metavar="S", help="Longest time to collision; default: 2.")
-@option("--within", "within_m", type=float, metavar="M", help="Also pairs that come so near.")
-@option("--rate", "rate_hz", type=float, metavar="HZ", help="Of CSV files that count frames.")
-@option("--columns", default="", metavar="WHAT=NAME,..", help="Of CSV files: id=..,time=..,x=..")
-@option("--class", "class_name", default="", metavar="CLASS", help="Of CSV files without classes.")
-@option("--name", default="", help="What names of cases begin with; default: the first FILE's.")
-@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.option(
+    "--ttc", "ttc_s", type=float, metavar="S", help="Longest time to collision; default: 2."
+)
+@options.option(
+    "--within", "within_m", type=float, metavar="M", help="Also pairs that come so near."
+)
+@options.option(
+    "--rate", "rate_hz", type=float, metavar="HZ", help="Of CSV files that count frames."
+)
+@options.option(
+    "--columns", default="", metavar="WHAT=NAME,..", help="Of CSV files: id=..,time=..,x=.."
+)
+@options.option(
+    "--class", "class_name", default="", metavar="CLASS", help="Of CSV files without classes."
+)
+@options.option(
+    "--name", default="", help="What names of cases begin with; default: the first FILE's."
+)
+@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 def take_recordings(
     *,
     paths: tuple[Path, ...],
@@ -349,7 +336,6 @@ def take_recordings(
     user would touch within --ttc seconds if nobody changed speed or direction. It is replayed with
     both on their recorded ways up to that moment, and straight on from there at the same speeds.
     """
-    from geometry.files import write_atomically
     from scenarios.conflicts import cases_text, find_encounters
     from scenarios.trajectories import read_tracks
 
@@ -377,11 +363,7 @@ def take_recordings(
     if not found:
         raise InputError("encounters", Unquoted("none"), "a higher --ttc, or --within")
     source = ", ".join(path.name for path in paths)
-    text = cases_text(found, name=name or paths[0].stem, source=source)
-    if out is None:
-        write_out(text)
-    else:
-        _write(out, lambda: write_atomically(out, text))
+    write_result(out, cases_text(found, name=name or paths[0].stem, source=source))
 
 
 @scenarios.command(
@@ -389,45 +371,40 @@ def take_recordings(
 Examples:
   place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
 )
-@one_run_options()
-@option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.one_run_options()
+@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @click.pass_obj
 def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file.
 
     Where the scene names no such file, its roads are written beside --out, as .xodr.
     """
-    from geometry.files import write_atomically
-
     from ..export.opendrive import to_opendrive
     from ..export.openscenario import to_openscenario
 
     scene, run = _drive_one(progress, question, position, quiet=True)
-    if out is None:
-        write_out(to_openscenario(run, road_network=scene.road_network))
-        return
-    files = {}
     roads = scene.road_network
-    if not roads:
-        roads = out.with_suffix(".xodr").name
-        files[out.with_suffix(".xodr")] = to_opendrive(None, scene)
-    files[out] = to_openscenario(run, road_network=roads)
-    for path, text in files.items():
-        _write(path, partial(write_atomically, path, text))
+    if out is not None and not roads:
+        beside = out.with_suffix(".xodr")
+        roads = beside.name
+        write_result(beside, to_opendrive(None, scene))
+    write_result(out, to_openscenario(run, road_network=roads))
 
 
 @scenarios.command(
     "check-esmini",
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus scenarios check-esmini --cases study
   place-rsus scenarios check-esmini --cases all --esmini ~/esmini/bin/esmini""",
 )
-@question_options(*ONLY_DRIVEN, defaults={"cases": "study"})
-@option("--esmini", "program", default="", metavar="PROGRAM", help="Default: esmini on the path.")
-@json_option
-@quiet_option
+@options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "study"})
+@options.option(
+    "--esmini", "program", default="", metavar="PROGRAM", help="Default: esmini on the path."
+)
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def check_esmini(
     progress: StageProgress, *, question: Question, program: str, as_json: bool, quiet: bool
@@ -483,12 +460,3 @@ def _drive_one(
     question = begin(progress, question, quiet=quiet)
     scene = load_scene(question.scene)
     return scene, drive_one(question, scene, position=position)
-
-
-def _write(path: Path, write: Callable[[], Any], *, makes_folder: bool = False) -> None:
-    try:
-        if makes_folder:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        write()
-    except OSError as error:
-        raise unwritable(path, error) from None

@@ -7,18 +7,12 @@ import click
 
 from ..parts import Part
 from ..progress import StageProgress
-from .options import SectionedCommand, is_given, json_option, option, quiet_option
+from . import options
 from .running import print_result, unwritable
 from .terminal import answer_text, sentences
 
 if TYPE_CHECKING:
     from ..jobs.solve import CoveringResult, PlacementSolution
-
-_QUESTIONS = {
-    "budget_units": "--budget",
-    "budget_cost": "--budget-cost",
-    "target": "--target",
-}
 
 
 def _target(text: str) -> float | None:
@@ -32,7 +26,7 @@ def _target(text: str) -> float | None:
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus solve scp41.txt                       all rows at least cost
@@ -42,7 +36,7 @@ Examples:
   place-rsus solve results/latest/instance.npz --budget 2""",
 )
 @click.argument("file", type=click.Path(path_type=Path))
-@option(
+@options.option(
     "--budget",
     "budget_units",
     type=click.IntRange(min=1),
@@ -50,14 +44,14 @@ Examples:
     expected="a whole number of columns, at least 1",
     help="Cover as much as so many columns can.",
 )
-@option(
+@options.option(
     "--budget-cost",
     type=click.FloatRange(min=0.0),
     metavar="COST",
     expected="an amount of money, at least 0",
     help="Cover as much as columns for so much money can.",
 )
-@option(
+@options.option(
     "--target",
     type=_target,
     metavar="max|SHARE",
@@ -65,7 +59,7 @@ Examples:
     help="Cover that share of the rows, or all that can be covered (max), at least cost; max is "
     "the default.",
 )
-@option(
+@options.option(
     "--track-memory",
     "track_memory_s",
     type=float,
@@ -75,7 +69,7 @@ Examples:
     help="Of placement problems: how long a track lives without detections, in place of the file's "
     "own; inf: for ever, as the study reads it.",
 )
-@option(
+@options.option(
     "--solver",
     default="auto",
     show_default=True,
@@ -83,7 +77,7 @@ Examples:
     help="Of placement problems: auto: what proves soonest; HIGHS: that solver alone; greedy: no "
     "proof. Covering problems are HiGHS' alone.",
 )
-@option(
+@options.option(
     "--time-limit",
     "time_limit_s",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -93,7 +87,7 @@ Examples:
     show_default=True,
     help="When it is up, the best answer found and its gap are given.",
 )
-@option(
+@options.option(
     "--gap",
     type=click.FloatRange(min=0.0),
     metavar="SHARE",
@@ -102,7 +96,7 @@ Examples:
     show_default=True,
     help="Relative distance of objective and bound that is good enough.",
 )
-@option(
+@options.option(
     "--format",
     "format_name",
     type=click.Choice(("auto", "orlib", "gecco", "rail", "sts")),
@@ -112,14 +106,14 @@ Examples:
     "instances, by columns; gecco: the camera placement competition of GECCO 2020; sts: Steiner "
     "triples; auto: by the content.",
 )
-@option(
+@options.option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="FILE",
     help="Write the covering problem in OR-Library's format (orlib).",
 )
-@json_option
-@quiet_option
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def solve(
     progress: StageProgress,
@@ -143,7 +137,13 @@ def solve(
     Chosen columns are numbered as in the file: from 1 in OR-Library's and Steiner triples, else
     from 0; --json says so in numbered_from.
     """
-    _check_one_question()
+    questions = {"budget_units": "--budget", "budget_cost": "--budget-cost", "target": "--target"}
+    asked_for = [words for name, words in questions.items() if options.is_given(name)]
+    if len(asked_for) > 1:
+        known = ", ".join(questions.values())
+        raise click.UsageError(
+            f"{asked_for[1]}: got it beside {asked_for[0]}; expected one of {known}"
+        )
     progress.start(quiet=quiet)
     from ..jobs import solve
 
@@ -152,7 +152,7 @@ def solve(
             raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
         solution = solve.run_solve_windows(
             file,
-            target=float("inf") if target is None and is_given("target") else target,
+            target=float("inf") if target is None and options.is_given("target") else target,
             track_memory_s=track_memory_s,
             progress=progress,
             **asked,
@@ -179,13 +179,6 @@ def solve(
     print_result(summary, progress, as_json, lambda: solution_text(summary))
 
 
-def _check_one_question() -> None:
-    given = [words for name, words in _QUESTIONS.items() if is_given(name)]
-    if len(given) > 1:
-        known = ", ".join(_QUESTIONS.values())
-        raise click.UsageError(f"{given[1]}: got it beside {given[0]}; expected one of {known}")
-
-
 def solution_text(summary: "CoveringResult") -> str:
     """The answer to a covering problem."""
     names = [str(column) for column in summary.chosen]
@@ -196,9 +189,15 @@ def solution_text(summary: "CoveringResult") -> str:
         "cost" if is_cost else "covered": _number(summary.objective),
         "bound": f"{_number(summary.bound)}, {gap}",
         "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
-        **_other_side(summary, is_cost=is_cost),
-        "solver": f"{summary.solver}; {summary.seconds:.2f} s",
     }
+    if is_cost:
+        n_left = summary.rows - summary.coverable
+        more = f"; {n_left} cannot be covered" if n_left > 0 else ""
+        entries["covers"] = f"{summary.covered} of {summary.rows} rows{more}"
+    else:
+        entries["of"] = f"{summary.rows} rows, {summary.coverable} coverable"
+        entries["costs"] = _number(summary.cost)
+    entries["solver"] = f"{summary.solver}; {summary.seconds:.2f} s"
     lines = sentences(f"{summary.file}: {_question_words(summary)}")
     for head, text in entries.items():
         lines += sentences(text, head=f"{head:<12}", indent=2, hanging=12)
@@ -226,22 +225,8 @@ def _question_words(summary: "CoveringResult") -> str:
         return f"the most that {summary.budget} columns cover (maximal covering)"
     if summary.budget_cost is not None:
         return f"the most that {_number(summary.budget_cost)} buys (maximal covering)"
-    if summary.target is not None:
-        return f"the least cost that covers {_percent(summary.target)} (set covering)"
-    return "the least cost that covers all that can be covered (set covering)"
-
-
-def _other_side(summary: "CoveringResult", *, is_cost: bool) -> dict[str, str]:
-    """Cost where the objective is coverage, coverage where it is cost."""
-    if not is_cost:
-        return {
-            "of": f"{summary.rows} rows, {summary.coverable} coverable",
-            "costs": _number(summary.cost),
-        }
-    covered = f"{summary.covered} of {summary.rows} rows"
-    if summary.coverable < summary.rows:
-        covered += f"; {summary.rows - summary.coverable} cannot be covered"
-    return {"covers": covered}
+    what = "all that can be covered" if summary.target is None else _percent(summary.target)
+    return f"the least cost that covers {what} (set covering)"
 
 
 def _number(value: float) -> str:

@@ -90,10 +90,7 @@ def _table_lines(shown: "Table", width: int) -> list[str]:
 
 
 def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:
-    """Lines about how many possible runs are driven, with the reasons of most others.
-
-    Last what was asked for and changes nothing.
-    """
+    """How many possible runs are driven, reasons of most others, and what changes nothing."""
     lines = sentences(*driven[:1])
     lines += sentences(*driven[1 : 1 + _MOST_REASONS], indent=2, hanging=2)
     n_left = len(driven) - 1 - _MOST_REASONS
@@ -131,12 +128,8 @@ def table(
             no_wrap=widths is None and not is_left,
         )
     for row in rows:
-        shown.add_row(
-            *(
-                Text(cell, overflow="fold", no_wrap=index >= n_left)
-                for index, cell in enumerate(row)
-            )
-        )
+        cells = enumerate(row)
+        shown.add_row(*(Text(cell, overflow="fold", no_wrap=n >= n_left) for n, cell in cells))
     output = StringIO()
     Console(file=output, width=width - indent, color_system=None).print(shown)
     lines = (line.rstrip() for line in output.getvalue().splitlines())
@@ -150,13 +143,9 @@ def listing(
     *,
     width: int = WIDTH,
 ) -> list[str]:
-    """A table in which nothing is cut.
-
-    An id that is too long has a line of its own, and `below` stand texts under the rows.
-    """
-    widths = [max(len(row[column]) for row in (heads, *rows)) for column in range(1, len(heads))]
-    left = width - 2 - sum(widths) - 2 * len(widths)
-    first = min(max(len(row[0]) for row in (heads, *rows)), left)
+    """A table without cuts: a long id has its own line, and `below` stand texts under the rows."""
+    longest, *widths = (max(map(len, cells)) for cells in zip(heads, *rows, strict=True))
+    first = min(longest, width - 2 - sum(widths) - 2 * len(widths))
 
     def line(head: str, cells: Sequence[str]) -> str:
         ends = (f"  {cell:>{wide}}" for cell, wide in zip(cells, widths, strict=True))
@@ -194,10 +183,7 @@ def wide_table(
 def _in_blocks(
     columns: Mapping[str, Sequence[str]], first: int, widest: int, most: int
 ) -> list[dict[str, int]]:
-    """Widths of the columns that fit side by side, block by block.
-
-    Heads may be as wide as `widest`, and any word as wide as 20.
-    """
+    """Widths of columns that fit side by side, by block; heads are at most so wide, words 20."""
     blocks: list[dict[str, int]] = []
     left = 0
     for head, cells in columns.items():

@@ -21,52 +21,36 @@ N_DISTORTION = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
-    """One camera's calibration.
+    """One camera's calibration."""
 
-    Attributes
-    ----------
-    id : str
-        Of the unit.
-    width_px, height_px : int
-        Size of the image.
-    camera_matrix : (3, 3) float
-        K: focal lengths and principal point. The middle of the first pixel is (0, 0). [px]
-    world_to_camera : (3, 3) float
-        R: from the world (east, north, up) to the camera (x right, y down, z ahead).
-    translation_m : (3,) float
-        t: where the world's origin is for the camera, so that x_camera = R x_world + t. [m]
-    position_m : (3,) float
-        Of the lens. World frame. [m]
-    lens : Lens
-        How it distorts; by default not at all.
-    """
-
-    id: str
+    id: str  # of the unit
     width_px: int
     height_px: int
+    # (3, 3), K: focal lengths and principal point. The middle of the first pixel is (0, 0). [px]
     camera_matrix: FloatArray
+    # (3, 3), R: from the world (east, north, up) to the camera (x right, y down, z ahead)
     world_to_camera: FloatArray
-    translation_m: FloatArray
-    position_m: FloatArray
-    lens: Lens = field(default_factory=BrownConrady)
+    position_m: FloatArray  # (3,); of the lens. World frame. [m]
+    lens: Lens = field(default_factory=BrownConrady)  # how it distorts; by default not at all
+
+    @property
+    def translation_m(self) -> FloatArray:
+        """t, (3,): the world's origin as the camera sees it; x_camera = R x_world + t. [m]."""
+        return self.world_to_camera @ (np.zeros(3) - self.position_m)
+
+
+def _matrix(focal_x_px: float, focal_y_px: float, x_px: float, y_px: float) -> FloatArray:
+    return np.array([[focal_x_px, 0.0, x_px], [0.0, focal_y_px, y_px], [0.0, 0.0, 1.0]])
 
 
 def of_calibrated(name: str, camera: CalibratedCamera) -> Calibration:
     """Calibration of a camera that was read."""
-    rotation = camera.R_camera_world
     return Calibration(
         id=name,
         width_px=camera.width_px,
         height_px=camera.height_px,
-        camera_matrix=np.array(
-            [
-                [camera.fx_px, 0.0, camera.cx_px],
-                [0.0, camera.fy_px, camera.cy_px],
-                [0.0, 0.0, 1.0],
-            ]
-        ),
-        world_to_camera=rotation,
-        translation_m=-rotation @ camera.position_m,
+        camera_matrix=_matrix(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
+        world_to_camera=camera.R_camera_world,
         position_m=camera.position_m,
         lens=camera.lens,
     )
@@ -95,22 +79,18 @@ def calibrations(layout: Layout, format_name: str) -> list[Calibration]:
     ----------
     .. [1] OpenCV, "Camera Calibration and 3D Reconstruction": s p = K (R x + t).
     """
-    found = []
-    for unit in layout.units:
-        if not isinstance(unit.sensor, CameraModel):
-            continue
-        rotation = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T
-        found.append(
-            Calibration(
-                id=unit.id,
-                width_px=unit.sensor.width_px,
-                height_px=unit.sensor.height_px,
-                camera_matrix=camera_matrix(unit.sensor),
-                world_to_camera=rotation,
-                translation_m=rotation @ (np.zeros(3) - unit.pose.position_m),
-                position_m=unit.pose.position_m,
-            )
+    found = [
+        Calibration(
+            id=unit.id,
+            width_px=unit.sensor.width_px,
+            height_px=unit.sensor.height_px,
+            camera_matrix=camera_matrix(unit.sensor),
+            world_to_camera=camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T,
+            position_m=unit.pose.position_m,
         )
+        for unit in layout.units
+        if isinstance(unit.sensor, CameraModel)
+    ]
     if not found:
         raise InputError(format_name, Unquoted("a layout of LiDARs only"), "at least one camera")
     return found
@@ -125,16 +105,9 @@ def comments(layout: Layout, scene: Scene | None) -> str:
     """Comment lines of YAML: units that are no cameras, and those at sites that are assumed."""
     named = ", ".join(lidar_ids(layout))
     doubts = {} if scene is None else assumed_sites(scene.notes)
-    return "".join(
-        [
-            f"# Left out, for they are no cameras: {named}\n" if named else "",
-            *(
-                f"# {unit.id}: assumed: {doubts[unit.site_id]}\n"
-                for unit in layout.units
-                if unit.site_id in doubts
-            ),
-        ]
-    )
+    left_out = f"# Left out, for they are no cameras: {named}\n" if named else ""
+    assumed = (unit for unit in layout.units if unit.site_id in doubts)
+    return left_out + "".join(f"# {unit.id}: assumed: {doubts[unit.site_id]}\n" for unit in assumed)
 
 
 def camera_matrix(camera: CameraModel) -> FloatArray:
@@ -144,28 +117,17 @@ def camera_matrix(camera: CameraModel) -> FloatArray:
     the principal point is half a pixel farther there.
     """
     focal_px = camera.focal_length_px
-    return np.array(
-        [
-            [focal_px, 0.0, 0.5 * (camera.width_px - 1)],
-            [0.0, focal_px, 0.5 * (camera.height_px - 1)],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-
-
-def optical_quaternion(pose: Pose) -> list[float]:
-    """Rotation from the camera (x right, y down, z ahead) to the world: x, y, z, w."""
-    return quaternion(camera_rotation(pose.yaw_deg, pose.pitch_deg))
+    middle_px = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
+    return _matrix(focal_px, focal_px, *middle_px)
 
 
 def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:
     """Rotation from a sensor's own frame to the world: x, y, z, w.
 
-    A camera's own frame is x right, y down, z ahead; a LiDAR's x ahead, y left, z up.
+    A camera's is x right, y down, z ahead; a LiDAR's x ahead, y left, z up.
     """
-    if isinstance(sensor, CameraModel):
-        return optical_quaternion(pose)
-    return quaternion(body_rotation(pose.yaw_deg, pose.pitch_deg))
+    rotation = camera_rotation if isinstance(sensor, CameraModel) else body_rotation
+    return quaternion(rotation(pose.yaw_deg, pose.pitch_deg))
 
 
 def plain(values: FloatArray) -> list[float]:

@@ -1,6 +1,5 @@
 """Layouts for CARLA: what to spawn, and where."""
 
-from geometry.catalogue import Sensor
 from geometry.frames import to_carla_points, to_carla_yaw
 from geometry.lidar import LidarModel
 from geometry.notes import assumed_sites
@@ -28,53 +27,39 @@ def to_carla(layout: Layout, scene: Scene | None = None) -> str:
     )
 
 
-def _carla_blueprint(sensor: Sensor) -> dict[str, object]:
-    tick = {"sensor_tick": str(1.0 / sensor.frame_rate_hz)}
-    if isinstance(sensor, LidarModel):
-        half_deg = 0.5 * sensor.vertical_fov_deg
-        return {
-            "blueprint": "sensor.lidar.ray_cast",
-            "attributes": {
-                "channels": str(sensor.n_lines),
-                "range": str(sensor.range_m),
-                "points_per_second": str(int(sensor.points_per_second)),
-                "rotation_frequency": str(sensor.frame_rate_hz),
-                "upper_fov": str(half_deg),
-                "lower_fov": str(-half_deg),
-                "horizontal_fov": str(sensor.horizontal_fov_deg),
-                **tick,
-            },
-        }
-    return {
-        "blueprint": "sensor.camera.rgb",
-        "attributes": {
-            "image_size_x": str(sensor.width_px),
-            "image_size_y": str(sensor.height_px),
-            "fov": str(sensor.horizontal_fov_deg),
-            **tick,
-        },
-    }
-
-
 def _carla_record(unit: CandidatePose) -> dict[str, object]:
-    pose = unit.pose
+    pose, sensor = unit.pose, unit.sensor
+    if isinstance(sensor, LidarModel):
+        blueprint, half_deg = "sensor.lidar.ray_cast", 0.5 * sensor.vertical_fov_deg
+        attributes = {
+            "channels": sensor.n_lines,
+            "range": sensor.range_m,
+            "points_per_second": int(sensor.points_per_second),
+            "rotation_frequency": sensor.frame_rate_hz,
+            "upper_fov": half_deg,
+            "lower_fov": -half_deg,
+            "horizontal_fov": sensor.horizontal_fov_deg,
+        }
+    else:
+        blueprint = "sensor.camera.rgb"
+        attributes = {
+            "image_size_x": sensor.width_px,
+            "image_size_y": sensor.height_px,
+            "fov": sensor.horizontal_fov_deg,
+        }
+    attributes["sensor_tick"] = 1.0 / sensor.frame_rate_hz
     # Adding zero turns -0.0 into 0.0.
-    x_m, y_m, z_m = (to_carla_points(pose.position_m) + 0.0).tolist()
+    place_m = (to_carla_points(pose.position_m) + 0.0).tolist()
+    yaw_deg = float(to_carla_yaw(pose.yaw_deg)) + 0.0
     return {
         "id": unit.id,
-        **_carla_blueprint(unit.sensor),
+        "blueprint": blueprint,
+        "attributes": {name: str(value) for name, value in attributes.items()},
         "transform": {
-            "location": {"x": x_m, "y": y_m, "z": z_m},
-            "rotation": {
-                "pitch": pose.pitch_deg,
-                "yaw": float(to_carla_yaw(pose.yaw_deg)) + 0.0,
-                "roll": 0.0,
-            },
+            "location": dict(zip("xyz", place_m, strict=True)),
+            "rotation": {"pitch": pose.pitch_deg, "yaw": yaw_deg, "roll": 0.0},
         },
     }
 
 
-FORMAT = ExportFormat(
-    write=to_carla,
-    content="spawn transforms in CARLA's frame; its Python API",
-)
+FORMAT = ExportFormat(write=to_carla, content="spawn transforms in CARLA's frame; its Python API")

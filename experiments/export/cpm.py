@@ -52,21 +52,11 @@ _PASSENGER_CAR = 5  # TrafficParticipantType
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Station:
-    """Messages of the units of a site.
+    """Messages of the units of a site."""
 
-    Attributes
-    ----------
-    site : str
-        Empty: a unit without a site.
-    units : tuple of str
-        A sensor's id is its place here.
-    messages : tuple of dict
-        CollectivePerceptionMessage each, as JSON writes it.
-    """
-
-    site: str
-    units: tuple[str, ...]
-    messages: tuple[dict[str, Any], ...]
+    site: str  # empty: a unit without a site
+    units: tuple[str, ...]  # a sensor's id is its place here
+    messages: tuple[dict[str, Any], ...]  # CollectivePerceptionMessage each, as JSON writes it
 
 
 def to_cpm(
@@ -143,13 +133,18 @@ def build_stations(
         if len(units) > _MAX_SENSORS:
             raise InputError(where, Unquoted(f"{len(units)} units"), f"at most {_MAX_SENSORS}")
         road_m = on_ground(origins_m[index], terrain_of(scene))
-        sensors = _container(
-            _SENSOR_CONTAINER,
-            [
-                _sensor(number, unit, _radial_shape(unit, road_m, adult_px_m, where, release))
-                for number, unit in enumerate(units)
-            ],
-        )
+        described = [
+            {
+                "sensorId": number,
+                "sensorType": _MONOVIDEO if isinstance(unit.sensor, CameraModel) else _LIDAR,
+                "perceptionRegionShape": {
+                    "radial": _radial_shape(unit, road_m, adult_px_m, where, release)
+                },
+                "shadowingApplies": True,
+            }
+            for number, unit in enumerate(units)
+        ]
+        sensors = _container(_SENSOR_CONTAINER, described)
         altitude_cm = _altitude_cm(scene, float(road_m[2]))
         messages = [
             _message(index, time_ms, _reference_position(lon_lat[index], altitude_cm), containers)
@@ -190,15 +185,6 @@ def _reference_position(lon_lat: IntArray, altitude_cm: int) -> dict[str, Any]:
             "semiMajorOrientation": _HEADING_UNKNOWN,
         },
         "altitude": {"altitudeValue": altitude_cm, "altitudeConfidence": "unavailable"},
-    }
-
-
-def _sensor(number: int, unit: CandidatePose, shape: dict[str, object]) -> dict[str, object]:
-    return {
-        "sensorId": number,
-        "sensorType": _MONOVIDEO if isinstance(unit.sensor, CameraModel) else _LIDAR,
-        "perceptionRegionShape": {"radial": shape},
-        "shadowingApplies": True,
     }
 
 
@@ -286,9 +272,13 @@ def _radial_shape(
             Unquoted(f"{unit.id} {np.abs(offset).max() / 100.0:g} m from the site's other units"),
             f"at most {_MAX_OFFSET / 100.0:g} m",
         )
-    half_deg = 0.5 * unit.sensor.horizontal_fov_deg
-    half_vertical_deg = 0.5 * unit.sensor.vertical_fov_deg
-    lowest_deg, highest_deg = unit.pose.pitch_deg, unit.pose.pitch_deg
+    sensor = unit.sensor
+    range_m = (
+        sensor.focal_length_px * adult_px_m if isinstance(sensor, CameraModel) else sensor.range_m
+    )
+    half_deg = 0.5 * sensor.horizontal_fov_deg
+    half_vertical_deg = 0.5 * sensor.vertical_fov_deg
+    lowest_deg = highest_deg = unit.pose.pitch_deg
     is_old = release == RELEASES[0]  # V2.2.1 turned the angles' zero and sense
     middle_deg = unit.pose.yaw_deg
     if is_old:
@@ -304,22 +294,14 @@ def _radial_shape(
     horizontal = "stationaryHorizontalOpeningAngle" if is_old else "horizontalOpeningAngle"
     return {
         "shapeReferencePoint": {
-            "xCoordinate": int(offset[0]),
-            "yCoordinate": int(offset[1]),
-            "zCoordinate": int(offset[2]),
+            f"{axis}Coordinate": int(value) for axis, value in zip("xyz", offset, strict=True)
         },
-        "range": min(_tenths(_range_m(unit, adult_px_m)), _MAX_RANGE),
+        "range": min(_tenths(range_m), _MAX_RANGE),
         f"{horizontal}Start": start,
         f"{horizontal}End": end,
         "verticalOpeningAngleStart": _tenths(low_deg) % _TURN,
         "verticalOpeningAngleEnd": _tenths(high_deg) % _TURN,
     }
-
-
-def _range_m(unit: CandidatePose, adult_px_m: float) -> float:
-    if not isinstance(unit.sensor, CameraModel):
-        return unit.sensor.range_m
-    return unit.sensor.focal_length_px * adult_px_m
 
 
 def _tenths(value: float) -> int:
@@ -330,7 +312,6 @@ def _tenths(value: float) -> int:
 FORMAT = ExportFormat(
     write=to_cpm,
     content="messages of each site, ETSI TS 103 324 as JSON; V2X stacks",
-    needs_crs=True,
     shows_runs=True,
     options=("release",),
 )

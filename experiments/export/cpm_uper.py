@@ -36,10 +36,7 @@ def _codecs(release: str) -> tuple[Any, Any]:
 
 
 def encode(message: dict[str, Any], release: str = RELEASES[0]) -> bytes:
-    """Bytes of a message of :func:`.cpm.build_stations`, unsigned and without headers of the net.
-
-    Raises MissingExtraError if asn1tools is not installed.
-    """
+    """Bytes of a message of :func:`.cpm.build_stations`, unsigned, without headers of the net."""
     uper, jer = _codecs(release)
 
     def to_bytes(name: str, value: object) -> bytes:
@@ -47,15 +44,10 @@ def encode(message: dict[str, Any], release: str = RELEASES[0]) -> bytes:
         return content
 
     payload = message["payload"]
-    containers = [
-        container
-        | {
-            "containerData": to_bytes(
-                CONTAINERS[container["containerId"]], container["containerData"]
-            ).hex()
-        }
-        for container in payload["cpmContainers"]
-    ]
+    containers = []
+    for container in payload["cpmContainers"]:
+        data = to_bytes(CONTAINERS[container["containerId"]], container["containerData"])
+        containers.append(container | {"containerData": data.hex()})
     return to_bytes(_MESSAGE, message | {"payload": payload | {"cpmContainers": containers}})
 
 
@@ -87,13 +79,12 @@ def to_cpm_uper(
         for message in station.messages
     ]
     messages.sort(key=_time_ms)
-    return b"".join(
-        _time_ms(message).to_bytes(_TIME_BYTES, "big")
-        + len(data).to_bytes(_SIZE_BYTES, "big")
-        + data
-        for message in messages
-        for data in [encode(message, release)]
-    )
+    parts = []
+    for message in messages:
+        time_ms, data = _time_ms(message), encode(message, release)
+        head = time_ms.to_bytes(_TIME_BYTES, "big") + len(data).to_bytes(_SIZE_BYTES, "big")
+        parts.append(head + data)
+    return b"".join(parts)
 
 
 def _time_ms(message: dict[str, Any]) -> int:
@@ -106,11 +97,10 @@ def split(content: bytes) -> list[tuple[int, bytes]]:
     found, at = [], 0
     while at < len(content):
         begin = at + _TIME_BYTES + _SIZE_BYTES
-        size = int.from_bytes(content[at + _TIME_BYTES : begin], "big")
-        found.append(
-            (int.from_bytes(content[at : at + _TIME_BYTES], "big"), content[begin : begin + size])
-        )
-        at = begin + size
+        time_ms = int.from_bytes(content[at : at + _TIME_BYTES], "big")
+        at, size_at = begin, at + _TIME_BYTES
+        at += int.from_bytes(content[size_at:begin], "big")
+        found.append((time_ms, content[begin:at]))
     return found
 
 
@@ -141,7 +131,6 @@ FORMAT = ExportFormat(
     write=to_cpm_uper,
     content="the same messages as bytes (UPER); extra: v2x",
     is_binary=True,
-    needs_crs=True,
     shows_runs=True,
     options=("release",),
     told=tell_load,

@@ -2,6 +2,7 @@
 
 import importlib
 import io
+import re
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,9 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
         space.add_line(*([*end, at_m[2]] for end in ends.tolist()), dxfattribs=on)
         space.add_text(unit.id, height=_TEXT_M, dxfattribs=on).set_placement(ends[1])
     for view in find_views(layout, scene):
-        layer = f"VIEWS-{_layer_name(view.unit)}" if view.unit else "UNSEEN"
+        # Without what the format forbids in names.
+        name = re.sub(r'[<>/\\":;?*|=`,]', "_", view.unit)
+        layer = f"VIEWS-{name}" if view.unit else "UNSEEN"
         if layer not in drawing.layers:
             drawing.layers.add(layer, color=_VIEWS)
         area = moved(view, place).area
@@ -70,11 +73,6 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
     file = io.StringIO()
     drawing.write(file)
     return file.getvalue()
-
-
-def _layer_name(text: str) -> str:
-    """Without what the format forbids in names."""
-    return "".join("_" if one in '<>/\\":;?*|=`,' else one for one in text)
 
 
 FORMAT = ExportFormat(

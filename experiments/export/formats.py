@@ -12,36 +12,15 @@ from placement.layout import Layout, check_layout
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportFormat:
-    """A format: how a layout is written, and what a user should know about it.
+    """A format: how a layout is written, and what a user should know about it."""
 
-    Attributes
-    ----------
-    write : callable
-        A layout and its scene to the content of the file.
-    content : str
-        What the file holds, and who reads it, in a few words.
-    is_binary : bool
-        Whether it is not text and needs a file.
-    has_lidars : bool
-        Whether LiDARs are in it, too, and not only cameras.
-    needs_crs : bool
-        Whether the scene has to say where on earth it lies.
-    shows_runs : bool
-        Whether `write` takes a :class:`.watched.WatchedRun`, too.
-    options : tuple of str
-        Names of further arguments of `write`.
-    told : callable, optional
-        A sentence about the content that was written.
-    """
-
-    write: Callable[..., str | bytes]
-    content: str
-    is_binary: bool = False
-    has_lidars: bool = True
-    needs_crs: bool = False
-    shows_runs: bool = False
-    options: tuple[str, ...] = ()
-    told: Callable[[bytes], str] | None = None
+    write: Callable[..., str | bytes]  # a layout and its scene to the content of the file
+    content: str  # what the file holds, and who reads it, in a few words
+    is_binary: bool = False  # it is not text and needs a file
+    has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
+    shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
+    options: tuple[str, ...] = ()  # names of further arguments of `write`
+    told: Callable[[bytes], str] | None = None  # a sentence about the content that was written
 
 
 def load_format(name: str) -> ExportFormat:
@@ -59,33 +38,12 @@ def export_layout(
     compute: Compute = DEFAULT_COMPUTE,
     options: Mapping[str, str | bool] | None = None,
 ) -> str | bytes:
-    """A layout for another program.
+    """Content of a layout's file for another program.
 
-    Parameters
-    ----------
-    layout : Layout
-        What to write.
-    format_name : str
-        One of ``FORMAT_NAMES``.
-    scene_path : str
-        Folder or .zip file of its scene; empty: the study's junction.
-    run_id : str
-        Run to show as the layout's units see it; empty: none.
-    compute : Compute
-        How the run is watched.
-    options : mapping, optional
-        Of the format: its ``ExportFormat.options``.
-
-    Returns
-    -------
-    content : str or bytes
-        Of the file.
-
-    Raises
-    ------
-    InputError
-        The layout does not fit the scene, or the format needs a place on earth, shows no runs, or
-        lacks an option.
+    `format_name` is one of ``FORMAT_NAMES``, `options` are its own. `scene_path`: folder or .zip
+    file of the layout's scene; empty: the study's junction. `run_id`: a run to show as the units
+    see it; empty: none. Raises InputError: the layout does not fit the scene, or the format needs
+    a place on earth, shows no runs, or lacks an option.
     """
     chosen = load_format(format_name)
     if run_id and not chosen.shows_runs:

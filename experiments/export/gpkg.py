@@ -7,14 +7,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from .formats import ExportFormat
-from .places import (
-    longitude_latitude,
-    map_points,
-    map_positions,
-    placed_records,
-    positions_m,
-    require_crs,
-)
+from .places import longitude_latitude, map_points, placed_records, positions_m, require_crs
 from .views import find_views, moved
 
 _LAYER = "units"
@@ -38,7 +31,7 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
 
     require_crs(scene.crs, "gpkg")
     longitude_latitude(positions_m(layout), scene.crs)  # refuses what lies nowhere
-    position = map_positions(layout, scene)
+    position = map_points(positions_m(layout)[:, :2], scene)
     records = placed_records(layout, scene)
     points = gpd.points_from_xy(
         position[:, 0], position[:, 1], z=[record.get("map_z", record["z_m"]) for record in records]
@@ -48,15 +41,12 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
         path = Path(folder) / "layout.gpkg"
         pyogrio.write_dataframe(table, path, layer=_LAYER, driver="GPKG", geometry_type="Point Z")
         if views:
+            views_there = find_views(layout, scene)
             shown = [
-                moved(view, lambda points_m: map_points(points_m, scene))
-                for view in find_views(layout, scene)
+                moved(view, lambda points_m: map_points(points_m, scene)) for view in views_there
             ]
-            areas = gpd.GeoDataFrame(
-                [view.record() for view in shown],
-                geometry=[view.area for view in shown],
-                crs=table.crs,
-            )
+            records, shapes = [view.record() for view in shown], [view.area for view in shown]
+            areas = gpd.GeoDataFrame(records, geometry=shapes, crs=table.crs)
             pyogrio.write_dataframe(
                 areas, path, layer="views", driver="GPKG", promote_to_multi=True
             )
@@ -67,6 +57,5 @@ FORMAT = ExportFormat(
     write=to_geopackage,
     content="points in the map's own coordinates; QGIS, ArcGIS",
     is_binary=True,
-    needs_crs=True,
     options=("views",),
 )

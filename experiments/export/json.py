@@ -24,10 +24,7 @@ def to_json_text(document: object) -> str:
 
 
 def to_json(layout: Layout, scene: Scene | None = None) -> str:
-    """Layout as the JSON file that :func:`placement.layout.load_layout` reads.
-
-    With a scene, units at assumed sites say what is assumed.
-    """
+    """Layout as the JSON file that ``--layout`` reads; with a scene, what is assumed of sites."""
     doubts = {} if scene is None else assumed_sites(scene.notes)
     units = [
         record | ({"assumed": doubts[record["site"]]} if record["site"] in doubts else {})

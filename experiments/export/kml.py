@@ -1,6 +1,7 @@
 """Layouts for Google Earth and other globes: KML."""
 
 import xml.etree.ElementTree as ET
+from typing import Any
 
 from geometry.errors import InputError
 from geometry.frames import to_carla_yaw
@@ -45,9 +46,7 @@ def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
         _text(camera, "heading", repr(float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0))
         _text(camera, "tilt", repr(90.0 + unit.pose.pitch_deg))
         _text(camera, "altitudeMode", "relativeToGround")
-        data = ET.SubElement(placemark, "ExtendedData")
-        for name, value in record.items():
-            _text(ET.SubElement(data, "Data", {"name": name}), "value", str(value))
+        _add_data(placemark, record)
         point = ET.SubElement(placemark, "Point")
         _text(point, "extrude", "1")
         _text(point, "altitudeMode", "relativeToGround")
@@ -63,9 +62,7 @@ def _add_view(document: ET.Element, view: View, crs: str) -> None:
     placemark = ET.SubElement(document, "Placemark")
     record = view.record()
     _text(placemark, "name", record.pop("id"))
-    data = ET.SubElement(placemark, "ExtendedData")
-    for name, value in record.items():
-        _text(ET.SubElement(data, "Data", {"name": name}), "value", str(value))
+    _add_data(placemark, record)
     area = moved(view, lambda points_m: longitude_latitude(points_m, crs)).area
     together = ET.SubElement(placemark, "MultiGeometry")
     for part in getattr(area, "geoms", [area]):
@@ -77,6 +74,12 @@ def _add_view(document: ET.Element, view: View, crs: str) -> None:
             _text(line, "coordinates", " ".join(f"{x!r},{y!r}" for x, y in ring.coords))
 
 
+def _add_data(placemark: ET.Element, record: dict[str, Any]) -> None:
+    data = ET.SubElement(placemark, "ExtendedData")
+    for name, value in record.items():
+        _text(ET.SubElement(data, "Data", {"name": name}), "value", str(value))
+
+
 def _text(parent: ET.Element, name: str, value: str) -> None:
     if not value.isprintable():  # XML has no words for most control characters
         raise InputError(f"kml: {name}", value, "printable text")
@@ -86,6 +89,5 @@ def _text(parent: ET.Element, name: str, value: str) -> None:
 FORMAT = ExportFormat(
     write=to_kml,
     content="placemarks above ground; Google Earth",
-    needs_crs=True,
     options=("views",),
 )

@@ -63,7 +63,17 @@ def to_mcap(layout: Layout, scene: Scene, watched: WatchedRun | None = None) -> 
 
         log("/scene", m.SceneUpdate(entities=list(_meshes(m, scene))), 0.0)
         log("/units", m.SceneUpdate(entities=list(_units(m, layout))), 0.0)
-        log("/tf", m.FrameTransforms(transforms=list(_transforms(m, layout))), 0.0)
+        transforms = [
+            m.FrameTransform(
+                timestamp=m.Timestamp(0),
+                parent_frame_id=WORLD,
+                child_frame_id=unit.id,
+                translation=_vector(m, unit.pose.position_m),
+                rotation=_turn(m, sensor_quaternion(unit.pose, unit.sensor)),
+            )
+            for unit in layout.units
+        ]
+        log("/tf", m.FrameTransforms(transforms=transforms), 0.0)
         if any(isinstance(unit.sensor, CameraModel) for unit in layout.units):
             for camera in calibrations(layout, "mcap"):
                 log(f"/calibration/{camera.id}", _calibration(m, camera), 0.0)
@@ -94,42 +104,32 @@ def _meshes(m: Any, scene: Scene) -> Iterator[Any]:
             indices=indices.ravel().tolist(),
             color=_colour(m, thing.class_name),
         )
-        yield _entity(
-            m,
-            thing.id,
-            triangles=[mesh],
-            metadata=[m.KeyValuePair(key="class", value=thing.class_name)],
-        )
+        kind = m.KeyValuePair(key="class", value=thing.class_name)
+        yield _entity(m, thing.id, triangles=[mesh], metadata=[kind])
 
 
 def _units(m: Any, layout: Layout) -> Iterator[Any]:
     for unit in layout.units:
         position_m = np.asarray(unit.pose.position_m)
-        label = m.TextPrimitive(
-            pose=_pose(m, position_m + [0.0, 0.0, 0.5]), text=unit.id, font_size=0.5, billboard=True
-        )
+        above = _pose(m, position_m + [0.0, 0.0, 0.5])
+        label = m.TextPrimitive(pose=above, text=unit.id, font_size=0.5, billboard=True)
         if not isinstance(unit.sensor, CameraModel):
             size = _vector(m, [0.3, 0.3, 0.3])
             ball = m.SpherePrimitive(pose=_pose(m, position_m), size=size, color=_colour(m, "unit"))
             yield _entity(m, unit.id, spheres=[ball], texts=[label])
             continue
         half = 0.5 * np.array([unit.sensor.width_px, unit.sensor.height_px])
-        half_m = _FRUSTUM_M * half / unit.sensor.focal_length_px
-        corners = [[x * half_m[0], y * half_m[1], _FRUSTUM_M] for x, y in _AROUND]
-        ends = [[0.0, 0.0, 0.0], *corners]
-        order = [0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1]
+        x_m, y_m = _FRUSTUM_M * half / unit.sensor.focal_length_px
+        corners = [[x * x_m, y * y_m, _FRUSTUM_M] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
         frustum = m.LinePrimitive(
             type=m.LinePrimitiveLineType.LineList,
             pose=_pose(m, position_m, sensor_quaternion(unit.pose, unit.sensor)),
-            points=_points(m, ends),
-            indices=order,
+            points=_points(m, [[0.0, 0.0, 0.0], *corners]),
+            indices=[0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1],
             thickness=0.05,
             color=_colour(m, "unit"),
         )
         yield _entity(m, unit.id, lines=[frustum], texts=[label])
-
-
-_AROUND = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def _vector(m: Any, values: Any) -> Any:
@@ -144,17 +144,6 @@ def _turn(m: Any, quaternion: Sequence[float]) -> Any:
 
 def _pose(m: Any, position_m: Any, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Any:
     return m.Pose(position=_vector(m, position_m), orientation=_turn(m, quaternion))
-
-
-def _transforms(m: Any, layout: Layout) -> Iterator[Any]:
-    for unit in layout.units:
-        yield m.FrameTransform(
-            timestamp=m.Timestamp(0),
-            parent_frame_id=WORLD,
-            child_frame_id=unit.id,
-            translation=_vector(m, unit.pose.position_m),
-            rotation=_turn(m, sensor_quaternion(unit.pose, unit.sensor)),
-        )
 
 
 def _calibration(m: Any, camera: Calibration) -> Any:
@@ -177,24 +166,23 @@ def _frames(m: Any, layout: Layout, watched: WatchedRun) -> Iterator[tuple[str, 
     parties = [(watched.detected[unit.id], unit.latency(watched.rule)) for unit in layout.units]
     onsets = find_onsets(earliest_arrival_s(parties, axis), axis, rule=watched.rule)
     confirmed_s, onset_s = float(onsets.confirmation_s[0]), float(onsets.onset_s[0])
-    met = run.encounter.vru
+    met, last_s = run.encounter.vru, run.last_brake_time_s
     for frame, to_impact_s in enumerate(run.time_s.tolist()):
         time_s = to_impact_s - float(run.time_s[0])
-        boxes = [
-            _box(
-                m, run, "vut", run.encounter.vut, run.vut_position_m[frame], run.vut_yaw_deg[frame]
+        bodies: list[tuple[str, Actor, Any, float]] = [
+            ("vut", run.encounter.vut, run.vut_position_m[frame], run.vut_yaw_deg[frame]),
+            ("vru", met, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
+            *(
+                (f"obstruction-{n}", one.actor, one.pose.position_m[:2], one.pose.yaw_deg)
+                for n, one in enumerate(run.obstruction, 1)
             ),
-            _box(m, run, "vru", met, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
+            *(
+                (f"traffic-{n}", one.actor, one.position_m[frame], one.yaw_deg[frame])
+                for n, one in enumerate(run.traffic, 1)
+                if one.is_there[frame]
+            ),
         ]
-        boxes += [
-            _box(m, run, f"obstruction-{n}", one.actor, one.pose.position_m[:2], one.pose.yaw_deg)
-            for n, one in enumerate(run.obstruction, 1)
-        ]
-        boxes += [
-            _box(m, run, f"traffic-{n}", one.actor, one.position_m[frame], one.yaw_deg[frame])
-            for n, one in enumerate(run.traffic, 1)
-            if one.is_there[frame]
-        ]
+        boxes = [_box(m, run, *body) for body in bodies]
         yield "/bodies", m.SceneUpdate(entities=boxes), time_s
         seeing = [unit for unit in layout.units if watched.detected[unit.id][frame]]
         ground_m = on_ground(run.vru_position_m[frame], run.terrain)
@@ -205,20 +193,15 @@ def _frames(m: Any, layout: Layout, watched: WatchedRun) -> Iterator[tuple[str, 
             thickness=0.05,
             color=_colour(m, "seen"),
         )
-        yield (
-            "/detections",
-            m.SceneUpdate(entities=[_entity(m, "detections", lines=[rays])]),
-            time_s,
-        )
+        seen = _entity(m, "detections", lines=[rays])
+        yield "/detections", m.SceneUpdate(entities=[seen]), time_s
         state = {
             "to_impact_s": to_impact_s,
             "n_detecting": len(seeing),
             "detecting": [unit.id for unit in seeing],
             "is_confirmed": to_impact_s >= confirmed_s,
             "would_brake": to_impact_s >= onset_s,
-            "last_brake_time_s": run.last_brake_time_s
-            if np.isfinite(run.last_brake_time_s)
-            else None,
+            "last_brake_time_s": last_s if np.isfinite(last_s) else None,
         }
         yield "/state", state, time_s
 

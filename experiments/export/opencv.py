@@ -29,9 +29,8 @@ def to_opencv(layout: Layout, scene: Scene | None = None) -> str:
 def opencv_text(cameras: Sequence[Calibration], name: str, comment: str = "") -> str:
     """Calibrations as such a file; fisheyes have `distortion_model` "fisheye", and k1 to k4."""
     document = {"layout": _Quoted(name), "cameras": [_camera_record(one) for one in cameras]}
-    text: str = yaml.dump(
-        document, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=float("inf")
-    )
+    form = {"allow_unicode": True, "sort_keys": False, "width": float("inf")}
+    text: str = yaml.dump(document, Dumper=_Dumper, **form)
     # The format's own first lines: FileStorage tells YAML from XML and JSON by them.
     return "%YAML:1.0\n---\n" + comment + text
 
@@ -65,11 +64,8 @@ class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
 
 def _represent_matrix(dumper: yaml.SafeDumper, matrix: FloatArray) -> yaml.Node:
     rows, cols = matrix.shape
-    node = dumper.represent_mapping(
-        "tag:yaml.org,2002:opencv-matrix",
-        {"rows": rows, "cols": cols, "dt": "d", "data": plain(matrix)},
-        flow_style=False,
-    )
+    fields = {"rows": rows, "cols": cols, "dt": "d", "data": plain(matrix)}
+    node = dumper.represent_mapping("tag:yaml.org,2002:opencv-matrix", fields, flow_style=False)
     node.value[-1][1].flow_style = True  # the numbers on one line
     return node
 

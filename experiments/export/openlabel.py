@@ -36,14 +36,13 @@ def to_openlabel(layout: Layout) -> str:
         world += "_cs"
     systems: dict[str, object] = {world: {"type": "scene_cs", "parent": "", "children": ids}}
     for unit in layout.units:
+        pose = {
+            "quaternion": sensor_quaternion(unit.pose, unit.sensor),
+            "translation": plain(unit.pose.position_m),
+        }
         systems[unit.id] = {
-            "type": "sensor_cs",
-            "parent": world,
-            "children": [],
-            "pose_wrt_parent": {
-                "quaternion": sensor_quaternion(unit.pose, unit.sensor),
-                "translation": plain(unit.pose.position_m),
-            },
+            **{"type": "sensor_cs", "parent": world, "children": []},
+            "pose_wrt_parent": pose,
         }
     return to_json_text(
         {
@@ -58,20 +57,13 @@ def to_openlabel(layout: Layout) -> str:
 
 def _stream(unit: CandidatePose) -> dict[str, object]:
     sensor = unit.sensor
-    if not isinstance(sensor, CameraModel):
-        return {
-            "type": "lidar",
-            "description": sensor.name,
-            "uri": "",
-            "stream_properties": {"intrinsics_custom": asdict(sensor)},
-        }
-    projection = plain(np.column_stack([camera_matrix(sensor), np.zeros(3)]))
-    distortion = [0.0] * N_DISTORTION
-    return {
-        "type": "camera",
-        "description": sensor.name,
-        "uri": "",
-        "stream_properties": {
+    kind = "lidar"
+    properties: dict[str, object] = {"intrinsics_custom": asdict(sensor)}
+    if isinstance(sensor, CameraModel):
+        kind = "camera"
+        projection = plain(np.column_stack([camera_matrix(sensor), np.zeros(3)]))
+        distortion = [0.0] * N_DISTORTION
+        properties = {
             "intrinsics_pinhole": {
                 "width_px": sensor.width_px,
                 "height_px": sensor.height_px,
@@ -81,7 +73,10 @@ def _stream(unit: CandidatePose) -> dict[str, object]:
                 "camera_matrix_3x4": projection,
                 "distortion_coeffs_1xN": distortion,
             }
-        },
+        }
+    return {
+        **{"type": kind, "description": sensor.name, "uri": ""},
+        "stream_properties": properties,
     }
 
 

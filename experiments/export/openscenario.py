@@ -17,14 +17,7 @@ from numpy.typing import ArrayLike
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import (
-    Table,
-    load_toml,
-    pick,
-    take,
-    take_number,
-    take_text,
-)
+from geometry.files import Table, load_toml, pick, take, take_number, take_text
 from geometry.terrain import Terrain, on_ground
 from geometry.weather import pick_weather
 from scenarios.runs import Run
@@ -38,10 +31,7 @@ TABLE = "openscenario.toml"
 
 @cache
 def load_xosc() -> Any:
-    """The library's module for OpenSCENARIO.
-
-    Raises MissingExtraError if it is not installed.
-    """
+    """The library's module for OpenSCENARIO, or MissingExtraError."""
     try:
         return importlib.import_module("scenariogeneration.xosc")
     except ImportError:
@@ -76,11 +66,10 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
 
 
 def reference_ahead_m(actor: Actor) -> float:
-    """Distance of a body's point of reference ahead of the middle of its box.
+    """Distance of a body's point of reference ahead of the middle of its box, in metres.
 
-    The rear axle of cars, motorcycles and bicycles; 0, the middle itself, of pedestrians and walls.
-    [m] Raises InputError if ``data/openscenario.toml`` knows neither its name nor its class, or a
-    car has no axles.
+    The rear axle of cars, motorcycles and bicycles; 0, the middle, of pedestrians and walls. Raises
+    InputError if ``data/openscenario.toml`` does not know it, or a car has no axles.
     """
     body, _ = _body(actor)
     return _axles_m(actor)[1] if body["entity"] == "Vehicle" else 0.0
@@ -143,27 +132,13 @@ _SPEED_STEP_S = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Track:
-    """Places of a body's reference point, from the first frame (time 0) to the impact.
+    """Places of a body's reference point, from the first frame (time 0) to the impact."""
 
-    Attributes
-    ----------
-    name : str
-        Of the entity.
-    time_s : (n,) float
-        Ascending. [s]
-    position_m : (n, 3) float
-        World frame. [m]
-    yaw_deg : (n,) float
-        Without jumps by full turns. [deg]
-    speed_mps : float
-        With which it leaves the first frame. [m/s]
-    """
-
-    name: str
-    time_s: FloatArray
-    position_m: FloatArray
-    yaw_deg: FloatArray
-    speed_mps: float
+    name: str  # of the entity
+    time_s: FloatArray  # (n,); ascending
+    position_m: FloatArray  # (n, 3); world frame
+    yaw_deg: FloatArray  # (n,); without jumps by full turns
+    speed_mps: float  # with which it leaves the first frame
 
 
 def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str:
@@ -205,18 +180,15 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
 def validate_openscenario(text: str) -> None:
     """Check a file against the schema of OpenSCENARIO 1.3.1, which comes with scenariogeneration.
 
-    Raises InputError if it is not XML, or the schema rejects it; says where and why. Raises
-    MissingExtraError if scenariogeneration is not installed.
+    Raises InputError where it is not XML, or the schema rejects it; or MissingExtraError.
     """
     expected = f"XML that {_SCHEMA} accepts"
     try:
         element = ET.fromstring(text)
     except ET.ParseError as error:
         raise InputError("OpenSCENARIO", Unquoted(error), expected) from None
-    problem = next(_schema().iter_errors(element), None)
-    if problem is not None:
-        where = f"OpenSCENARIO: {problem.path}"
-        raise InputError(where, Unquoted(problem.reason), expected)
+    for problem in _schema().iter_errors(element):
+        raise InputError(f"OpenSCENARIO: {problem.path}", Unquoted(problem.reason), expected)
 
 
 @cache
@@ -273,7 +245,6 @@ def _build_parameters(run: Run, impact_s: float) -> Any:
 
 
 def _build_properties(run: Run) -> Any:
-    avoidable = bool(np.isfinite(run.last_brake_time_s))
     properties = load_xosc().Properties()
     for name, value in {
         "run": run.id,
@@ -284,7 +255,7 @@ def _build_properties(run: Run) -> Any:
         "weather": run.weather,
         "vut_speed_kmh": f"{run.vut_speed_kmh:g}",
         "vru_speed_kmh": f"{run.case.vru_speed_kmh:g}",
-        "is_avoidable_by_braking": str(avoidable).lower(),
+        "is_avoidable_by_braking": str(bool(np.isfinite(run.last_brake_time_s))).lower(),
     }.items():
         properties.add_property(name, value)
     return properties
@@ -303,14 +274,26 @@ def _build_storyboard(run: Run, end_s: float, after_s: float) -> Any:
             triggeringpoint="stop",
         ),
     )
-    act = xosc.Act("unbraked", _build_start("start of the act"))
+
+    def at_start(name: str) -> Any:
+        condition = xosc.SimulationTimeCondition(0.0, xosc.Rule.greaterOrEqual)
+        return xosc.ValueTrigger(name, 0.0, xosc.ConditionEdge.none, condition)
+
+    act = xosc.Act("unbraked", at_start("start of the act"))
     for track in tracks:
         event = xosc.Event(f"{track.name} sets off", xosc.Priority.override)
-        event.add_trigger(_build_start(f"start of {track.name}"))
+        positions = [
+            _world_position(point_m, yaw_deg)
+            for point_m, yaw_deg in zip(track.position_m, track.yaw_deg, strict=True)
+        ]
+        times_s = (track.time_s.round(DECIMALS) + 0.0).tolist()
+        trajectory = xosc.Trajectory(f"{track.name} unbraked", False)
+        trajectory.add_shape(xosc.Polyline(times_s, positions))
+        event.add_trigger(at_start(f"start of {track.name}"))
         event.add_action(
             f"{track.name} follows its frames",
             xosc.FollowTrajectoryAction(
-                _build_trajectory(track),
+                trajectory,
                 xosc.FollowingMode.position,
                 xosc.ReferenceContext.absolute,
                 1.0,
@@ -325,12 +308,6 @@ def _build_storyboard(run: Run, end_s: float, after_s: float) -> Any:
         act.add_maneuver_group(group)
     storyboard.add_act(act)
     return storyboard
-
-
-def _build_start(name: str) -> Any:
-    xosc = load_xosc()
-    condition = xosc.SimulationTimeCondition(0.0, xosc.Rule.greaterOrEqual)
-    return xosc.ValueTrigger(name, 0.0, xosc.ConditionEdge.none, condition)
 
 
 def _build_init(run: Run, tracks: tuple[_Track, ...]) -> Any:
@@ -348,7 +325,7 @@ def _build_init(run: Run, tracks: tuple[_Track, ...]) -> Any:
     for index, placed in enumerate(run.obstruction, 1):
         pose = placed.pose
         point_m = _reference_m(placed.actor, pose.position_m[:2], pose.yaw_deg, run.terrain)
-        teleport = xosc.TeleportAction(_world_position(point_m, placed.pose.yaw_deg))
+        teleport = xosc.TeleportAction(_world_position(point_m, pose.yaw_deg))
         init.add_init_action(f"obstruction-{index}", teleport)
     return init
 
@@ -380,10 +357,9 @@ def _build_environment(weather: str) -> Any:
 
 
 def _build_track(name: str, run: Run, after_s: float) -> _Track:
-    actor, motion, position_m, yaw_deg = {
-        VUT: (run.encounter.vut, run.encounter.vut_motion, run.vut_position_m, run.vut_yaw_deg),
-        VRU: (run.encounter.vru, run.encounter.vru_motion, run.vru_position_m, run.vru_yaw_deg),
-    }[name]
+    # Names of entities are those of the run's fields.
+    actor, motion = getattr(run.encounter, name), getattr(run.encounter, f"{name}_motion")
+    position_m, yaw_deg = getattr(run, f"{name}_position_m"), getattr(run, f"{name}_yaw_deg")
     first_s, last_s = run.time_s[[0, -1]]
     time_s = run.time_s
     # Between two frames lies the impact: the last frame may be before it.
@@ -410,18 +386,6 @@ def _reference_m(
     yaw_rad = np.radians(yaw_deg)
     ahead = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
     return on_ground(position_m + reference_ahead_m(actor) * ahead, terrain)
-
-
-def _build_trajectory(track: _Track) -> Any:
-    xosc = load_xosc()
-    positions = [
-        _world_position(point_m, yaw_deg)
-        for point_m, yaw_deg in zip(track.position_m, track.yaw_deg, strict=True)
-    ]
-    times_s = (track.time_s.round(DECIMALS) + 0.0).tolist()
-    trajectory = xosc.Trajectory(f"{track.name} unbraked", False)
-    trajectory.add_shape(xosc.Polyline(times_s, positions))
-    return trajectory
 
 
 def _world_position(point_m: FloatArray, yaw_deg: float) -> Any:

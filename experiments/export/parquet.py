@@ -10,10 +10,7 @@ from .places import longitude_latitude, placed_records, positions_m
 
 
 def to_parquet(layout: Layout, scene: Scene) -> bytes:
-    """Layout as an Apache Parquet file: one row per unit.
-
-    Columns as in CSV; with a crs longitude_deg and latitude_deg (WGS 84), too.
-    """
+    """Layout as Apache Parquet: as CSV, and with a crs longitude_deg and latitude_deg."""
     import pandas as pd
 
     table = pd.DataFrame(placed_records(layout, scene))

@@ -33,45 +33,25 @@ def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
     if any(unit.site_id in doubts for unit in layout.units):
         records = [record | {"assumed": doubts.get(record["site"], "")} for record in records]
     if scene is not None and terrain_of(scene) is not None:
+        zero_m = scene.zero_height_m
         records = [
-            record | {"height_m": height_m} | map_height(record["z_m"], scene)
-            for record, height_m in zip(records, heights_m(layout, scene), strict=True)
+            record
+            | {"height_m": round(float(above_ground(unit, scene).pose.position_m[2]), 3)}
+            | ({} if zero_m is None else {"map_z": round(record["z_m"] + zero_m, 3)})
+            for record, unit in zip(records, layout.units, strict=True)
         ]
     if scene is None or not (scene.source_crs or scene.source_origin_m.any()):
         return records
-    if scene.crs:
-        position = map_positions(layout, scene)
-    else:
-        position = positions_m(layout)[:, :2] + scene.source_origin_m
+    points_m = positions_m(layout)[:, :2]
+    position = map_points(points_m, scene) if scene.crs else points_m + scene.source_origin_m
     return [
         record | {"map_x": float(x), "map_y": float(y), "map_crs": scene.source_crs}
         for record, (x, y) in zip(records, position, strict=True)
     ]
 
 
-def heights_m(layout: Layout, scene: Scene) -> list[float]:
-    """Heights of the units above the ground below them, in metres."""
-    levels = [above_ground(unit, scene) for unit in layout.units]
-    return [round(float(unit.pose.position_m[2]), 3) for unit in levels]
-
-
-def map_height(z_m: float, scene: Scene) -> dict[str, float]:
-    """A height as the scene's map counts it, as a field "map_z"; none where that is not known."""
-    zero_m = scene.zero_height_m
-    return {} if zero_m is None else {"map_z": round(z_m + zero_m, 3)}
-
-
-def map_positions(layout: Layout, scene: Scene) -> FloatArray:
-    """Units in the coordinates of the scene's map.
-
-    Shape (n_units, 2), in ``scene.source_crs``, or ``scene.crs`` where that is empty; east or
-    longitude first.
-    """
-    return map_points(positions_m(layout)[:, :2], scene)
-
-
 def map_points(points_m: FloatArray, scene: Scene) -> FloatArray:
-    """Points of the world frame, (n, 2), in the coordinates of the scene's map."""
+    """Points of the world frame, (n, 2), in the map's ``source_crs``, or else ``crs``."""
     if not scene.source_crs:
         return points_m
     return transform(points_m, scene.crs, scene.source_crs)
@@ -87,21 +67,16 @@ def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
 
 
 def require_crs(crs: str, format_name: str) -> None:
-    """Refuse a scene that does not say where on earth it lies.
-
-    Raises InputError if `crs` is empty.
-    """
+    """Raise InputError for a scene that does not say where on earth it lies."""
     if not crs:
-        raise InputError(
-            format_name, Unquoted("a scene without crs"), "one that says where on earth it lies"
-        )
+        expected = "one that says where on earth it lies"
+        raise InputError(format_name, Unquoted("a scene without crs"), expected)
 
 
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
-    """Points of the world frame in WGS 84.
+    """Points of the world frame, (n, 2) or (n, 3), in WGS 84: longitude, latitude, (n, 2) degrees.
 
-    From (n, 2) or (n, 3) metres to longitude and latitude, (n, 2) degrees. Raises
-    InputError if pyproj does not know `crs`, or the points lie outside of where it is defined.
+    Raises InputError if pyproj does not know `crs`, or they lie outside of where it is defined.
     """
     from pyproj.exceptions import CRSError, ProjError
 

@@ -9,14 +9,7 @@ from geometry.arrays import FloatArray
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .calibration import (
-    Calibration,
-    calibrations,
-    comments,
-    lens_coefficients,
-    plain,
-    quaternion,
-)
+from .calibration import Calibration, calibrations, comments, lens_coefficients, plain, quaternion
 from .formats import ExportFormat
 
 WORLD_FRAME = "map"

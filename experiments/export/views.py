@@ -18,18 +18,10 @@ NOTE = f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m fro
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """Area that a camera sees, or road that no camera sees.
+    """Area that a camera sees, or road that no camera sees."""
 
-    Attributes
-    ----------
-    unit : str
-        Its id; empty: what no camera sees.
-    area : shapely geometry
-        Polygons without overlap.
-    """
-
-    unit: str
-    area: Any
+    unit: str  # its id; empty: what no camera sees
+    area: Any  # shapely's polygons without overlap
 
     def record(self) -> dict[str, Any]:
         """Fields of it in a table."""
@@ -42,21 +34,16 @@ class View:
 
 
 def find_views(layout: Layout, scene: Scene) -> list[View]:
-    """Views of a layout's cameras, in its order, then the road that none sees; world frame.
-
-    LiDARs have none. Nothing drives or parks.
-    """
+    """Views of a layout's cameras, in its order, then the road that none sees; world frame."""
     views = []
-    seen: BoolArray | None = None
+    ground = find_ground_coverage(scene, [])
+    missed = ground.is_road.copy()
     for unit in layout.units:
         if isinstance(unit.sensor, CameraModel):
-            found = find_ground_coverage(scene, [unit])
-            is_seen = found.density > 0.0
-            seen = is_seen if seen is None else seen | is_seen
-            area = _outline(is_seen, found.east_m, found.north_m)
+            is_seen = find_ground_coverage(scene, [unit]).density > 0.0
+            missed &= ~is_seen
+            area = _outline(is_seen, ground.east_m, ground.north_m)
             views.append(View(unit=unit.id, area=area))
-    ground = find_ground_coverage(scene, [])
-    missed = ground.is_road if seen is None else ground.is_road & ~seen
     return [*views, View(unit="", area=_outline(missed, ground.east_m, ground.north_m))]
 
 
@@ -74,10 +61,8 @@ def _outline(mask: BoolArray, east_m: FloatArray, north_m: FloatArray) -> Any:
     # Corners of neighbours are equal to the last bit, as a coverage asks.
     x_m, y_m = (
         np.append(middles_m - 0.5 * step_m, middles_m[-1] + 0.5 * step_m)
-        for middles_m, step_m in (
-            (east_m, east_m[1] - east_m[0]),
-            (north_m, north_m[1] - north_m[0]),
-        )
+        for middles_m in (east_m, north_m)
+        for step_m in [middles_m[1] - middles_m[0]]
     )
     row, column = np.nonzero(mask)
     cells = shapely.box(x_m[column], y_m[row], x_m[column + 1], y_m[row + 1])

@@ -1,6 +1,6 @@
 """A run with the frames in which each unit detects: what formats show that move."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,17 +26,18 @@ _RUN_ID = (
 
 
 def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
-    """The run that an id names, laid on a junction.
+    """The run that an id names, see :attr:`scenarios.runs.Run.id`, laid on a junction.
 
-    It reads "case/approach/speed", by day, or "case/approach/speed/weather"; see
-    :attr:`scenarios.runs.Run.id`. `weather` takes the place of the id's. Raises InputError if some
-    part is unknown, and says what is known.
+    `weather` takes the place of the id's. Raises InputError if some part is unknown.
     """
     parts = run_id.split("/")
     if len(parts) not in (3, 4) or not all(parts):
         raise InputError("--run", run_id, _RUN_ID)
     case, place, speed = parts[:3]
-    approach, position = _split_place(place, tuple(build_junction(scene).arms))
+    # "east-15": the arm with the longest name that it begins with, and the position.
+    arms = [arm for arm in build_junction(scene).arms if place.startswith(arm)]
+    approach = max(arms, key=len, default=place)
+    position = place.removeprefix(approach) or AT_ZERO.name
     if weather is not None:
         pick_weather(weather, "weather")
     light = weather or (parts[3] if len(parts) == 4 else WEATHERS[0])
@@ -48,40 +49,20 @@ def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
         raise InputError(where, error.got, error.expected) from None
 
 
-def _split_place(place: str, arms: Sequence[str]) -> tuple[str, str]:
-    """Approach and position of "east-15": the arm with the longest name that it begins with."""
-    for arm in sorted(arms, key=len, reverse=True):
-        if place.startswith(arm):
-            return arm, place.removeprefix(arm) or AT_ZERO.name
-    return place, AT_ZERO.name
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WatchedRun:
-    """A run, and what a layout's units detect of whoever the VUT meets.
-
-    Attributes
-    ----------
-    run : Run
-        What happens.
-    detected : mapping of unit's id to (n_frames,) bool
-        Frames in which the evaluator's detector finds the road user.
-    rule : AebRule
-        From detected frames to braking.
-    """
+    """A run, and what a layout's units detect of whoever the VUT meets."""
 
     run: Run
+    # by unit's id (n_frames,): frames in which the evaluator's detector finds the road user
     detected: Mapping[str, BoolArray]
-    rule: AebRule
+    rule: AebRule  # from detected frames to braking
 
 
 def watch_run(
     layout: Layout, scene: Scene, run_id: str, *, compute: Compute = DEFAULT_COMPUTE
 ) -> WatchedRun:
-    """Run that an id names, watched by a layout with the default detector.
-
-    Raises InputError if the id names no run of the scene.
-    """
+    """Run that an id names, or InputError, watched by a layout with the default detector."""
     from placement.evaluator.evaluate import unit_key, watch
 
     run, rule = find_run(run_id, scene), load_aeb_rule()

@@ -13,17 +13,7 @@ import click
 from placement.compute import Compute
 from placement.question import Question
 
-from ..cli.options import (
-    JUDGED,
-    MOUNTED,
-    SectionedCommand,
-    compute_options,
-    fields_in,
-    layout_option,
-    option,
-    question_options,
-    quiet_option,
-)
+from ..cli import options
 from ..cli.running import begin
 from ..progress import Interrupted, StageProgress, tell
 
@@ -33,15 +23,15 @@ if TYPE_CHECKING:
     from .plan import Plan
 
 _ASKED = (
-    *fields_in(MOUNTED, but=("keep", "within", "force_site")),
+    *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")),
     *("solver", "time_limit_s", "gap"),
-    *JUDGED,
+    *options.JUDGED,
 )
 _LOCAL = "127.0.0.1"
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus plan
@@ -49,8 +39,8 @@ Examples:
   place-rsus plan --scene scene --layout mine.json --save plan.json
   place-rsus plan --scene city.osm --port 8042 --no-open""",
 )
-@layout_option
-@option(
+@options.layout_option
+@options.option(
     "--port",
     type=click.IntRange(0, 65535),
     default=0,
@@ -58,41 +48,41 @@ Examples:
     expected="a port, 0 to 65535",
     help="Of the page; default: one that is free.",
 )
-@option(
+@options.option(
     "--open/--no-open",
     "opens",
     default=True,
     show_default=True,
     help="Open the page in the browser.",
 )
-@option(
+@options.option(
     "--keep-open",
     is_flag=True,
     help="Go on after the page is closed; else all ends some seconds later.",
 )
-@option(
+@options.option(
     "--save",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="Keep the plan in this file, whenever it rests; opened again if it is there.",
 )
-@option(
+@options.option(
     "--host",
     default=_LOCAL,
     show_default=True,
     is_common=False,
     help="Address to listen at; another one lets others in, see --i-know.",
 )
-@option(
+@options.option(
     "--i-know",
     is_flag=True,
     needs="host",
     is_common=False,
     help="With --host: whoever has the page's address can change the plan and send files.",
 )
-@question_options(*_ASKED)
-@quiet_option
-@compute_options(has_cache=True)
+@options.question_options(*_ASKED)
+@options.quiet_option
+@options.compute_options(has_cache=True)
 @click.pass_obj
 def plan(
     progress: StageProgress,
@@ -142,7 +132,7 @@ def plan(
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
         server = RunningServer(
-            lambda: Session(work, setting, plan=begun, save=save),
+            lambda: Session(work, setting, begun=begun, save=save),
             host=host,
             port=port,
             keeps_open=keep_open,
@@ -196,7 +186,7 @@ def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") 
 def _redirect(address: str, folder: Path) -> str:
     """Address of a file that leads to the page and that only its owner can read.
 
-    Programs' command lines can be read by everybody on the machine: the token is not for them.
+    Everybody on the machine can read command lines: the token is not for them.
     """
     from geometry.files import write_atomically
 

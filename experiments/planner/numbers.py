@@ -10,12 +10,12 @@ import numpy as np
 from geometry.catalogue import Sensor, sensor_kind
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
-from geometry.terrain import ground_height_m
 from placement.candidates import CandidatePose, is_ring
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
 from placement.ground import BANDS, PrivateGround, PrivateSight, find_ground_coverage
 from placement.layout import Layout
 from placement.setting import Setting
+from scenarios.runs import Run
 
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
@@ -23,7 +23,7 @@ from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
 from ..results.record import build_evaluation_record
-from .plan import SCHEMA, Background, History, PlanState
+from .plan import SCHEMA, Background, History, PlanState, mount_range_m
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"
 
@@ -57,11 +57,8 @@ def scene_record(
         "plan": plan_record(scene, np.zeros((0, 2))),
         "sites": [
             {
-                "id": site.id,
-                "kind": site.kind,
-                "place": centimetres(site.position_m[:2]),
-                "low": float(site.height_range_m[0]),
-                "high": float(site.height_range_m[1]),
+                **{"id": site.id, "kind": site.kind, "place": centimetres(site.position_m[:2])},
+                **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
                 "capacity": site.capacity_units,
                 "isForbidden": site.use == "forbidden",
             }
@@ -69,9 +66,7 @@ def scene_record(
         ],
         "sensors": [
             {
-                "name": model.name,
-                "kind": sensor_kind(model),
-                "price": model.price_eur,
+                **{"name": model.name, "kind": sensor_kind(model), "price": model.price_eur},
                 "isRing": is_ring(model),
             }
             for model in models
@@ -83,32 +78,26 @@ def scene_record(
         ],
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
-        "private": [
-            {"name": name, "path": svg_path(shape)}
-            for name, shape in zip(ground.names, ground.shapes, strict=True)
-        ]
-        if ground is not None
-        else [],
+        "private": [] if ground is None else _private_areas(ground),
     }
+
+
+def _private_areas(ground: PrivateGround) -> list[dict[str, str]]:
+    named = zip(ground.names, ground.shapes, strict=True)
+    return [{"name": name, "path": svg_path(shape)} for name, shape in named]
 
 
 def _arm_records(setting: Setting) -> list[dict[str, Any]]:
     """Every approach and position that is driven: the VUT's way, and where the impacts are."""
-    found: dict[tuple[str, str], list[int]] = {}
-    for index, run in enumerate(setting.runs):
-        found.setdefault((run.approach, run.position), []).append(index)
+    found: dict[tuple[str, str], list[Run]] = {}
+    for run in setting.runs:
+        found.setdefault((run.approach, run.position), []).append(run)
     records = []
-    for (approach, position), indices in found.items():
-        impacts = np.array([setting.runs[index].vut_position_m[-1] for index in indices])
-        longest = max(indices, key=lambda index: len(setting.runs[index].time_s))
-        records.append(
-            {
-                "approach": approach,
-                "position": position,
-                "place": centimetres(impacts.mean(axis=0)),
-                "way": centimetres(setting.runs[longest].vut_position_m),
-            }
-        )
+    for (approach, position), runs in found.items():
+        impacts_m = np.mean([run.vut_position_m[-1] for run in runs], axis=0)
+        longest = max(runs, key=lambda run: len(run.time_s))
+        record = {"approach": approach, "position": position, "place": centimetres(impacts_m)}
+        records.append(record | {"way": centimetres(longest.vut_position_m)})
     return records
 
 
@@ -125,13 +114,10 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
     state = history.state
     units = state.variant.units
     drawn = unit_records(state.variant.layout(scene), scene) if units else []
+    fields = [_unit_fields(unit, scene) for unit in units]
     return {
-        "units": [
-            record | _unit_fields(unit, scene) for unit, record in zip(units, drawn, strict=True)
-        ],
-        "variants": [
-            {"name": variant.name, "units": len(variant.units)} for variant in state.variants
-        ],
+        "units": [record | own for record, own in zip(drawn, fields, strict=True)],
+        "variants": [{"name": one.name, "units": len(one.units)} for one in state.variants],
         "current": state.current,
         "canUndo": history.can_undo,
         "canRedo": history.can_redo,
@@ -141,12 +127,7 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
 
 def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
     """Fields of a unit that can be changed, and their ranges."""
-    site = next((site for site in scene.sites if site.id == unit.site_id), None)
-    foot_m = (
-        float(ground_height_m(scene, unit.pose.position_m[:2]))
-        if site is None
-        else float(site.position_m[2])
-    )
+    foot_m, *heights_m = mount_range_m(unit.pose, unit.site_id, scene)
     sensor = unit.sensor
     lens = sensor.fov_range_deg if isinstance(sensor, CameraModel) else None
     return {
@@ -156,7 +137,7 @@ def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
         "yawDeg": unit.pose.yaw_deg,
         "pitchDeg": unit.pose.pitch_deg,
         "heightM": float(unit.pose.position_m[2]) - foot_m,
-        "heightRange": [0.5, 50.0] if site is None else site.height_range_m.tolist(),
+        "heightRange": heights_m,
         "fovDeg": sensor.horizontal_fov_deg,
         "fovRange": list(lens) if lens else None,
         "isRing": is_ring(sensor),
@@ -164,19 +145,14 @@ def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
 
 
 def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] | None:
-    """Cost of units and their sites, as the bill of materials has it; None of nothing.
-
-    "sensors", "sites" and "all" are amounts in words; "assumed" says what is assumed of sites.
-    """
+    """Cost of units and their sites in words, as the bill of materials has it; None of nothing."""
     if not units:
         return None
-    layout = Layout(name="cost", units=tuple(units))
-    bill = build_bill(layout, scene)
-    sums = [_sum([item.sum_eur for item in items]) for items in (bill.sensors, bill.sites)]
-    names = ("sensors", "sites", "all")
-    return {
-        name: euros(amount) for name, amount in zip(names, (*sums, _sum(sums)), strict=True)
-    } | {"assumed": list(bill.assumed)}
+    bill = build_bill(Layout(name="cost", units=tuple(units)), scene)
+    sensors, sites = (_sum([one.sum_eur for one in items]) for items in (bill.sensors, bill.sites))
+    sums = {"sensors": sensors, "sites": sites, "all": _sum([sensors, sites])}
+    words = {name: euros(amount) for name, amount in sums.items()}
+    return words | {"assumed": list(bill.assumed)}
 
 
 def _sum(amounts: Sequence[float | None]) -> float | None:
@@ -185,10 +161,7 @@ def _sum(amounts: Sequence[float | None]) -> float | None:
 
 
 def layout_text(state: PlanState, scene: Scene) -> str:
-    """The variant that is worked on as the layout file that ``--layout`` takes.
-
-    Raises InputError if nothing is mounted.
-    """
+    """The current variant as the layout file of ``--layout``; InputError: nothing is mounted."""
     return to_json(state.variant.layout(scene))
 
 
@@ -249,20 +222,18 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
     approaches, positions = np.array(axis.approaches), np.array(axis.positions)
     arms = dict.fromkeys(zip(axis.approaches, axis.positions, strict=True))
 
-    def share(mask: Any) -> float | None:
+    def share(mask: Any = None) -> float | None:
         return finite_or_none(apr(verdict, axis, mask))
 
+    def by(values: Any) -> dict[str, str]:
+        return {name: percent(share(values == name)) for name in dict.fromkeys(values.tolist())}
+
+    by_case = apr_by_case(verdict, axis).items()
     return {
-        "apr": percent(finite_or_none(apr(verdict, axis))),
-        "byCase": {
-            case: percent(finite_or_none(value))
-            for case, value in apr_by_case(verdict, axis).items()
-        },
-        "byApproach": {
-            approach: percent(share(approaches == approach))
-            for approach in dict.fromkeys(axis.approaches)
-        },
-        "byRoadUser": {name: percent(share(met == name)) for name in dict.fromkeys(met.tolist())},
+        "apr": percent(share()),
+        "byCase": {case: percent(finite_or_none(value)) for case, value in by_case},
+        "byApproach": by(approaches),
+        "byRoadUser": by(met),
         "byArm": [
             share((approaches == approach) & (positions == position)) for approach, position in arms
         ],
@@ -282,27 +253,20 @@ def private_record(
 ) -> list[dict[str, Any]]:
     """Private areas that units have in their pictures, those that are seen the most first.
 
-    For each its name and the share that each unit sees, as `evaluate` reports; "isTooMuch" where
-    that is more than ``--no-look-share`` allows.
+    The share that each unit sees, as `evaluate` reports; "isTooMuch": more than is allowed.
     """
     shares = sight.shares(units)
     most = shares.max(axis=0, initial=0.0)
     order = [int(column) for column in np.argsort(-most, kind="stable") if most[column] > 0.0]
-    return [
-        {
-            "area": ground.names[column],
-            "seen": [
-                {
-                    "unit": units[row].id,
-                    "share": percent(float(shares[row, column])),
-                    "isTooMuch": bool(shares[row, column] > max_share),
-                }
-                for row in np.argsort(-shares[:, column], kind="stable").tolist()
-                if shares[row, column] > 0.0
-            ],
-        }
-        for column in order[:_MAX_AREAS]
-    ]
+    records = []
+    for column in order[:_MAX_AREAS]:
+        seen = [
+            {"unit": units[row].id, "share": percent(share), "isTooMuch": share > max_share}
+            for row in np.argsort(-shares[:, column], kind="stable").tolist()
+            if (share := float(shares[row, column])) > 0.0
+        ]
+        records.append({"area": ground.names[column], "seen": seen})
+    return records
 
 
 def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, Any]:

@@ -1,12 +1,9 @@
-"""The plan: variants of layouts, every way to change them, undo and redo, and its file.
-
-Pure values: what browsers ask for is a value, too. A plan may have an image of one's own below it,
-laid by two points that are known in both.
-"""
+"""The plan as pure values: variants, every way to change them, undo and redo, and its file."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +48,7 @@ def check_count(n: int, where: str, most: int) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variant:
-    """A layout that is being planned; unlike a :class:`placement.layout.Layout` it may be empty.
-
-    Raises InputError if it has too many units.
-    """
+    """A layout that is being planned, and may be empty; InputError: it has too many units."""
 
     name: str
     units: tuple[CandidatePose, ...] = ()
@@ -86,10 +80,7 @@ class PlanState:
         return not any(variant.units for variant in self.variants)
 
     def with_units(self, units: Sequence[CandidatePose]) -> "PlanState":
-        """The state with other units in the variant that is worked on.
-
-        Raises InputError if there are too many.
-        """
+        """The state with other units in the current variant; InputError: too many."""
         return self.with_variant(replace(self.variant, units=tuple(units)))
 
     def with_variant(self, variant: Variant) -> "PlanState":
@@ -211,18 +202,8 @@ class ChooseSensors(_Request, tag="sensors"):
     names: list[str]
 
 
-Message = (
-    Change
-    | Undo
-    | Redo
-    | Revert
-    | Ask
-    | Cancel
-    | TakeProposal
-    | DropProposal
-    | ShowCoverage
-    | ChooseSensors
-)
+_Other = Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
+Message = Change | Undo | Redo | Revert | _Other
 _DECODER = msgspec.json.Decoder(Message)
 
 
@@ -250,7 +231,7 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
     """The state after a change.
 
     Raises InputError: there is no such unit, site, sensor or variant; a site is full or forbidden;
-    a number is not one that can be mounted. The state is then as it was.
+    a number is not one that can be mounted.
     """
     return _CHANGES[type(change)](state, change, stock)
 
@@ -290,7 +271,7 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
     units, scene = state.variant.units, stock.scene
     index = _find(units, change.unit)
     unit = units[index]
-    pose, sensor = unit.pose, unit.sensor
+    pose, sensor, site_id = unit.pose, unit.sensor, unit.site_id
     if change.sensor is not UNSET:
         sensor = pick(stock.models, change.sensor, "sensor")
         if is_ring(sensor) != is_ring(unit.sensor):  # what scans all round is level by default
@@ -299,10 +280,8 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         if not isinstance(sensor, CameraModel):
             raise InputError("lens", change.fov_deg, "nothing: only cameras have lenses")
         sensor = with_fov(sensor, _finite("lens", change.fov_deg), "lens")
-    others = [other for other in units if other is not unit]
-    site_id = unit.site_id
     if change.site is not UNSET and change.site != site_id:
-        site = _free_site(change.site, others, scene)
+        site = _free_site(change.site, [other for other in units if other is not unit], scene)
         ground_m = float(ground_height_m(scene, pose.position_m[:2]))
         above_m = float(np.clip(pose.position_m[2] - ground_m, *site.height_range_m))
         pose = _moved(pose, site.position_m + [0.0, 0.0, above_m], sensor, scene)
@@ -324,28 +303,36 @@ def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> 
     """
     eye_m = pose.position_m
     up_m = float(eye_m[2] - ground_height_m(scene, eye_m[:2]))
-    is_tilted = pose.pitch_deg < -_LEVEL_DEG and not is_ring(sensor)
-    reach_m = up_m / math.tan(math.radians(-pose.pitch_deg)) if is_tilted else _FAR_M
-    yaw = math.radians(pose.yaw_deg)
+    yaw_deg, pitch_deg = pose.yaw_deg, pose.pitch_deg
+    is_tilted = pitch_deg < -_LEVEL_DEG and not is_ring(sensor)
+    reach_m = up_m / math.tan(math.radians(-pitch_deg)) if is_tilted else _FAR_M
+    yaw = math.radians(yaw_deg)
     target_m = eye_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
     east, north = target_m - position_m[:2]
-    pitch_deg = pose.pitch_deg
     if is_tilted:
         above_m = float(position_m[2] - ground_height_m(scene, target_m))
         pitch_deg = -math.degrees(math.atan2(above_m, math.hypot(east, north)))
-    yaw_deg = math.degrees(math.atan2(north, east)) if east or north else pose.yaw_deg
+    if east or north:
+        yaw_deg = math.degrees(math.atan2(north, east))
     return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
+
+
+def find_site(site_id: str, scene: Scene) -> Site | None:
+    """A site by its id; None: there is none."""
+    return next((site for site in scene.sites if site.id == site_id), None)
+
+
+def mount_range_m(pose: Pose, site_id: str, scene: Scene) -> tuple[float, float, float]:
+    """Height of the foot of a pose's site, or of the ground below it, and heights above it."""
+    site = find_site(site_id, scene)
+    if site is None:
+        return float(ground_height_m(scene, pose.position_m[:2])), 0.5, 50.0
+    return float(site.position_m[2]), *site.height_range_m.tolist()
 
 
 def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
     """A pose at another height above the foot of its site, or above the ground below it."""
-    site = next((site for site in scene.sites if site.id == site_id), None)
-    if site is None:
-        foot_m = float(ground_height_m(scene, pose.position_m[:2]))
-        low_m, high_m = 0.5, 50.0
-    else:
-        foot_m = float(site.position_m[2])
-        low_m, high_m = site.height_range_m.tolist()
+    foot_m, low_m, high_m = mount_range_m(pose, site_id, scene)
     if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
         at = f"the range of {site_id}" if site_id else "above the ground"
         raise InputError("height", height_m, f"{low_m:g} .. {high_m:g} m, {at}")
@@ -355,8 +342,8 @@ def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
 
 def _remove_unit(state: PlanState, change: RemoveUnit, stock: Stock) -> PlanState:
     units = state.variant.units
-    index = _find(units, change.unit)
-    return state.with_units([*units[:index], *units[index + 1 :]])
+    _find(units, change.unit)
+    return state.with_units([unit for unit in units if unit.id != change.unit])
 
 
 def _add_variant(state: PlanState, change: AddVariant, stock: Stock) -> PlanState:
@@ -372,12 +359,11 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     """
     check_count(len(state.variants) + 1, "variants", MAX_VARIANTS)
     names = {each.name for each in state.variants}
-    name, number = _printable(variant.name), 2
-    if name in names and source:
-        name = _printable(f"{source}: {name}"[:_MAX_NAME])
-    base = name
-    while name in names:
-        name, number = f"{base} ({number})", number + 1
+    base = _printable(variant.name)
+    if base in names and source:
+        base = _printable(f"{source}: {base}"[:_MAX_NAME])
+    numbered = (f"{base} ({number})" for number in count(2))
+    name = next(name for name in chain([base], numbered) if name not in names)
     variants = (*state.variants, replace(variant, name=name))
     return replace(state, variants=variants, current=len(variants) - 1)
 
@@ -414,26 +400,23 @@ _CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
 
 
 def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
-    for index, unit in enumerate(units):
-        if unit.id == unit_id:
-            return index
-    raise InputError("unit", unit_id, "one that is mounted there")
+    ids = [unit.id for unit in units]
+    if unit_id not in ids:
+        raise InputError("unit", unit_id, "one that is mounted there")
+    return ids.index(unit_id)
 
 
 def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:
     """A site that may carry one more unit."""
-    site = next((site for site in scene.sites if site.id == site_id), None)
+    site = find_site(site_id, scene)
     if site is None:
         raise InputError("site", site_id, f"a site of {scene.name}")
     if site.use == "forbidden":
         raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:
-        raise InputError(
-            f"site {site_id}",
-            Unquoted(f"a unit more than the {n_there} there"),
-            f"at most {site.capacity_units}",
-        )
+        got = Unquoted(f"a unit more than the {n_there} there")
+        raise InputError(f"site {site_id}", got, f"at most {site.capacity_units}")
     return site
 
 
@@ -515,10 +498,7 @@ class History:
 
 
 def begin_history(variants: Sequence[Variant], workspace: Any = None) -> History:
-    """A history of one state with these variants, the first one worked on; or with an empty one.
-
-    Raises InputError as :func:`add_variant`.
-    """
+    """A history of one state with these variants, the first one current; or with an empty one."""
     first = variants[0] if variants else Variant(name="Variant 1")
     state = PlanState(variants=(first,), workspace=workspace)
     for variant in variants[1:]:
@@ -564,13 +544,11 @@ def background_message(background: Background | None) -> dict[str, Any]:
     """Message about the image: its address, size and points; an empty address: none."""
     if background is None:
         return {"type": "background", "address": ""}
-    lie = background.lie
-    return {
-        "type": "background",
-        "address": f"background?{id(background)}",  # another one is not taken from a cache
-        "size": [lie.width_px, lie.height_px],
-        "points": [msgspec.structs.astuple(point) for point in lie.points],
-    }
+    lie, points = background.lie, map(msgspec.structs.astuple, background.lie.points)
+    # By its number: another one is not taken from a cache.
+    address = f"background?{id(background)}"
+    size = [lie.width_px, lie.height_px]
+    return {"type": "background", "address": address, "size": size, "points": list(points)}
 
 
 def build_background(content: bytes, lie: bytes, where: str) -> Background:
@@ -585,8 +563,7 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
     return _checked(Background(lie=found, image=content), where)
 
 
-def read_background(record: Any, where: str) -> Background:
-    """A background from a plan's file. Raises InputError as :func:`build_background` does."""
+def _read_background(record: Any, where: str) -> Background:
     try:
         found = msgspec.convert(record, Background)
     except msgspec.ValidationError as error:
@@ -610,11 +587,9 @@ def _checked(background: Background, where: str) -> Background:
     apart_px = math.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
     apart_m = math.hypot(second.east_m - first.east_m, second.north_m - first.north_m)
     if apart_px < _LEAST_APART_PX or apart_m < _LEAST_APART_M:
-        raise InputError(
-            f"{where}: points",
-            Unquoted(f"points {apart_px:.1f} px and {apart_m:.2f} m from each other"),
-            f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m",
-        )
+        got = Unquoted(f"points {apart_px:.1f} px and {apart_m:.2f} m from each other")
+        expected = f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m"
+        raise InputError(f"{where}: points", got, expected)
     return background
 
 
@@ -643,10 +618,7 @@ def check_plan(plan: Plan, scene: Scene) -> None:
 
 
 def read_plan(text: bytes, where: str) -> Plan:
-    """A plan from the text of a plan's or a layout's file, layouts as ``--layout`` reads them.
-
-    `where` is the file's name, for error messages. Raises InputError if it is neither.
-    """
+    """A plan from a plan's or a layout's file, named for messages; InputError: it is neither."""
     try:
         document = msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
@@ -669,13 +641,9 @@ def read_plan(text: bytes, where: str) -> Plan:
             encoded = msgspec.json.encode(record)
             variants.append(_read_variant(record, encoded, at, f"{index + 1}"))
     background = document.get("background")
-    return Plan(
-        variants=tuple(variants),
-        scene_name=_scene_of(document),
-        background=None
-        if background is None
-        else read_background(background, f"{where}: background"),
-    )
+    if background is not None:
+        background = _read_background(background, f"{where}: background")
+    return Plan(variants=tuple(variants), scene_name=_scene_of(document), background=background)
 
 
 def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:

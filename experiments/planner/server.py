@@ -8,7 +8,7 @@ import shutil
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import cache
 from importlib.resources import files
@@ -27,6 +27,7 @@ from .tasks import Cancelled, TaskError
 try:
     import uvicorn
     from starlette.applications import Starlette
+    from starlette.datastructures import Headers
     from starlette.requests import Request
     from starlette.responses import JSONResponse, Response
     from starlette.routing import Mount, Route, WebSocketRoute
@@ -59,6 +60,14 @@ _INLINE = (
     "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
 
+_POLICY = "content-security-policy"
+_GUARDED = {
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
 # ---------- who may ask
 
 
@@ -78,10 +87,7 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        problem = self._problem(scope)
+        problem = "" if scope["type"] == "lifespan" else self._problem(scope)
         if not problem:
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
@@ -90,11 +96,10 @@ class Guard:
             await Response(f"{problem}\n", 403, media_type="text/plain")(scope, receive, send)
 
     def _problem(self, scope: Scope) -> str:
-        names: Mapping[bytes, bytes] = dict(scope["headers"])
-        host = names.get(b"host", b"").decode("latin-1")
+        headers = Headers(scope=scope)
+        host, origin = headers.get("host", ""), headers.get("origin", "")
         if self._hosts is not None and host not in self._hosts:
             return "another host"
-        origin = names.get(b"origin", b"").decode("latin-1")
         is_read = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if (origin or not is_read) and origin != f"http://{host}":
             return "another origin"
@@ -118,13 +123,9 @@ def page_files() -> dict[str, tuple[bytes, str]]:
         if Path(item.name).suffix in kinds
     }
     report = files("experiments.report") / "templates"
-    shared = [
-        (report / name).read_text(encoding="utf-8")
-        for name in ("run_numbers.js", "plan_drawing.js")
-    ]
-    names = ("element", "drawGround", "drawScale", "addPatterns", "MARKS")
-    exported = f"export {{ {', '.join(names)} }};\n"
-    found["shared.js"] = ("\n".join([*shared, exported]).encode(), "text/javascript")
+    shared = [(report / name).read_bytes() for name in ("run_numbers.js", "plan_drawing.js")]
+    exported = b"export { element, drawGround, drawScale, addPatterns, MARKS };\n"
+    found["shared.js"] = (b"\n".join([*shared, exported]), "text/javascript")
     return found
 
 
@@ -147,8 +148,8 @@ class Pages:
     def routes(self) -> list[Route | WebSocketRoute]:
         """All of them."""
         return [
-            Route("/", self._index),
-            Route("/files/{name}", self._file),
+            Route("/", self._answer(self._file)),
+            Route("/files/{name}", self._answer(self._file)),
             WebSocketRoute("/live", self._live),
             Route("/layout.json", self._answer(self._layout)),
             Route("/plan.json", self._answer(self._plan)),
@@ -169,24 +170,24 @@ class Pages:
         """An answer, or the sentence that says why there is none."""
 
         async def answer(request: Request) -> Response:
+            response: Response
             try:
-                return _guarded(await make(request))
+                response = await make(request)
             except (InputError, TaskError) as error:
-                return _guarded(JSONResponse({"problem": str(error)}, 400))
+                response = JSONResponse({"problem": str(error)}, 400)
             except Cancelled:
-                return _guarded(JSONResponse({"problem": "it was stopped"}, 409))
+                response = JSONResponse({"problem": "it was stopped"}, 409)
+            response.headers.setdefault(_POLICY, _STRICT)
+            response.headers.update(_GUARDED)
+            return response
 
         return answer
 
-    async def _index(self, request: Request) -> Response:
-        content, kind = page_files()["index.html"]
-        return _guarded(Response(content, media_type=kind))
-
     async def _file(self, request: Request) -> Response:
-        found = page_files().get(request.path_params["name"])
+        found = page_files().get(request.path_params.get("name", "index.html"))
         if found is None:
-            return _guarded(Response("no such file\n", 404, media_type="text/plain"))
-        return _guarded(Response(found[0], media_type=found[1]))
+            return Response("no such file\n", 404, media_type="text/plain")
+        return Response(found[0], media_type=found[1])
 
     # ---------- the line on which browsers and session talk
 
@@ -231,10 +232,14 @@ class Pages:
     async def _plan(self, request: Request) -> Response:
         return _download(self._session.plan_text(), "plan.json", "application/json")
 
-    async def _watch(self, request: Request) -> Response:
+    async def _of_run(self, task: str, request: Request) -> Any:
+        """Result of a task for the run that is asked for."""
         run_id = request.query_params.get("run", "")
-        page = await self._session.call("watch", self._session.layout(), run_id)
-        return _inline(page)
+        return await self._session.call(task, self._session.layout(), run_id)
+
+    async def _watch(self, request: Request) -> Response:
+        page = await self._of_run("watch", request)
+        return Response(page, media_type="text/html", headers={_POLICY: _INLINE})
 
     async def _private(self, request: Request) -> Response:
         return JSONResponse(await self._session.private_view(request.query_params.get("unit", "")))
@@ -253,8 +258,7 @@ class Pages:
         return Response(background.image, media_type=background.media_type)
 
     async def _explain(self, request: Request) -> Response:
-        run_id = request.query_params.get("run", "")
-        return JSONResponse(await self._session.call("explain", self._session.layout(), run_id))
+        return JSONResponse(await self._of_run("explain", request))
 
     async def _picture(self, request: Request) -> Response:
         values = request.query_params
@@ -262,15 +266,13 @@ class Pages:
             frame = int(values.get("frame", "-1")[:9])
         except ValueError:
             raise InputError("frame", values["frame"], "a whole number") from None
-        picture = await self._session.call(
-            "picture", self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
-        )
+        asked = self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
+        picture = await self._session.call("picture", *asked)
         return Response(picture, media_type="image/jpeg")
 
     async def _report(self, request: Request) -> Response:
-        content = await self._session.call(
-            "report", self._session.layout(), "place-rsus plan", is_long=True
-        )
+        asked = self._session.layout(), "place-rsus plan"
+        content = await self._session.call("report", *asked, is_long=True)
         return _download(content, "report.zip", "application/zip")
 
     async def _sheet(self, request: Request) -> Response:
@@ -289,8 +291,8 @@ class Pages:
             return JSONResponse({"opened": [variant.name for variant in plan.variants]})
         suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
         if suffix is None:
-            expected = "a name that ends in .json, " + ", ".join(_MAP_SUFFIXES)
-            raise InputError("file", name, expected)
+            known = ", ".join(_MAP_SUFFIXES)
+            raise InputError("file", name, f"a name that ends in .json, {known}")
         path = await self._received(request, _plain_name(name, suffix))
         try:
             found = await self._session.call("survey", str(path), is_long=True)
@@ -383,27 +385,9 @@ async def _send_all(
             return
 
 
-def _inline(page: str) -> Response:
-    """A page that is one file, scripts and styles in it."""
-    response = Response(page, media_type="text/html")
-    response.headers["content-security-policy"] = _INLINE
-    return response
-
-
 def _download(content: bytes, name: str, kind: str) -> Response:
-    response = Response(content, media_type=kind)
-    response.headers["content-disposition"] = f'attachment; filename="{name}"'
-    return response
-
-
-def _guarded(response: Response) -> Response:
-    headers = response.headers
-    headers.setdefault("content-security-policy", _STRICT)
-    headers["x-content-type-options"] = "nosniff"
-    headers["referrer-policy"] = "no-referrer"
-    headers["cross-origin-resource-policy"] = "same-origin"
-    headers["cache-control"] = "no-store"
-    return response
+    disposition = {"content-disposition": f'attachment; filename="{name}"'}
+    return Response(content, media_type=kind, headers=disposition)
 
 
 def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> ASGIApp:
@@ -465,7 +449,7 @@ class RunningServer:
 
     def wait(self) -> None:
         """Wait until it has ended."""
-        while self._thread.is_alive():
+        while self.is_alive:
             self._thread.join(0.5)
 
     def stop(self) -> str:

@@ -25,6 +25,7 @@ from placement.setting import Setting
 
 from ..figures.views import GroundViews
 from ..parts.player import svg_path, unit_records
+from . import plan
 from .numbers import (
     centimetres,
     cost_record,
@@ -36,33 +37,7 @@ from .numbers import (
     state_record,
     table_numbers,
 )
-from .plan import (
-    MAX_IMAGE_BYTES,
-    MAX_PLAN_BYTES,
-    Ask,
-    Background,
-    Cancel,
-    ChangeUnit,
-    ChooseSensors,
-    DropProposal,
-    History,
-    Plan,
-    PlanState,
-    Redo,
-    Revert,
-    ShowCoverage,
-    Stock,
-    TakeProposal,
-    Undo,
-    Variant,
-    add_variant,
-    background_message,
-    begin_history,
-    change_state,
-    check_plan,
-    first_units,
-    read_message,
-)
+from .plan import Background, History, Plan, PlanState, Variant
 from .tasks import Cancelled, DiedError, TaskError, Work, Worker
 
 Listener = Callable[[dict[str, Any]], None]
@@ -116,10 +91,7 @@ class Workspace:
             self.known.popitem(last=False)
 
     def numbers_by_table(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
-        """Numbers by the detection table; not for several threads at once.
-
-        Raises Cancelled soon after `is_over` was set.
-        """
+        """Numbers by the detection table, by one thread; Cancelled soon after `is_over` was set."""
         if not units:
             return {"source": "none"}
         rows = []
@@ -177,8 +149,7 @@ def build_workspace(
     try:
         return Workspace(work, setting, title=title, save=save), ""
     except InputError as error:
-        question = replace(work.question, no_look="", no_look_share=None)
-        work = replace(work, question=question)
+        work = replace(work, question=replace(work.question, no_look="", no_look_share=None))
         return Workspace(work, setting, title=title, save=save), f"without private areas: {error}"
 
 
@@ -207,17 +178,13 @@ class Proposal:
     def record(self, summary: dict[str, Any], scene: Scene) -> dict[str, Any]:
         """Its message to browsers; `summary` has the numbers known of its units."""
         layout = Layout(name=self.title, units=self.units, scene_name=scene.name)
+        records = zip(unit_records(layout, scene), self.views, strict=True)
         return {
-            "number": self.number,
-            "title": self.title,
-            "words": self.words,
+            **{"number": self.number, "title": self.title, "words": self.words},
             **self.fields,
             **summary,
             "onTable": self.fields["apr"],
-            "drawn": [
-                {"place": record["place"], "view": view}
-                for record, view in zip(unit_records(layout, scene), self.views, strict=True)
-            ],
+            "drawn": [{"place": record["place"], "view": view} for record, view in records],
         }
 
 
@@ -236,8 +203,8 @@ def sensor_words(sensors: str) -> dict[str, str]:
 class Session:
     """The plan, the browsers that show it, and the processes that work for it.
 
-    All methods but :meth:`stop` are called from the server's event loop. `plan` is there to begin
-    with, and `save` gets it whenever it rests.
+    All methods but :meth:`stop` are called from the server's event loop. It begins with a plan, and
+    `save` gets it whenever it rests.
     """
 
     def __init__(
@@ -245,14 +212,14 @@ class Session:
         work: Work,
         setting: Setting,
         *,
-        plan: Plan | None = None,
+        begun: Plan | None = None,
         save: Path | None = None,
         make_worker: Callable[[Work], Worker] = Worker,
     ) -> None:
         self.workspace = Workspace(work, setting, save=save)
         self._make_worker = make_worker
-        self.workspace.background = plan.background if plan else None
-        self.history: History = begin_history(plan.variants if plan else (), self.workspace)
+        self.workspace.background = begun.background if begun else None
+        self.history: History = plan.begin_history(begun.variants if begun else (), self.workspace)
         self._saves = [save] if save else []
         self.revision = 0
         self.listeners: set[Listener] = set()
@@ -326,7 +293,7 @@ class Session:
         listener(self._scene_message())
         listener(self._state_message())
         listener(self._proposals_message())
-        listener(background_message(self.workspace.background))
+        listener(plan.background_message(self.workspace.background))
         for _, view in self._views.values():
             listener(view)
         if self._doing:
@@ -340,21 +307,21 @@ class Session:
             self.left_at_s, self.is_lost = time.monotonic(), is_lost
 
     def _scene_message(self) -> dict[str, Any]:
+        models, ground = [*self._models.values()], self.workspace.ground
+        record = scene_record(self.setting, models=models, chosen=self._chosen, ground=ground)
         return {
             "type": "scene",
-            **scene_record(
-                self.setting,
-                models=[*self._models.values()],
-                chosen=self._chosen,
-                ground=self.workspace.ground,
-            ),
+            **record,
             "title": self.workspace.title,
             "isKept": self.workspace.save is not None,
-            "mostBytes": {"plan": MAX_PLAN_BYTES, "map": MAX_MAP_BYTES, "image": MAX_IMAGE_BYTES},
+            "mostBytes": {
+                **{"plan": plan.MAX_PLAN_BYTES, "map": MAX_MAP_BYTES},
+                "image": plan.MAX_IMAGE_BYTES,
+            },
         }
 
-    def _stock(self) -> Stock:
-        return Stock(scene=self.setting.scene, models=self._models)
+    def _stock(self) -> plan.Stock:
+        return plan.Stock(scene=self.setting.scene, models=self._models)
 
     def _state_message(self) -> dict[str, Any]:
         record = state_record(self.history, self.setting.scene)
@@ -369,56 +336,60 @@ class Session:
 
     def handle(self, text: bytes) -> None:
         """Carry out a request. Raises InputError if that cannot be done."""
-        message = read_message(text)
-        if isinstance(message, Undo):
-            self._go_to(self.history.undone())
-        elif isinstance(message, Redo):
-            self._go_to(self.history.redone())
-        elif isinstance(message, Revert):
-            self._go_to(self.history.reverted(message.gesture))
-        elif isinstance(message, Ask):
-            self._ask(message)
-        elif isinstance(message, Cancel):
-            self._spawn(asyncio.to_thread(self._advice.stop))
-        elif isinstance(message, TakeProposal):
-            self._take(message)
-        elif isinstance(message, DropProposal):
-            self._proposals = [each for each in self._proposals if each.number != message.number]
-            self.send(self._proposals_message())
-        elif isinstance(message, ShowCoverage):
-            self._shows_coverage = message.is_shown
-            self._changed.set()
-        elif isinstance(message, ChooseSensors):
-            for name in message.names:  # files are not named by browsers
-                pick(self._models, name, "sensors")
-            self._chosen = message.names
-            self.send({"type": "sensors", "grid": self._chosen})
-        else:
-            state = change_state(self.history.state, message, self._stock())
-            gesture = message.gesture if isinstance(message, ChangeUnit) else ""
-            self._go_on(state, gesture=gesture)
+        message = plan.read_message(text)
+        match message:
+            case plan.Undo():
+                self._go_to(self.history.undone())
+            case plan.Redo():
+                self._go_to(self.history.redone())
+            case plan.Revert(gesture=gesture):
+                self._go_to(self.history.reverted(gesture))
+            case plan.Ask():
+                if self._advice.is_busy:
+                    got = Unquoted("another request")
+                    raise InputError("the optimiser", got, "one at a time")
+                self._spawn(self._advise(message, self.history.state.variant.units))
+            case plan.Cancel():
+                self._spawn(asyncio.to_thread(self._advice.stop))
+            case plan.TakeProposal():
+                self._take(message)
+            case plan.DropProposal(number=number):
+                self._proposals = [each for each in self._proposals if each.number != number]
+                self.send(self._proposals_message())
+            case plan.ShowCoverage(is_shown=is_shown):
+                self._shows_coverage = is_shown
+                self._changed.set()
+            case plan.ChooseSensors(names=names):
+                for name in names:  # files are not named by browsers
+                    pick(self._models, name, "sensors")
+                self._chosen = names
+                self.send({"type": "sensors", "grid": self._chosen})
+            case _:
+                state = plan.change_state(self.history.state, message, self._stock())
+                gesture = message.gesture if isinstance(message, plan.ChangeUnit) else ""
+                self._go_on(state, gesture=gesture)
 
     def lay_background(self, background: Background | None) -> None:
         """Show another image below the plan, or none."""
         self.workspace.background = background
-        self.send(background_message(background))
+        self.send(plan.background_message(background))
         self._changed.set()  # saved when the plan rests
 
-    def open_plan(self, plan: Plan, source: str) -> None:
+    def open_plan(self, opened: Plan, source: str) -> None:
         """Add variants from a file; an only one that is empty gives way to them.
 
-        `source` is the file's name, for variants whose own name is taken. Raises InputError if a
+        `source`, the file's name, tells those apart whose own name is taken. Raises InputError if a
         unit cannot be mounted in this scene, or there are too many.
         """
-        check_plan(plan, self.setting.scene)
+        plan.check_plan(opened, self.setting.scene)
         state = self.history.state
         if len(state.variants) == 1 and not state.variant.units:
-            state = begin_history(plan.variants, self.workspace).state
+            state = plan.begin_history(opened.variants, self.workspace).state
         else:
-            for variant in plan.variants:
-                state = add_variant(state, variant, source=source)
-        if plan.background is not None:
-            self.lay_background(plan.background)
+            for variant in opened.variants:
+                state = plan.add_variant(state, variant, source=source)
+        if opened.background is not None:
+            self.lay_background(opened.background)
         self._go_on(state)
 
     def _go_on(self, state: PlanState, *, gesture: str = "") -> None:
@@ -441,7 +412,7 @@ class Session:
         self.send(self._state_message())
         if is_elsewhere:
             self.send(self._proposals_message())
-            self.send(background_message(self.workspace.background))
+            self.send(plan.background_message(self.workspace.background))
         self._changed.set()
         self._moved.set()
 
@@ -490,21 +461,19 @@ class Session:
                     self.send(self._views[unit.id][1])
 
     def _without_view(self) -> list[CandidatePose]:
-        units = {unit.id: unit for unit in self.history.state.variant.units}
-        self._views = {name: view for name, view in self._views.items() if name in units}
+        units = self.history.state.variant.units
+        ids = {unit.id for unit in units}
+        self._views = {name: view for name, view in self._views.items() if name in ids}
         drawn = {key for key, _ in self._views.values()}
-        return [unit for unit in units.values() if key_of([unit]) not in drawn]
+        return [unit for unit in units if key_of([unit]) not in drawn]
 
     def _first_units(self) -> tuple[CandidatePose, ...]:
         """A unit that is mounted nowhere: counting it prepares all that the first drag needs."""
         model = self._chosen[0] if self._chosen else load_candidate_grid().sensors[0].name
-        return first_units(self._stock(), model)
+        return plan.first_units(self._stock(), model)
 
     async def private_view(self, unit_id: str) -> list[list[int]]:
-        """Places of private ground that a unit has in its picture, in centimetres.
-
-        Raises InputError if there is no such unit.
-        """
+        """Places of private ground in a unit's picture, centimetres; InputError: no such unit."""
         unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
         if unit is None:
             raise InputError("unit", unit_id, "one that is mounted there")
@@ -531,20 +500,16 @@ class Session:
         shown += [each.units for each in self._proposals]
         shown.append(self._first_units())  # so that the car's own sensors are known
         found = {key_of(units): units for units in shown if units}
-        return [
-            units
-            for key, units in found.items()
-            if key not in self.workspace.known and key not in self.workspace.failed
-        ]
+        done = self.workspace.known.keys() | self.workspace.failed.keys()
+        return [units for key, units in found.items() if key not in done]
 
     async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
         key, workspace = key_of(units), self.workspace
         layout = Layout(name="plan", units=units, scene_name=self.setting.scene.name)
         self._do("evaluator", "evaluate")
         try:
-            numbers = await self._exact.call(
-                "evaluate", layout, on_progress=self._stages("evaluator")
-            )
+            stages = self._stages("evaluator")
+            numbers = await self._exact.call("evaluate", layout, on_progress=stages)
         except Cancelled:
             return
         except TaskError as error:
@@ -573,39 +538,29 @@ class Session:
 
     def _send_variants(self) -> None:
         """Send the numbers of all variants, as far as they are known."""
-        self.send(
-            {
-                "type": "variants",
-                "variants": [
-                    {"name": variant.name, **self._summary(variant.units)}
-                    for variant in self.history.state.variants
-                ],
-            }
-        )
+        variants = [
+            {"name": variant.name, **self._summary(variant.units)}
+            for variant in self.history.state.variants
+        ]
+        self.send({"type": "variants", "variants": variants})
 
     def _summary(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
-        key = key_of(units)
-        numbers = self.workspace.known.get(key)
+        key, workspace = key_of(units), self.workspace
         cost = cost_record(units, self.setting.scene)
+        source = "table" if key in workspace.by_table else "none"
+        found = {"apr": workspace.by_table.get(key, ""), "byCase": {}, "oneFails": ""}
+        if numbers := workspace.known.get(key):
+            source, found = "evaluator", {name: numbers[name] for name in found}
         return {
             "units": len(units),
             "cost": cost["all"] if cost else "",
-            "apr": numbers["apr"] if numbers else self.workspace.by_table.get(key, ""),
-            "source": "evaluator"
-            if numbers
-            else "table"
-            if key in self.workspace.by_table
-            else "none",
-            "byCase": numbers["byCase"] if numbers else {},
-            "oneFails": numbers["oneFails"] if numbers else "",
-            "problem": self.workspace.failed.get(key, ""),
+            "source": source,
+            **found,
+            "problem": workspace.failed.get(key, ""),
         }
 
     def save_plan(self) -> str:
-        """Write the plan to its file, if there is one; returns an error in words.
-
-        An empty plan makes no file.
-        """
+        """Write the plan to its file, if there is one and it is not empty; an error in words."""
         save = self.workspace.save
         is_empty = self.workspace.background is None and self.history.state.is_empty
         if save is None or (is_empty and not save.exists()):
@@ -623,12 +578,7 @@ class Session:
 
     # ---------- the optimiser
 
-    def _ask(self, ask: Ask) -> None:
-        if self._advice.is_busy:
-            raise InputError("the optimiser", Unquoted("another request"), "one at a time")
-        self._spawn(self._advise(ask, self.history.state.variant.units))
-
-    async def _advise(self, ask: Ask, units: tuple[CandidatePose, ...]) -> None:
+    async def _advise(self, ask: plan.Ask, units: tuple[CandidatePose, ...]) -> None:
         tell = self._stages("optimiser")
         words = [self._words[name] for name in self._chosen]
         tell("start", 0, 0)
@@ -652,11 +602,9 @@ class Session:
                 return
             proposal = Proposal(
                 number=next(self._numbers_of_proposals),
-                title=answer["title"],
-                words=answer["words"],
-                units=answer["units"],
                 views=tuple(views),
-                fields={name: answer[name] for name in ("apr", "bound", "isProven")},
+                fields={name: answer.pop(name) for name in ("apr", "bound", "isProven")},
+                **answer,
             )
             self._proposals = [*self._proposals, proposal][-_MAX_PROPOSALS:]
         self.send(self._proposals_message())
@@ -667,13 +615,13 @@ class Session:
         records = [each.record(self._summary(each.units), scene) for each in self._proposals]
         return {"type": "proposals", "proposals": records}
 
-    def _take(self, message: TakeProposal) -> None:
+    def _take(self, message: plan.TakeProposal) -> None:
         proposal = next((each for each in self._proposals if each.number == message.number), None)
         if proposal is None:
             raise InputError("proposal", message.number, "one that is shown")
         state = self.history.state
         if message.as_variant:
-            state = add_variant(state, Variant(name=proposal.title, units=proposal.units))
+            state = plan.add_variant(state, Variant(name=proposal.title, units=proposal.units))
         else:
             state = state.with_units(proposal.units)
         self._proposals = [each for each in self._proposals if each is not proposal]
@@ -691,10 +639,7 @@ class Session:
         return self.history.state.variant.layout(self.setting.scene)
 
     async def call(self, method: str, *args: Any, is_long: bool = False) -> Any:
-        """Result of a task, by the evaluator's process, or the optimiser's if it takes long.
-
-        Raises TaskError, or Cancelled.
-        """
+        """Result of a task by the evaluator's process, or the optimiser's; TaskError, Cancelled."""
         worker, who = (self._advice, "optimiser") if is_long else (self._exact, "evaluator")
         try:
             return await worker.call(method, *args, on_progress=self._stages(who))
@@ -702,10 +647,9 @@ class Session:
             self._do(who, "")
 
     async def open_scene(self, path: str, title: str = "") -> None:
-        """Go on in another scene, from nothing; Undo leads back.
+        """Go on in another scene, from nothing; Undo leads back. TaskError: it has no runs.
 
-        Raises TaskError if it has no runs. Where the plan has a file, that of the new scene gets
-        another one.
+        Where the plan has a file, that of the new scene gets another one.
         """
         work = replace(self.work, question=replace(self.work.question, scene=path))
         exact = self._make_worker(work)
@@ -724,7 +668,7 @@ class Session:
             exact.stop()
             exact = self._make_worker(workspace.work)
         self._notice(notice)
-        before, state = self.workspace, begin_history((), workspace).state
+        before, state = self.workspace, plan.begin_history((), workspace).state
         self._go_to(self.history.went_on(state).of_newest(_MAX_WORKSPACES), exact)
         if save is not None:
             self._saves.append(save)

@@ -7,6 +7,7 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from msgspec import UNSET
 
-from geometry.errors import InputError
+from geometry.errors import InputError, check_one_of
 from geometry.scene_files import load_scene
 from placement.advice import LEAST_GAIN, Advice, Adviser
 from placement.candidates import CandidatePose, build_grid, own_models
@@ -57,21 +58,17 @@ class Tasks:
         self._work, self._progress = work, progress
         self._compute = replace(work.compute, progress=progress)
         self._of_units = replace(self._compute, cache_folder=work.scratch / "views")
-        self._setting: Setting | None = None
         self._evaluations: OrderedDict[tuple[object, ...], Evaluation] = OrderedDict()
         self._adviser: Adviser | None = None
         self._sensors = work.question.sensors
 
-    @property
+    @cached_property
     def setting(self) -> Setting:
         """Scene and runs, as ``evaluate`` builds them."""
-        if self._setting is None:
-            self._progress("setting", 0, 0)
-            question = self._work.question
-            scene = load_scene(question.scene)
-            setting = build_setting(question, scene, compute=self._compute)
-            self._setting = with_sight(setting, compute=self._compute)
-        return self._setting
+        self._progress("setting", 0, 0)
+        question = self._work.question
+        setting = build_setting(question, load_scene(question.scene), compute=self._compute)
+        return with_sight(setting, compute=self._compute)
 
     def open_setting(self) -> Setting:
         """The setting itself, for the server."""
@@ -106,42 +103,31 @@ class Tasks:
         """Why units do not detect the road user of a run early enough: who hides whom, when."""
         index = self._run_index(run_id)
         setting, evaluation = self.setting, self._evaluation(layout)
-        axis, rule = setting.axis, setting.rule
-        frames = axis.frames_of(index)
-        counts = np.asarray(
-            is_in_time(
-                axis.time_s[frames], float(axis.last_brake_time_s[index]), latency_s=rule.latency_s
-            )
-        )
+        axis, latency_s = setting.axis, setting.rule.latency_s
+        frames, last_s = axis.frames_of(index), float(axis.last_brake_time_s[index])
+        time_s = axis.time_s[frames]
+        counts = np.asarray(is_in_time(time_s, last_s, latency_s=latency_s))
         looks = []
         for unit in layout.units:
             detected = evaluation.units[unit.id].detected[frames]
             missed = np.flatnonzero(counts & ~detected)
             if len(missed):
                 looks.append(Look(unit=unit, run_index=index, frame_index=missed))
+        n_in_time = int(counts.sum())
+        units = []
         reasons = find_reasons(setting, looks, compute=self._of_units)
-        return {
-            "run": run_id,
-            "inTime": int(counts.sum()),
-            "frames": [
-                {"index": frame, "time": f"{axis.time_s[frames][frame]:.1f} s"}
-                for frame in range(len(counts))
-            ],
-            "units": [
+        for look, why in zip(looks, reasons, strict=True):
+            words = [
                 {
-                    "unit": look.unit.id,
-                    "detected": int(counts.sum()) - len(look.frame_index),
-                    "reasons": [
-                        {
-                            "words": f"hidden by {reason.thing}" if reason.thing else reason.cause,
-                            "frames": reason.frames,
-                        }
-                        for reason in why
-                    ],
+                    "words": f"hidden by {one.thing}" if one.thing else one.cause,
+                    "frames": one.frames,
                 }
-                for look, why in zip(looks, reasons, strict=True)
-            ],
-        }
+                for one in why
+            ]
+            n_detected = n_in_time - len(look.frame_index)
+            units.append({"unit": look.unit.id, "detected": n_detected, "reasons": words})
+        shown = [{"index": n, "time": f"{at_s:.1f} s"} for n, at_s in enumerate(time_s)]
+        return {"run": run_id, "inTime": n_in_time, "frames": shown, "units": units}
 
     def _run_index(self, run_id: str) -> int:
         if run_id not in self.setting.axis.run_ids:
@@ -177,6 +163,7 @@ class Tasks:
         self, units: Sequence[CandidatePose], request: str, *, n_units: int = 0, site: str = ""
     ) -> list[dict[str, Any]]:
         """Answers to a request, each with its units and a sentence."""
+        check_one_of("request", request, _REQUESTS)
         adviser = self._advise()
         if request == "next":
             return [_answer("The best next unit", adviser.best_next(units), costs="more")]
@@ -186,33 +173,21 @@ class Tasks:
         if request == "re-aim":
             return [_answer("All re-aimed, poles kept", adviser.re_aim(units), costs="")]
         if request == "cheapest":
-            return [
-                _answer("The cheapest that keeps this", adviser.cheapest(units), costs="in all")
-            ]
-        if request == "why-not":
-            one_more, instead = adviser.why_not(units, site)
-            return [
-                _answer(f"One more unit at {site}", one_more, costs="more"),
-                _answer(f"The best {len(units)} with {site}", instead, costs="in all"),
-            ]
-        raise InputError("request", request, "one of " + ", ".join(_REQUESTS))
+            advice = adviser.cheapest(units)
+            return [_answer("The cheapest that keeps this", advice, costs="in all")]
+        one_more, instead = adviser.why_not(units, site)
+        return [
+            _answer(f"One more unit at {site}", one_more, costs="more"),
+            _answer(f"The best {len(units)} with {site}", instead, costs="in all"),
+        ]
 
     def _advise(self) -> Adviser:
         if self._adviser is None:
-            question = replace(
-                self._work.question,
-                sensors=self._sensors,
-                budget=None,
-                budget_cost=None,
-                target="",
-                survive="0",
-                min_case_apr=0.0,
-            )
+            nothing: dict[str, Any] = {"budget": None, "budget_cost": None, "target": ""}
+            nothing |= {"survive": "0", "min_case_apr": 0.0}
+            question = replace(self._work.question, sensors=self._sensors, **nothing)
             assembly = assemble(
-                question,
-                setting=self.setting,
-                counts_money=True,
-                compute=self._compute,
+                question, setting=self.setting, counts_money=True, compute=self._compute
             )
             self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
@@ -260,22 +235,15 @@ class Tasks:
         found = run_show([path], ReadingOptions(), out=None, progress=_Forwarding(self._progress))
         if found.site_list is not UNSET:
             return {"name": found.name, "isScene": True, "junctions": []}
-        return {
-            "name": found.name,
-            "isScene": False,
-            "junctions": [
-                {
-                    "id": one.id,
-                    "name": one.name,
-                    "arms": one.arms,
-                    "lanes": one.lanes,
-                    "x": one.x_m,
-                    "y": one.y_m,
-                }
-                for one in found.junctions[:_MAX_JUNCTIONS]
-            ],
-            "left": max(0, len(found.junctions) - _MAX_JUNCTIONS),
-        }
+        junctions = [
+            {
+                **{"id": one.id, "name": one.name, "arms": one.arms, "lanes": one.lanes},
+                **{"x": one.x_m, "y": one.y_m},
+            }
+            for one in found.junctions[:_MAX_JUNCTIONS]
+        ]
+        n_left = max(0, len(found.junctions) - _MAX_JUNCTIONS)
+        return {"name": found.name, "isScene": False, "junctions": junctions, "left": n_left}
 
     def import_junction(self, path: str, junction: str, out: str) -> str:
         """Cut a junction out of a map into a folder; its path."""
@@ -309,14 +277,10 @@ class _Forwarding(StageProgress):
 def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
     """An answer as the page shows it: units, numbers in words, and the proof."""
     after, before = advice.after, advice.before
-    gain = after.apr - (0.0 if before is None else before.apr)
-    if before is not None and abs(gain) <= LEAST_GAIN:
-        change = "as much as now"
-    elif before is None:
-        change = ""
-    else:
-        change = f"now {percent(before.apr)}"
-    said = f"APR {percent(after.apr)}" + (f" ({change})" if change else "")
+    said = f"APR {percent(after.apr)}"
+    if before is not None:
+        is_same = abs(after.apr - before.apr) <= LEAST_GAIN
+        said += " (as much as now)" if is_same else f" (now {percent(before.apr)})"
     if costs:
         said += f", {euros(after.cost_eur)} {costs}"
         if costs == "in all" and before is not None:
@@ -338,16 +302,13 @@ def _proof(advice: Advice) -> str:
     if advice.is_all_proven:
         return "proven: nothing of its kind is better"
     first = None if advice.certificate is None else advice.certificate.stages[0]
-    by_cost = first is not None and first.name == "cost_eur"
+    best, equal, limit = "no APR is higher", "APR", f"no APR above {percent(advice.bound)}"
+    if first is not None and first.name == "cost_eur":
+        best, equal = "none costs less", "price"
+        limit = f"nothing for less than {euros(first.bound)}"
     if advice.is_proven:
-        best, equal = ("none costs less", "price") if by_cost else ("no APR is higher", "APR")
         return f"proven: {best}; of those with the same {equal} not all were compared in time"
-    limit = (
-        f"nothing for less than {euros(first.bound)} is possible there"
-        if first is not None and by_cost
-        else f"no APR above {percent(advice.bound)} is possible there"
-    )
-    return f"not proven in the time given: {limit}"
+    return f"not proven in the time given: {limit} is possible there"
 
 
 # ---------- the process

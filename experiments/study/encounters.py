@@ -63,15 +63,14 @@ def lay_clips(folder: Path) -> dict[str, tuple[Track, ...]]:
     for path in paths:
         cars = path.with_name(path.name.replace("_ped_", "_veh_"))
         read = [read_tracks(one, frame_rate_hz=RATE_HZ)[0] for one in (path, cars)]
-        clips[path.name.split("_")[1]] = tuple(_up(track) for both in read for track in both)
+        clips[path.name.split("_")[1]] = tuple(
+            replace(track, position_m=track.position_m * [1.0, -1.0], yaw_deg=-track.yaw_deg)
+            for both in read
+            for track in both
+        )
     marks = {name: _marks_m(tracks) for name, tracks in clips.items()}
     first = next((mark for mark in marks.values() if mark is not None), None)
     return {name: _aligned(tracks, marks[name], first) for name, tracks in clips.items()}
-
-
-def _up(track: Track) -> Track:
-    position_m = track.position_m * [1.0, -1.0]
-    return replace(track, position_m=position_m, yaw_deg=-track.yaw_deg)
 
 
 def _is_parked(track: Track) -> bool:
@@ -199,16 +198,12 @@ def _crosswalk_m(tracks: Sequence[Track], cars: Sequence[Track]) -> FloatArray:
 def with_crowd(
     setting: Setting, found: Mapping[str, FoundEncounter], clips: Mapping[str, Sequence[Track]]
 ) -> Setting:
-    """The setting with everybody else of the clip in each run, as bodies that hide.
-
-    Who would touch the VUT or the VRU as they are replayed is left out of that run.
-    """
-    runs = [_with_others(run, found[run.case.name], clips[_clip(run)]) for run in setting.runs]
+    """The setting with everybody else of the clip in each run, but who would touch the two."""
+    runs = []
+    for run in setting.runs:
+        clip = run.case.name.split("-")[0].removeprefix("dut")
+        runs.append(_with_others(run, found[run.case.name], clips[clip]))
     return replace(setting, runs=tuple(runs))
-
-
-def _clip(run: Run) -> str:
-    return run.case.name.split("-")[0].removeprefix("dut")
 
 
 def _with_others(run: Run, one: FoundEncounter, tracks: Sequence[Track]) -> Run:
@@ -263,23 +258,21 @@ def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
         verdicts[f"cameras {name}"] = evaluation.rsu_all
     at = [unit.site_id for unit in placed.layout.units]
     n_bodies = sum(len(run.traffic) for run in settings["crowd"].runs)
+    ttc = [one.ttc_s for one in found.values()]
+    below = [f"{sum(one <= limit for one in ttc)} below {limit:g} s" for limit in _FACTS]
+    others = [f"{number} more are left out: {why}." for why, number in left_out.items()]
     head = [
         f"{len(found)} pairs of a moving car and a pedestrian come to a time to collision below "
-        f"{ttc_s:g} s in {len(clips)} clips of the DUT dataset: "
-        + ", ".join(
-            f"{sum(one.ttc_s <= limit for one in found.values())} below {limit:g} s"
-            for limit in _FACTS
-        )
-        + ". "
-        + "".join(f"{number} more are left out: {why}. " for why, number in left_out.items())
-        + f"{sum(map(_meets_front, alone.runs))} would be met by the car's front; the others would "
-        "walk into its side, where its own camera does not look. "
+        f"{ttc_s:g} s in {len(clips)} clips of the DUT dataset: {', '.join(below)}.",
+        *others,
+        f"{sum(map(_meets_front, alone.runs))} would be met by the car's front; the others would "
+        "walk into its side, where its own camera does not look.",
         f"{len(scene.sites)} poles along the kerbs; of at most {N_CAMERAS} cameras {len(at)} "
         f"see all that any do, at {', '.join(at)}. They were chosen with everybody else of the "
         f"clip in view: {n_bodies / len(alone.runs):.0f} bodies a run.",
-        "",
     ]
-    return "\n".join([*head, *_table(alone, found, verdicts)]) + "\n", scene
+    lines = [" ".join(head), "", *_table(alone, found, verdicts)]
+    return "\n".join(lines) + "\n", scene
 
 
 _COLUMNS = (

@@ -14,7 +14,7 @@ import numpy as np
 
 from geometry.files import load_toml, write_atomically
 from placement.compute import Compute, silent
-from placement.evaluation import Evaluation, Verdict, apr, detected_share
+from placement.evaluation import Evaluation, apr, detected_share
 from placement.evaluator import evaluate_layout
 from placement.setting import build_setting
 
@@ -46,10 +46,7 @@ _NEARLY_ALL = 0.9
 
 
 class PublishedFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure of the study: quantity as :func:`quantities` names it, case, and share of 1.
-
-    It was used to set a dimension of ours, or is only compared; and depends on one of ours most.
-    """
+    """A figure of the study: quantity as :func:`quantities` names it, case, and share of 1."""
 
     quantity: str
     case: str
@@ -83,11 +80,7 @@ def load_published() -> Published:
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     """Figures that the study publishes or leaves open, as shares of 1, by quantity and case."""
     axis = evaluation.axis
-    parties: dict[str, Verdict] = {
-        "the VUT": evaluation.vut,
-        "any RSU": evaluation.rsu_all,
-        **evaluation.units,
-    }
+    parties = {"the VUT": evaluation.vut, "any RSU": evaluation.rsu_all, **evaluation.units}
     found = {}
     for case in dict.fromkeys(axis.cases):
         mask = np.array(axis.cases) == case
@@ -111,7 +104,11 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
         return evaluate_layout(variant.layout, variant.setting, compute=quiet)
 
     evaluations = [evaluate(variant) for variant in variants]
-    by_weather = {detector: evaluate(_in_weathers(detector, variants[0])) for detector in DETECTORS}
+    by_weather = {}
+    for detector in DETECTORS:
+        question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
+        setting = build_setting(question, variants[0].setting.scene)
+        by_weather[detector] = evaluate(replace(variants[0], setting=setting))
     of_additional = {variant.name: quantities(evaluate(variant)) for variant in additional}
     base = evaluations[0]
     heatmaps = [
@@ -123,47 +120,48 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     names = [variant.name for variant in variants]
     text = "\n".join(
         [
-            *_introduction(),
+            *_section("# The CarlaNCAP study, reproduced", _INTRODUCTION),
             *_published_table(found),
             *_additional_section(of_additional),
             *_units_table(found[0], list(base.units)),
             *_sensitivity_table(names, found),
             *_weather_table(by_weather),
             *_predictions(found, list(base.units)),
-            "## Who sees whom when",
-            "",
-            "From the east; the dashed line is the last moment to brake, a diamond a confirmation.",
-            "",
-            *(_who_sees(base, run_index) for run_index in heatmaps),
-            "",
-            "The study, of CPNC-50 at 55 km/h: the VUT cannot brake in time; four RSUs see the VRU "
-            "in nearly all frames, a fifth (RSU2) for some before the last moment. Of CBNA at 60 "
-            "km/h: the VUT sees the cyclist 1.5 s after the last moment, four RSUs see it in time.",
-            "",
-            "![Heatmaps of three runs](reproduction_heatmaps.png)",
-            "",
+            *_section(
+                "## Who sees whom when",
+                "From the east; the dashed line is the last moment to brake, a diamond a "
+                "confirmation.",
+                [_who_sees(base, run_index) for run_index in heatmaps],
+                _WHO_SEES,
+                "![Heatmaps of three runs](reproduction_heatmaps.png)",
+            ),
         ]
     )
     write_atomically(folder / "reproduction_heatmaps.png", picture)
     write_atomically(folder / "reproduction.md", text)
 
 
-def _in_weathers(detector: str, base: Variant) -> Variant:
-    question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
-    return replace(base, setting=build_setting(question, base.setting.scene))
+_INTRODUCTION = (
+    "`python -m experiments.study.reproduction` evaluates the study's 12 cameras on its cases "
+    "CPNC-50, CBNA and CBLA (104 runs, daylight) with its rules: IoU > 0.5, three frames in a "
+    "row at 10 Hz, 25 ms, 7.72 m/s\N{SUPERSCRIPT TWO}. What Town05 has beside the road is not "
+    "public; ours is a reconstruction, and the ranges say how much hangs on it: lowest and "
+    "highest value over the variants below."
+)
+_WHO_SEES = (
+    "The study, of CPNC-50 at 55 km/h: the VUT cannot brake in time; four RSUs see the VRU in "
+    "nearly all frames, a fifth (RSU2) for some before the last moment. Of CBNA at 60 km/h: the "
+    "VUT sees the cyclist 1.5 s after the last moment, four RSUs see it in time."
+)
+_Figures = Mapping[tuple[str, str], float]
 
 
-def _introduction() -> list[str]:
-    return [
-        "# The CarlaNCAP study, reproduced",
-        "",
-        "`python -m experiments.study.reproduction` evaluates the study's 12 cameras on its cases "
-        "CPNC-50, CBNA and CBLA (104 runs, daylight) with its rules: IoU > 0.5, three frames in a "
-        "row at 10 Hz, 25 ms, 7.72 m/s\N{SUPERSCRIPT TWO}. What Town05 has beside the road is not "
-        "public; ours is a reconstruction, and the ranges say how much hangs on it: lowest and "
-        "highest value over the variants below.",
-        "",
-    ]
+def _section(title: str, *paragraphs: str | Iterable[str]) -> list[str]:
+    """Lines of a title and of paragraphs, each a text or lines, with empty lines between."""
+    lines = [title, ""]
+    for paragraph in paragraphs:
+        lines += [*([paragraph] if isinstance(paragraph, str) else paragraph), ""]
+    return lines
 
 
 def _range(values: Iterable[float]) -> str:
@@ -172,7 +170,7 @@ def _range(values: Iterable[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _published_table(found: Sequence[dict[tuple[str, str], float]]) -> list[str]:
+def _published_table(found: Sequence[_Figures]) -> list[str]:
     rows = [
         (
             figure.quantity,
@@ -186,16 +184,16 @@ def _published_table(found: Sequence[dict[tuple[str, str], float]]) -> list[str]
         for figure in load_published().figures
     ]
     header = ("quantity", "case", "published", "ours", "range", "use", "hangs on")
-    return ["## Published and ours", "", *markdown_table(header, rows), ""]
+    return _section("## Published and ours", markdown_table(header, rows))
 
 
-def _additional_section(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[str]:
+def _additional_section(by_variant: Mapping[str, _Figures]) -> list[str]:
     figures = load_published().additional
     published = {(figure.quantity, figure.case): figure.published for figure in figures}
     cases = list(dict.fromkeys(figure.case for figure in figures))
     of_all = list(dict.fromkeys(figure.quantity for figure in figures))
 
-    def shown(values: Mapping[tuple[str, str], float], case: str) -> str:
+    def shown(values: _Figures, case: str) -> str:
         known = [values[name, case] for name in of_all if (name, case) in values]
         return " / ".join(percent(value) for value in known) or "-"
 
@@ -203,22 +201,19 @@ def _additional_section(by_variant: Mapping[str, Mapping[tuple[str, str], float]
         ("published", *(" / ".join(published[name, case] for name in of_all) for case in cases)),
         *((name, *(shown(values, case) for case in cases)) for name, values in by_variant.items()),
     ]
-    return [
+    return _section(
         "## The study's additional cases",
-        "",
         "Another recording, by protocol 4.5.1; how its runs start and where they meet is not "
         "published, and nothing was fitted to its figures. Each row after the second changes one "
         "thing that the study leaves open and that has a physical meaning; a dash: the case does "
         "not have it. In each cell: "
         f"{', '.join(of_all)}.",
-        "",
-        *markdown_table(("variant", *cases), rows),
-        "",
-        *_reading(by_variant),
-    ]
+        markdown_table(("variant", *cases), rows),
+        *([reading] if (reading := _reading(by_variant)) else []),
+    )
 
 
-def _reading(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[str]:
+def _reading(by_variant: Mapping[str, _Figures]) -> list[str]:
     """Explanations of the differences, and what is excluded, in sentences."""
     asked = (LARGE_BOX, BEFORE, BEHIND, BEHIND_NARROW, FARTHEST, SHORTEST)
     if not all(name in by_variant for name in asked):
@@ -233,15 +228,11 @@ def _reading(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[
         return percent(by_variant[name][f"APR of {who}", case])
 
     everyone = ("the VUT", "the best RSU", "any RSU")
+    turned = [(f"APR of {who}", case) for who in everyone for case in TURNING]
     quiet = [
         name
-        for name in by_variant
-        if name != "as it is"
-        and all(
-            by_variant[name].get((f"APR of {who}", case)) == 1.0
-            for who in everyone
-            for case in TURNING
-        )
+        for name, values in by_variant.items()
+        if name != "as it is" and all(values.get(figure) == 1.0 for figure in turned)
     ]
     sentences = [
         f"CPNCO: a detector that asks for more pixels takes the VUT from "
@@ -269,49 +260,37 @@ def _reading(by_variant: Mapping[str, Mapping[tuple[str, str], float]]) -> list[
         f"{'; '.join(quiet)}. Nor can pillars explain it: the study's camera is mounted outside, "
         "ahead of the windscreen.",
     ]
-    return [*(f"* {sentence}" for sentence in sentences), ""]
+    return [f"* {sentence}" for sentence in sentences]
 
 
-def _units_table(values: dict[tuple[str, str], float], units: Sequence[str]) -> list[str]:
-    parties = ["the VUT", *units, "any RSU"]
+def _units_table(values: _Figures, units: Sequence[str]) -> list[str]:
+    told = [(kind, case) for kind in ("APR", "frames") for case in CASES]
     rows = [
-        (
-            party,
-            *(percent(values[f"APR of {party}", case]) for case in CASES),
-            *(percent(values[f"frames of {party}", case]) for case in CASES),
-        )
-        for party in parties
+        (party, *(percent(values[f"{kind} of {party}", case]) for kind, case in told))
+        for party in ("the VUT", *units, "any RSU")
     ]
-    header = ("", *(f"APR {case}" for case in CASES), *(f"frames {case}" for case in CASES))
+    header = ("", *(f"{kind} {case}" for kind, case in told))
     best = [unit for unit in units if all(values[f"APR of {unit}", case] == 1.0 for case in CASES)]
-    return [
+    return _section(
         "## Every unit by itself",
-        "",
-        *markdown_table(header, rows),
-        "",
+        markdown_table(header, rows),
         f"Units that reach 100 % in all three cases: {', '.join(best) or 'none'} (the study: one "
         "RSU does; two to three cameras are enough for 100 % overall). The study, of the others: "
         "in CPNC-50 RSU8 to RSU11 never have three frames in a row; in CBLA from 0 to 100 %, by "
         "viewing direction; in CBNA several up to about 80 %.",
-        "",
-    ]
+    )
 
 
-def _sensitivity_table(
-    names: Sequence[str], found: Sequence[dict[tuple[str, str], float]]
-) -> list[str]:
-    columns = [
-        *(("frames of the VUT", case) for case in CASES),
-        *(("APR of the VUT", case) for case in CASES),
-        *(("frames of any RSU", case) for case in CASES),
-        *((f"APR of RSU{number}", "CPNC-50") for number in (0, 2, 3, 8)),
-    ]
+def _sensitivity_table(names: Sequence[str], found: Sequence[_Figures]) -> list[str]:
+    told = ("frames of the VUT", "APR of the VUT", "frames of any RSU")
+    columns = [(quantity, case) for quantity in told for case in CASES]
+    columns += [(f"APR of RSU{number}", "CPNC-50") for number in (0, 2, 3, 8)]
     header = ("variant", *(f"{quantity}, {case}" for quantity, case in columns))
     rows = [
         (name, *(percent(values[column]) for column in columns))
         for name, values in zip(names, found, strict=True)
     ]
-    return ["## Sensitivity", "", *markdown_table(header, rows), ""]
+    return _section("## Sensitivity", markdown_table(header, rows))
 
 
 def _weather_table(by_weather: dict[str, Evaluation]) -> list[str]:
@@ -320,30 +299,22 @@ def _weather_table(by_weather: dict[str, Evaluation]) -> list[str]:
         axis = evaluation.axis
         for weather in WEATHERS:
             mask = np.array(axis.weathers) == weather
-            alone = [apr(verdict, axis, mask) for verdict in evaluation.units.values()]
             cyclists = mask & np.isin(axis.cases, ["CBNA", "CBLA"])
-            rows.append(
-                (
-                    detector,
-                    weather,
-                    percent(apr(evaluation.vut, axis, mask)),
-                    percent(float(np.mean(alone))),
-                    percent(
-                        float(np.mean([apr(v, axis, cyclists) for v in evaluation.units.values()]))
-                    ),
-                    percent(apr(evaluation.rsu_all, axis, mask)),
-                )
+            units = evaluation.units.values()
+            alone = (
+                float(np.mean([apr(verdict, axis, those) for verdict in units]))
+                for those in (mask, cyclists)
             )
+            together = apr(evaluation.vut, axis, mask), apr(evaluation.rsu_all, axis, mask)
+            shares = together[0], *alone, together[1]
+            rows.append((detector, weather, *map(percent, shares)))
     header = ("detector", "weather", "VUT", "mean of RSUs", "the same, cyclists", "all RSUs")
-    return [
+    return _section(
         "## APR by weather",
-        "",
-        *markdown_table(header, rows),
-        "",
+        markdown_table(header, rows),
         "The study finds less than 3 points of change at night and in rain, a little more for "
         "cyclists in rain. Its figures are not given; fog it leaves to further work.",
-        "",
-    ]
+    )
 
 
 def _who_sees(evaluation: Evaluation, run_index: int) -> str:
@@ -371,29 +342,21 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
     )
 
 
-def _predictions(found: Sequence[dict[tuple[str, str], float]], units: Sequence[str]) -> list[str]:
+def _predictions(found: Sequence[_Figures], units: Sequence[str]) -> list[str]:
     published = {(figure.quantity, figure.case) for figure in load_published().figures}
     wanted = [
         (f"APR of {party}", case) for case in CASES for party in ("the VUT", "any RSU", *units)
     ]
     rows = [
-        (
-            quantity,
-            case,
-            percent(found[0][quantity, case]),
-            _range(v[quantity, case] for v in found),
-        )
-        for quantity, case in wanted
-        if (quantity, case) not in published
+        (*figure, percent(found[0][figure]), _range(values[figure] for values in found))
+        for figure in wanted
+        if figure not in published
     ]
-    return [
+    return _section(
         "## Predictions",
-        "",
         "Not published as numbers; nothing here was fitted to them.",
-        "",
-        *markdown_table(("quantity", "case", "ours", "range"), rows),
-        "",
-    ]
+        markdown_table(("quantity", "case", "ours", "range"), rows),
+    )
 
 
 @click.command()

@@ -1,7 +1,7 @@
 """Variants of the study's setting: one thing of ours, or that it leaves open, is changed."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,7 +41,6 @@ class Variant:
 
 def build_variants() -> tuple[Variant, ...]:
     """As it is first; then walls, parked cars, smallest box and field of view, changed."""
-    layout = load_carlancap_layout()
     base = build_setting(AS_STUDIED, load_study_scene())
     open_corner = move_walls(base.scene, -5.0)
     settings = {
@@ -55,31 +54,33 @@ def build_variants() -> tuple[Variant, ...]:
         "smallest box 30 px": _detect_from(base, 30.0),
         "smallest box 50 px": _detect_from(base, 50.0),
     }
-    variants = [
-        Variant(name=name, setting=setting, layout=layout) for name, setting in settings.items()
-    ]
-    return (*variants, _narrow(Variant(name=_NARROW, setting=base, layout=layout)))
+    return _with_narrow(settings, {_NARROW: base})
 
 
 _NARROW = "field of view 90 deg, not 110"
 
 
-def _narrow(variant: Variant) -> Variant:
-    """All cameras with the field of view of the study's text, on the VUT, too."""
-    camera = pick_camera("carla-ncap-rgb-90", "variants")
-    units = tuple(replace(unit, sensor=camera) for unit in variant.layout.units)
-    return replace(
-        variant,
-        setting=replace(variant.setting, vut_camera=camera),
-        layout=replace(variant.layout, units=units),
+def _with_narrow(
+    settings: Mapping[str, Setting], narrow: Mapping[str, Setting]
+) -> tuple[Variant, ...]:
+    """Variants with the study's cameras; then those in which they all look less wide.
+
+    Theirs is the field of view of the study's text, on the VUT, too.
+    """
+    layout, camera = load_carlancap_layout(), pick_camera("carla-ncap-rgb-90", "variants")
+    units = tuple(replace(unit, sensor=camera) for unit in layout.units)
+    less_wide = replace(layout, units=units)
+    return (
+        *(Variant(name=name, setting=one, layout=layout) for name, one in settings.items()),
+        *(
+            Variant(name=name, setting=replace(one, vut_camera=camera), layout=less_wide)
+            for name, one in narrow.items()
+        ),
     )
 
 
 def move_walls(scene: Scene, by_m: float) -> Scene:
-    """Move every wall towards the middle of a junction, by so much along both roads. [m].
-
-    All else stands where it stood.
-    """
+    """Every wall moved towards the middle of a junction, by metres along both roads."""
     vertices = scene.vertices_m.copy()
     middle = scene.outline_m.mean(axis=0)
     for index, instance in enumerate(scene.instances):
@@ -91,30 +92,22 @@ def move_walls(scene: Scene, by_m: float) -> Scene:
 
 
 def _keep_parked(setting: Setting, count: int) -> Setting:
-    return _with_runs(setting, lambda run: run.obstruction[:count])
+    runs = tuple(replace(run, obstruction=run.obstruction[:count]) for run in setting.runs)
+    return replace(setting, runs=runs)
 
 
 def _move_parked(setting: Setting, by_m: float) -> Setting:
     """Parked bodies moved away from the VUT's path, to its right. [m]."""
-
-    def moved(run: Run) -> tuple[PlacedActor, ...]:
+    runs = []
+    for run in setting.runs:
         right = -body_rotation(float(run.vut_yaw_deg[0]))[:, 1]
-        return tuple(
-            PlacedActor(
-                actor=parked.actor,
-                pose=Pose(
-                    position_m=parked.pose.position_m + by_m * right, yaw_deg=parked.pose.yaw_deg
-                ),
-            )
-            for parked in run.obstruction
-        )
-
-    return _with_runs(setting, moved)
-
-
-def _with_runs(setting: Setting, obstruction: Callable[[Run], tuple[PlacedActor, ...]]) -> Setting:
-    runs = tuple(replace(run, obstruction=obstruction(run)) for run in setting.runs)
-    return replace(setting, runs=runs)
+        bodies = []
+        for parked in run.obstruction:
+            position_m = parked.pose.position_m + by_m * right
+            pose = Pose(position_m=position_m, yaw_deg=parked.pose.yaw_deg)
+            bodies.append(PlacedActor(actor=parked.actor, pose=pose))
+        runs.append(replace(run, obstruction=tuple(bodies)))
+    return replace(setting, runs=tuple(runs))
 
 
 def _detect_from(setting: Setting, height_px: float) -> Setting:
@@ -139,7 +132,6 @@ SHORTEST = "recordings of the last 0.6 s before the impact"
 
 def build_additional_variants() -> tuple[Variant, ...]:
     """As it is first; some are about some of the cases only."""
-    layout = load_carlancap_layout()
     scene = load_study_scene()
     cases = {
         case.name: case for case in select_cases("study").cases if case.name in ADDITIONAL_CASES
@@ -180,14 +172,7 @@ def build_additional_variants() -> tuple[Variant, ...]:
         },
         BEHIND: behind,
     }
-    variants = [
-        Variant(name=name, setting=setting, layout=layout) for name, setting in settings.items()
-    ]
-    return (
-        *variants,
-        _narrow(Variant(name=_NARROW, setting=base, layout=layout)),
-        _narrow(Variant(name=BEHIND_NARROW, setting=behind, layout=layout)),
-    )
+    return _with_narrow(settings, {_NARROW: base, BEHIND_NARROW: behind})
 
 
 def _lay(setting: Setting, cases: Iterable[Case], *, position: Position = AT_ZERO) -> Setting:
@@ -207,7 +192,7 @@ def _farther(case: Case, away_m: float) -> Case:
     """A turning case whose VRU crosses the exit arm so much farther from the junction. [m]."""
     assert case.vru_line is not None
     left_m = case.vru_line.left_m + away_m
-    return replace(case, vru_line=replace(case.vru_line, left_m=left_m))
+    return replace(case, vru_line=replace(case.vru_line, outside_kerb_m=left_m))
 
 
 def _without(scene: Scene, classes: Sequence[str]) -> Scene:
@@ -226,13 +211,13 @@ def _without(scene: Scene, classes: Sequence[str]) -> Scene:
 
 def _shorten(setting: Setting, last_s: float) -> Setting:
     """Recordings that begin so long before the impact, if they began earlier. [s]."""
-
-    def shorten(run: Run) -> Run:
+    names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
+    runs = []
+    for run in setting.runs:
         kept = run.time_s >= -last_s - _TOLERANCE_S
-        names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
-        return replace(run, **{name: getattr(run, name)[kept] for name in (*names, "vru_shape")})
-
-    return _of_runs(setting, [shorten(run) for run in setting.runs])
+        frames = {name: getattr(run, name)[kept] for name in (*names, "vru_shape")}
+        runs.append(replace(run, **frames))
+    return _of_runs(setting, runs)
 
 
 _TOLERANCE_S = 1.0e-6

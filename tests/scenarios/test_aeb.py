@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from dragged import has_contact
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracles import (
@@ -20,17 +21,16 @@ from strategies import KMH, angles_deg, build_encounter, coordinates_m, encounte
 from geometry.actors import load_actors
 from geometry.errors import InputError
 from scenarios.aeb import (
-    _looks_s,
     _separation_m,
     confirmation_mask,
     find_contacts,
-    has_contact,
     held_frames,
     is_in_time,
     last_brake_time_s,
     live_confirmation_time_s,
     load_aeb_rule,
     load_track_memory_s,
+    standstill_time_s,
 )
 from scenarios.courses import pick_turn
 from scenarios.encounters import Encounter, first_contact_s
@@ -55,6 +55,12 @@ untils_s = numbers(-1.5, 0.5)
 
 def _tau_s(encounter, rule=RULE) -> float:
     return -last_brake_time_s(encounter, rule)
+
+
+def _looks_s(encounter, rule, step_s):
+    """Times since the onset at which to look, until the VUT stands, (n,)."""
+    standstill_s = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
+    return np.linspace(0.0, standstill_s, int(standstill_s / step_s) + 2)
 
 
 def smallest_separation_m(encounter, onset_s, *, rule, time_step_s=0.001):

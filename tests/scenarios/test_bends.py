@@ -16,7 +16,7 @@ from placement.setting import build_rule
 from scenarios.cases import load_cases
 from scenarios.courses import follow_gently, follow_lane
 from scenarios.runs import build_runs
-from scenarios.staging import BENDS, lateral_acceleration_mps2, load_way_rules
+from scenarios.staging import BENDS, lateral_mps2, load_way_rules
 from scenarios.ways import find_sharp_bends
 
 VUT = pick_actor("vut", "vut")
@@ -45,7 +45,10 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(angle_deg):
     assert len(runs) + sum(len(one.speeds_kmh) for one in refusals) == len(speeds)
     assert refusals  # 60 km/h is too fast
     for run in runs:
-        assert lateral_acceleration_mps2(run.encounter) <= load_way_rules().max_lateral_mps2
+        assert (
+            lateral_mps2(run.encounter.vut_motion, run.encounter.vut)
+            <= load_way_rules().max_lateral_mps2
+        )
         # As seen from outside, by the body's turning from frame to frame.
         turning = np.abs(np.diff(np.unwrap(np.radians(run.vut_yaw_deg)))) * 10.0
         assert turning.max() * run.vut_speed_kmh / 3.6 < 4.4

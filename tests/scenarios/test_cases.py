@@ -98,7 +98,7 @@ def test_a_single_speed_is_allowed(monkeypatch):
         ),
         (
             {"vru_line": {"along": "river"}},
-            "cases.toml: X.vru_line.along: got 'river'; expected one of crosswalk, lane, kerb, "
+            "cases.toml: X.vru_line.along: got 'river'; expected one of crosswalk, kerb, lane, "
             "through",
         ),
         (

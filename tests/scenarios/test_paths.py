@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from dragged import front_axle_at
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.constants import kmh
@@ -102,7 +103,7 @@ def test_a_start_with_a_height_is_refused():
 @given(turn_paths(), numbers(-30.0, 120.0))
 def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(path, distance_m):
     middle, yaw_deg = path.at(distance_m)
-    front_axle, path_yaw_deg = path.front_axle_at(distance_m)
+    front_axle, path_yaw_deg = front_axle_at(path, distance_m)
     assert middle + path.front_axle_ahead_m * _unit(yaw_deg) == pytest.approx(
         front_axle, abs=TABLE_M
     )
@@ -118,7 +119,7 @@ def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(
 def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(path, distance_m):
     step_m = 0.05
     _, yaw_deg = path.at(distance_m)
-    _, path_yaw_deg = path.front_axle_at(distance_m)
+    _, path_yaw_deg = front_axle_at(path, distance_m)
     rolled = np.subtract(*_rear_axle_m(path, distance_m + np.array([0.5, -0.5]) * step_m)) / step_m
     assert rolled @ _unit(yaw_deg + 90.0) == pytest.approx(0.0, abs=1e-4)
     lag = np.radians(path_yaw_deg - yaw_deg)
@@ -131,7 +132,7 @@ def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(p
 def test_the_body_matches_one_dragged_in_small_steps(name):
     path = build_turn_path(load_turns()[name].turn)
     distance = np.linspace(0.0, 60.0, 60_001)
-    front, path_yaw_deg = path.front_axle_at(distance)
+    front, path_yaw_deg = front_axle_at(path, distance)
     tangent, steps_m = np.radians(path_yaw_deg).tolist(), np.diff(distance).tolist()
     yaw = [0.0]
     for here, there, step_m in zip(tangent, tangent[1:], steps_m, strict=False):  # Heun's rule
@@ -151,11 +152,11 @@ def test_on_a_long_arc_the_lag_settles_at_the_angle_whose_sine_is_wheelbase_over
     path = build_turn_path(turn, wheelbase_m=0.9, front_axle_ahead_m=0.5)
     late_m = path.straight_m + turn.length_m - turn.clothoid_length_m
     _, yaw_deg = path.at(late_m)
-    _, path_yaw_deg = path.front_axle_at(late_m)
+    _, path_yaw_deg = front_axle_at(path, late_m)
     lag_deg = side * (path_yaw_deg - yaw_deg)
     assert lag_deg == pytest.approx(np.degrees(np.arcsin(0.9 / 9.0)), abs=1e-6)
     # And the rear axle runs on a smaller circle around the same centre.
-    centre = path.front_axle_at(late_m)[0] + side * 9.0 * _unit(path_yaw_deg + 90.0)
+    centre = front_axle_at(path, late_m)[0] + side * 9.0 * _unit(path_yaw_deg + 90.0)
     rear = _rear_axle_m(path, late_m)
     assert np.linalg.norm(rear - centre) == pytest.approx(np.sqrt(9.0**2 - 0.9**2), abs=TABLE_M)
 
@@ -163,9 +164,9 @@ def test_on_a_long_arc_the_lag_settles_at_the_angle_whose_sine_is_wheelbase_over
 @given(turn_paths(), numbers(0.0, 30.0))
 def test_after_the_turn_the_tangent_of_half_the_lag_decays_exponentially(path, after_m):
     end_m = path.straight_m + path.turn.length_m
-    (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m), path.front_axle_at(end_m)
+    (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m), front_axle_at(path, end_m)
     at_end = np.tan(0.5 * np.radians(path_yaw_deg - yaw_deg))
-    (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m + after_m), path.front_axle_at(end_m + after_m)
+    (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m + after_m), front_axle_at(path, end_m + after_m)
     later = np.tan(0.5 * np.radians(path_yaw_deg - yaw_deg))
     assert later == pytest.approx(at_end * np.exp(-after_m / path.wheelbase_m), abs=1e-9)
     assert path_yaw_deg == pytest.approx(path.yaw_deg + path.turn.side * path.turn.angle_deg)

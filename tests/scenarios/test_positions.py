@@ -41,7 +41,7 @@ from scenarios.positions import (
     spread_speeds,
 )
 from scenarios.runs import FrameAxis, build_frame_axis, build_runs
-from scenarios.staging import is_vehicle, lateral_acceleration_mps2, load_way_rules
+from scenarios.staging import is_vehicle, lateral_mps2, load_way_rules
 from scenarios.weights import default_weights
 
 FREE = tuple(  # one of each kind: years and impact points are laid alike
@@ -502,7 +502,7 @@ def test_a_bend_of_a_lane_is_driven_no_faster_than_it_can_be(vut, rule, corner_d
     position = Position(is_behind=True, distance_m=30.0)
     runs, refusals = laid(scene, "CPFA-50", position, vut, rule, speeds=(20.0, 60.0))
     assert [run.vut_speed_kmh for run in runs] == ([20.0, 60.0] if corner_deg < 15.0 else [20.0])
-    assert all(lateral_acceleration_mps2(run.encounter) <= 4.0 for run in runs)
+    assert all(lateral_mps2(run.encounter.vut_motion, run.encounter.vut) <= 4.0 for run in runs)
     assert all(one.reason.startswith("its lanes bend") for one in refusals)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dragged import front_axle_at
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, build_scene, lanes_of, protocol_scene, turned
@@ -130,9 +131,9 @@ def test_turns_lead_over_the_pedestrians_line_where_the_protocol_says(golf, name
         assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-6)
         assert off_deg(motion.path.yaw_deg, golden["vru_yaw_deg"]) == pytest.approx(0.0, abs=1e-9)
         path = encounter.vut_motion.path
-        begin, _ = path.front_axle_at(path.straight_m)
+        begin, _ = front_axle_at(path, path.straight_m)
         assert begin == pytest.approx(golden["curve_start_m"][index], abs=2e-4)
-        line, _ = path.front_axle_at(path.straight_m + golden["path_after_curve_start_m"][index])
+        line, _ = front_axle_at(path, path.straight_m + golden["path_after_curve_start_m"][index])
         assert line == pytest.approx(golden["line_crossing_m"][index], abs=2e-4)
 
 
@@ -264,7 +265,7 @@ def test_arms_that_meet_askew_still_carry_turns_with_their_own_angle(golf):
         "CPTAfs-50", golf, speed_kmh=15.0, junction=build_junction(build_scene(lanes))
     ).encounter
     path = encounter.vut_motion.path
-    _, tangent_deg = path.front_axle_at(path.straight_m + path.turn.length_m + 5.0)
+    _, tangent_deg = front_axle_at(path, path.straight_m + path.turn.length_m + 5.0)
     assert tangent_deg == pytest.approx(75.0)
 
 

@@ -3,6 +3,7 @@ import math
 
 import numpy as np
 import pytest
+from dragged import has_contact
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, LANE_M, build_scene, protocol_scene, turned
@@ -12,7 +13,7 @@ from strategies import frame_axes, numbers
 from geometry.errors import InputError
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
-from scenarios.aeb import has_contact, is_in_time, live_confirmation_time_s
+from scenarios.aeb import is_in_time, live_confirmation_time_s
 from scenarios.cases import load_cases, pick_cases
 from scenarios.positions import build_positions
 from scenarios.runs import (

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dragged import has_contact
 from hypothesis import given
 from hypothesis import strategies as st
 from junctions import ARMS, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
@@ -17,7 +18,7 @@ from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
 from placement.question import Question
 from placement.setting import drive
-from scenarios.aeb import has_contact, last_brake_time_s, load_aeb_rule
+from scenarios.aeb import last_brake_time_s, load_aeb_rule
 from scenarios.cases import at_vru_speed, load_cases, load_unlaid_cases, pick_cases, select_cases
 from scenarios.paths import Motion, StraightPath
 from scenarios.positions import build_positions

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from dragged import front_axle_at
 from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
 from oracles import distance_to_chain_m
 
@@ -159,7 +160,7 @@ def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely
     scene = build_scene(lanes, outline_m=rim)
     encounter = staged("CPTAfs-50", vut, scene=scene).encounter
     path = encounter.vut_motion.path
-    _, tangent_deg = path.front_axle_at(path.straight_m + path.turn.length_m)
+    _, tangent_deg = front_axle_at(path, path.straight_m + path.turn.length_m)
     assert tangent_deg == pytest.approx(bearing_deg)
     across_deg = encounter.vru_motion.path.yaw_deg - bearing_deg
     if abs(bearing_deg - 90.0) > 30.0:

@@ -240,6 +240,7 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
 
 
 def largest_polygon(shape: Any) -> Any:
+    """Largest polygon of a shape with its holes filled, or None if it is tiny."""
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)

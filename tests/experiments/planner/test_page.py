@@ -318,9 +318,9 @@ def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
 
 
 def test_a_file_that_is_too_large_is_told_before_it_is_sent(browser, serve, monkeypatch, tmp_path):
-    from experiments.planner import session
+    from experiments.planner import plan
 
-    monkeypatch.setattr(session, "MAX_PLAN_BYTES", 1000)
+    monkeypatch.setattr(plan, "MAX_PLAN_BYTES", 1000)
     (tmp_path / "long.json").write_text("[" + " " * 1000 + "]")
     with opened(browser, serve()) as page:
         page.locator("#open-file").set_input_files(tmp_path / "long.json")

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from dragged import has_contact
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,7 +13,7 @@ from placement.evaluation import run_outcomes, score
 from placement.evaluator import evaluate as judge_module
 from placement.evaluator.evaluate import Judge
 from placement.optimiser import Limits, PlacementProblem, apr
-from scenarios.aeb import find_contacts, has_contact, is_in_time, load_aeb_rule
+from scenarios.aeb import find_contacts, is_in_time, load_aeb_rule
 from scenarios.runs import build_frame_axis, find_onsets, live_confirmation_times_s
 from scenarios.scores import build_levels
 from scenarios.weights import weight_per_run
