@@ -1,7 +1,6 @@
 """Answers to somebody who plans by hand: what to do next from the mounted units, with a bound.
 
-Every question is one of the optimiser's: on the detection table of the candidate grid, with the
-units as they are mounted - wherever that is - as further rows.
+Each is one of the optimiser's, with the mounted units as further rows of the grid's table.
 """
 
 from collections.abc import Sequence
@@ -71,8 +70,8 @@ class Advice:
 class Adviser:
     """Answers to questions about layouts in one setting.
 
-    The assembly has the candidates to choose from, and the wishes that always hold (forbidden
-    sites, capacities, prices), without a budget; units are re-aimed in the directions of the grid.
+    The assembly has the candidates, and the wishes that always hold, without a budget; units are
+    re-aimed in the directions of the grid.
     """
 
     def __init__(self, assembly: Assembly, grid: CandidateGrid) -> None:
@@ -103,8 +102,8 @@ class Adviser:
     def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
         """The best layout of `n_units` that has the mounted units; costs are of what is new.
 
-        One unit more is found as :meth:`best_next` finds it, by trying all. Raises InputError if so
-        many are mounted already, the sites cannot carry them, or one unit more is no improvement.
+        One more unit is found by trying all. Raises InputError if so many are mounted already, the
+        sites cannot carry them, or one unit more is no improvement.
         """
         if n_units <= len(units):
             raise InputError(
@@ -181,7 +180,7 @@ class Adviser:
         return self._search(units, wishes)
 
     def why_not(self, units: Sequence[CandidatePose], site_id: str) -> tuple[Advice, Advice]:
-        """Worth of a site: next to the mounted units, and in a layout of as many units.
+        """Worth of a site: beside the mounted units, and in a layout of as many units.
 
         The first has the best unit there next to all others; the second is the best layout of as
         many units that uses the site, costs of everything. Raises InputError if nothing is
@@ -265,10 +264,7 @@ class Adviser:
         ).problem
 
     def _candidates(self, units: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
-        """The units, then the grid's poses; wishes find units by ids that no other row has.
-
-        The study's poses are among the grid's, and a unit may be one of them, turned or not.
-        """
+        """The units, then the grid's poses, under ids that no other row has."""
         taken = {unit.id for unit in units}
         grid = (
             replace(one, id=free_name(taken, f"{one.id}/")) if one.id in taken else one

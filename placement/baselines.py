@@ -60,14 +60,11 @@ class RandomLayouts:
 def random_sets(
     limits: Limits, n_units: int, *, n: int = N_RANDOM, rng: np.random.Generator
 ) -> tuple[tuple[int, ...], ...]:
-    """Sets of poses drawn at random within the limits.
+    """Sets of `n_units` ascending rows drawn at random within the limits, forced ones among them.
 
-    Each begins with the poses that are forced. Then one pose after the other is drawn, any of those
-    that the limits still admit as likely as another. What cannot be completed is drawn anew.
-
-    There are `n` sets, each of `n_units` ascending rows, the forced ones among them; fewer where
-    the limits leave hardly any set of that size, or none. A set may be drawn twice. Raises
-    InputError for a number below 1.
+    One pose after the other is drawn, any that the limits still admit as likely as another; what
+    cannot be completed is drawn anew. There are `n`, one perhaps twice; fewer where the limits
+    leave hardly any. Raises InputError for a number below 1.
     """
     for where, number in (("n_units", n_units), ("n", n)):
         if number < 1:
@@ -102,8 +99,7 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
     """Corners between neighbouring arms, clockwise from the first one behind north.
 
     Named by the two arms, "north/west": midway between where their kerbs reach the junction, (2,),
-    world frame, in metres. At a junction of three arms one of them is the straight side; an arm
-    that is alone has none.
+    world frame, in metres. An arm that is alone has none.
     """
     arms = [*junction.arms.values()]
     if len(arms) < 2:
@@ -169,10 +165,8 @@ def corner_poses(
 ) -> dict[str, int]:
     """The pose at each corner of a junction that looks at a point (3,) the most directly.
 
-    Each corner has a site of its own: the nearest one, and where two corners want the same, those
-    that are the nearest in sum. Corners for which there is no site are left out. Poses and sites
-    that are forbidden do not count; of poses that look equally directly the first one does. Gives
-    rows of candidates by the names of the corners, clockwise from north.
+    Each corner has a site of its own, the nearest ones in sum; a corner without is left out, and so
+    are forbidden poses. Of equally direct poses the first counts. Rows by names of corners.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -265,10 +259,8 @@ class Baselines:
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
     """Worth of proposals on a detection table, whose rows are theirs.
 
-    The expert mounts what is forced, then a camera at each corner of the junction that looks at its
-    middle: the corner whose camera prevents the most by itself comes first, of equal ones the first
-    clockwise from north. Corners whose camera does not fit into the limits are passed over.
-    Targets do not matter, only what may be mounted together.
+    The expert mounts what is forced, then a camera at each corner that looks at the middle, those
+    first that prevent the most by themselves, as far as they fit into the limits.
     """
     limits, corners = problem.limits, proposals.corners
     units = np.flatnonzero(limits.is_forced)

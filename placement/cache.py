@@ -1,7 +1,7 @@
 """Results cached on disk for the next call, under a hash of all that they were made from.
 
-What is read is data: arrays without pickles, and values along their type hints. It is neither read
-nor written in a folder into which other users may write.
+What is read is data: arrays without pickles, values along their type hints; never in a folder
+into which other users may write.
 """
 
 import hashlib
@@ -89,7 +89,7 @@ def save_arrays(
 ) -> None:
     """Write arrays, whole or not at all; a folder that cannot be written to is only logged.
 
-    `what` is their name in messages, `kind` that of the file's format.
+    `what` is their name in messages, `kind` that of the format.
     """
     save = np.savez_compressed if is_compressed else np.savez
     content: dict[str, Any] = {
@@ -168,8 +168,8 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
 class CachedArrays:
     """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
 
-    Without a folder nothing is cached. Where two processes write at once, what one of them found
-    may be lost and made anew later. What is known, by key, is in `arrays`.
+    They are in `arrays`; without a folder nothing is cached. Where two processes write at once,
+    what one of them found may be lost.
     """
 
     def __init__(self, folder: Path | None, name: str, *, kind: str, fingerprint: str) -> None:
@@ -243,13 +243,11 @@ def cached_value(
     classes: Sequence[type] = (),
     is_worth_it: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
-    """Value of `make`, from the last call that asked for the same.
+    """Value of `make`, from the last call that asked for the same; without a folder always made.
 
-    It is cached in `folder`, or nowhere. `make` uses nothing but `made_from` (see
-    :class:`Fingerprints`) and what the `packages` hold: any change of their files makes it anew.
+    `make` uses nothing but `made_from` (see :class:`Fingerprints`) and the files of `packages`.
     `kind` is the value's type hint; `classes` are dataclasses that stand where it names a protocol.
-    Only a value that `is_worth_it` is cached, such as one that needed no more time than it was
-    given. Arrays that are read-only stay so.
+    Only a value that `is_worth_it` is cached. Arrays that are read-only stay so.
     """
     if folder is None:
         return make()
@@ -322,10 +320,7 @@ _PLAIN = (bool, int, float, str, NoneType)
 
 
 def to_bytes(value: object) -> bytes:
-    """A value of dataclasses, named tuples, tuples, arrays, numbers and text as bytes.
-
-    Raises TypeError if it has a part of another kind.
-    """
+    """A value of dataclasses, tuples, arrays, numbers and text as bytes; TypeError for another."""
     writer = _Writer()
     root = writer.plain(value)
     return msgspec.msgpack.encode((writer.objects, writer.arrays, root))
@@ -334,8 +329,7 @@ def to_bytes(value: object) -> bytes:
 def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> Any:
     """A value of a type hint from bytes; dataclasses and arrays are shared as they were.
 
-    `classes` are dataclasses that stand where a hint names a protocol. Raises an exception of any
-    kind if the bytes are of something else.
+    Raises an exception of any kind if the bytes are of something else.
     """
     objects, arrays, root = msgspec.msgpack.decode(content, type=_Content)
     return _Reader(objects, arrays, {one.__name__: one for one in classes}).value(root, hint)

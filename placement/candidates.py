@@ -117,11 +117,7 @@ class CandidateGrid:
         return round(360.0 / self.yaw_step_deg)
 
     def directions_deg(self, sensor: Sensor) -> list[tuple[float, float]]:
-        """Where a sensor is tried to look: yaw and pitch, each direction that differs once.
-
-        A LiDAR that scans all round sees the same however it is turned, as long as it is level:
-        then only yaw 0 is tried.
-        """
+        """Where a sensor is tried to look: yaw and pitch, each direction that differs once."""
         # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a hair.
         yaws_deg = (360.0 * np.arange(1, self.n_yaws + 1) / self.n_yaws - 180.0).round(12).tolist()
         if not is_ring(sensor):
@@ -163,26 +159,9 @@ def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
 def build_candidates(
     scene: Scene, grid: CandidateGrid | None = None, *, extra: Sequence[CandidatePose] = ()
 ) -> tuple[CandidatePose, ...]:
-    """Every site x height x sensor x direction, and some more by name.
+    """Every site x height x sensor x direction of a grid, then some `extra` poses by name.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its sites are used.
-    grid : CandidateGrid, optional
-        What is tried at each; by default :func:`load_candidate_grid`.
-    extra : sequence of CandidatePose
-        Added behind, such as the poses of an existing layout.
-
-    Returns
-    -------
-    candidates : tuple of CandidatePose
-        Ids are unique.
-
-    Raises
-    ------
-    InputError
-        There is no site, or two ids are equal.
+    Raises InputError: there is no site, or two ids are equal.
     """
     if not scene.sites:
         raise InputError(f"{scene.name}: sites", Unquoted("none"), "at least one mount site")

@@ -88,9 +88,9 @@ class Certified:
 def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED) -> Certified:
     """Find a layout for the mean over worlds, and limit what it lacks of the best.
 
-    Blocks have `assembly.n_samples` worlds each. No world of one block, or of the two times
-    `n_judged` to judge in, is another one's. Raises InputError for blocks of one world, fewer than
-    two blocks, or a question that is not for the highest mean APR within a budget.
+    Each of the blocks has `assembly.n_samples` worlds, which no other block, and neither of the two
+    times `n_judged` to judge in, has. Raises InputError for blocks of one world, fewer than two, or
+    a question that is not for the highest mean APR within a budget.
     """
     check_whole("blocks", n_blocks, least=2)
     check_whole("judge", n_judged, least=2)

@@ -87,15 +87,14 @@ def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> Detecti
 def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxis, IntArray]:
     """Axis with a run for every level of a score, and which frames of `axis` are its frames.
 
-    A level is reached if the run is avoided, or if the VUT brakes for a track that is confirmed
-    after the last moment, but before the level's own deadline. Such a track is not lost any more:
-    so the clock of a level stands still from the last moment on, all but for a picosecond a frame,
-    and ends at its deadline. What is in time there is what is in time by the level's deadline, and
-    what is alive there is what is alive at the run's last moment. Margins of levels are those to
-    the last moment, 0 for what is confirmed after it.
+    A level is reached if the run is avoided, or if the VUT brakes for a track confirmed after the
+    last moment, but before the level's deadline; such a track is not lost any more. So a level's
+    clock stands still from the last moment on, all but for a picosecond a frame, and ends at its
+    deadline: what is in time or alive there is so by the deadline. Margins are those to the last
+    moment, 0 for what is confirmed after it.
 
-    Run ids of levels that are not for avoiding end in "<10" and so on: the speed at contact that
-    they stay below, in km/h. Weights are those of the runs times the gain.
+    Ids of levels that are not for avoiding end in "<10" and so on: the speed at contact that they
+    stay below, in km/h. Weights are those of the runs times the gain.
     """
     ids, starts, frames, times, deadlines = [], [0], [], [], []
     for run, below_kmh, deadline_s in zip(
@@ -153,7 +152,7 @@ def repeated_axis(
 ) -> FrameAxis:
     """The axis once for each ending of its runs' ids, one after the other.
 
-    Weights and last brake times are those of all repeated runs, (n_endings * n_runs,).
+    Weights and last brake times are of all repeated runs, (n_endings * n_runs,).
     """
     n = len(endings)
     starts = [axis.run_start[:-1] + index * axis.n_frames for index in range(n)]
@@ -206,10 +205,7 @@ def seeing_share(axis: FrameAxis) -> float:
 
 
 def plain_axis(axis: FrameAxis) -> FrameAxis:
-    """Axis with the first level of each run, and the weight of all of them; of runs the same.
-
-    Its last brake times and frames are those of the levels.
-    """
+    """Axis with the first level of each run, and the weight of all of them; of runs the same."""
     names = [run_of_level(name) for name in axis.run_ids]
     _, first, run = np.unique(names, return_index=True, return_inverse=True)
     if len(first) == axis.n_runs:

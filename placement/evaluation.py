@@ -138,21 +138,9 @@ class Evaluation:
 
 
 def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:
-    """Accident prevention ratio: weight of avoided runs / weight of all.
+    """Accident prevention ratio: weight of avoided runs / weight of all, 0 .. 1.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs and their weights.
-    run_mask : (n_runs,) bool, optional
-        Count these runs only.
-
-    Returns
-    -------
-    apr : float
-        0 .. 1; NaN if the runs counted have no weight.
+    NaN if the runs counted, by default all, have no weight.
     """
     weight = axis.weight if run_mask is None else axis.weight * run_mask
     return weight_share(verdict.is_avoided, weight)
@@ -224,10 +212,9 @@ def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
 
 
 def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis) -> FloatArray:
-    """When the VUT first knows of a detection made in each frame, (n_frames,) in s.
+    """When the VUT first knows of a detection made in each frame, (n_frames,) in s; else infinite.
 
-    Each party has the (n_frames,) frames that it detects in, and how long it takes until the VUT
-    knows [s]. Infinite where nobody detects.
+    Each party has the (n_frames,) frames that it detects in, and its latency [s].
     """
     arrival = np.full(axis.n_frames, np.inf)
     for detected, latency_s in parties:
@@ -239,8 +226,7 @@ def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray
     """Smallest along the first axis, and the same without each of the rows in turn.
 
     `times_s` has a row for each party: (n, m), n at least 1 [s]. Without the only row all is
-    infinite; without one that is nowhere alone the smallest, `earliest_s` itself is given, no
-    copy.
+    infinite; without one that is nowhere alone the smallest, `earliest_s` itself is given.
     """
     earliest = times_s.min(axis=0)
     if len(times_s) == 1:
@@ -270,8 +256,7 @@ def apr_of_arrivals(
 ) -> float:
     """APR by what arrives from units, (n_frames,) in s, and from the VUT's own sensors if it sees.
 
-    A run counts as avoided where braking sets in before the last moment. `cars` is the share of the
-    VUTs that see, by default the evaluation's.
+    `cars` is the share of the VUTs that see, by default the evaluation's.
     """
     axis, cars = evaluation.axis, evaluation.cars if cars is None else cars
 

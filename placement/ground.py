@@ -46,8 +46,8 @@ def is_in_sight(
 ) -> BoolArray:
     """Points (n, 3) that nothing hides from a mount; False for those nearer than `near_m`, too.
 
-    The caster has the same frame as the points. Things nearer than `near_m` hide nothing, such as
-    the pole that carries the sensor, see :class:`geometry.sensors.CameraModel`.
+    The caster has the frame of the points. Things nearer than `near_m`, such as the sensor's pole,
+    hide nothing.
     """
     mount = np.asarray(mount_m, dtype=np.float64)
     ways = points_m - mount
@@ -89,8 +89,8 @@ class GroundCoverage:
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
     """How finely cameras see the ground around a junction, where nothing drives or parks.
 
-    Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
-    Pixels per metre across the line of sight are focal length over depth. LiDARs take no pictures.
+    Cells of a square metre, up to 45 m around the middle, one metre above the road. Pixels per
+    metre across the line of sight are focal length over depth. LiDARs take no pictures.
     """
     import shapely
 
@@ -147,8 +147,8 @@ class PrivateGround:
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
 
-    A column "name" or "id" names an area. Raises InputError if the file cannot be read or has no
-    polygon, or has coordinates on earth while the scene has none.
+    A column "name" or "id" names an area. Raises InputError if the file cannot be read, has no
+    polygon, or lies on earth while the scene does not.
     """
     import shapely
 
@@ -183,10 +183,9 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
 
 
 def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
-    """Points all over areas: one for each square metre, at least one for each area.
+    """Points all over areas, shapely polygons by name: one each square metre, at least one each.
 
-    Areas are names and shapely polygons in the world frame, in metres. Raises InputError where one
-    is empty, or all together are too large.
+    Raises InputError where one is empty, or all together are too large.
     """
     import shapely
 
@@ -224,9 +223,8 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 class PrivateSight:
     """Private ground in the pictures of poses; not for several threads at once.
 
-    What lies open to a place is looked up once, so that a camera there is turned and zoomed fast.
-    What parks or drives hides nothing for long, and is left out. LiDARs take no pictures: they see
-    none.
+    What lies open to a place is looked up once. What parks or drives hides nothing for long, and is
+    left out. LiDARs see none.
     """
 
     def __init__(self, scene: Scene, ground: PrivateGround) -> None:
@@ -238,10 +236,7 @@ class PrivateSight:
         self._open: OrderedDict[tuple[float, ...], BoolArray] = OrderedDict()
 
     def seen(self, candidate: CandidatePose) -> BoolArray:
-        """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool.
-
-        However small they are there.
-        """
+        """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool."""
         place = _place(candidate)
         if place not in self._open:
             self._open[place] = is_in_sight(
@@ -269,17 +264,14 @@ class PrivateSight:
 def private_shares(
     scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
 ) -> FloatArray:
-    """How much of each private area each pose has in its picture, (n_candidates, n_areas).
-
-    As :class:`PrivateSight` has it.
-    """
+    """How much of each private area each pose has in its picture, (n_candidates, n_areas)."""
     return PrivateSight(scene, ground).shares(candidates)
 
 
 def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
     """Which candidates see at most `max_share` of each private area, (n_candidates,) bool.
 
-    `shares` is that of :func:`private_shares`. Raises InputError where no candidate is left.
+    Raises InputError where no candidate is left.
     """
     share: FloatArray = shares.max(axis=1)
     kept: BoolArray = share <= max_share

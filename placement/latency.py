@@ -94,8 +94,8 @@ def load_latency_budget(
 ) -> LatencyBudget:
     """Latency budget by a name of ``data/latency.toml``, or from a TOML file of that layout.
 
-    `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
-    file, a part or a field is not what it should be.
+    `where` says what named it. Raises InputError if it is unknown, or a field is not what it should
+    be.
     """
     known = load_latency_budgets()
     if name_or_path in known:
@@ -194,11 +194,9 @@ def apr_by_latency(
     """APR of every sensing party by the latency from a frame to braking, each (n_latencies,).
 
     Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames do not
-    depend on the latency [s], so one evaluation is enough: what an evaluation with
-    ``replace(rule, latency_s=L)`` does by the last brake time. A unit with a latency of its own
-    keeps it at every L. The VUT's own sensors wait for no message: `vut_latency_s` [s]; by default
-    they take as long as all others, as in the study. Of an evaluation with levels it is the score
-    by the last onset of each level. Raises InputError if `vut_latency_s` is negative or not finite.
+    depend on the latency [s]: one evaluation is enough. A unit with a latency of its own keeps it;
+    so do the VUT's own sensors with `vut_latency_s` [s]. Of an evaluation with levels it is the
+    score by the last onset of each. Raises InputError if `vut_latency_s` is negative or not finite.
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")

@@ -184,8 +184,7 @@ def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -
 def layout_records(layout: Layout) -> list[dict[str, Any]]:
     """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar.
 
-    A unit with a latency of its own has latency_s, too; one whose varifocal lens is not set as in
-    the catalogue has fov_deg.
+    And latency_s of their own, and fov_deg of a lens that is not set as in the catalogue.
     """
     return [
         {
@@ -219,9 +218,8 @@ def layout_from_records(
 ) -> Layout:
     """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
 
-    `sensors` are models in addition to the catalogue's; `where` is what is read, for error
-    messages. Raises InputError where a field is missing or not of its kind, an id is repeated, or
-    a sensor is unknown.
+    `sensors` are models in addition to the catalogue's. Raises InputError where a field is missing
+    or not of its kind, an id is repeated, or a sensor is unknown.
     """
     units = []
     for index, record in enumerate(records):
@@ -286,10 +284,10 @@ def load_layout(
 ) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
 
-    In a CSV, and in JSON that is written by hand, units may lie at latitudes and longitudes and
-    look along compass bearings, see :func:`placement.layout.unit_record`: that takes the
-    `scene`. `sensors` are models in addition to the catalogue's. Raises InputError if the file
-    cannot be read, is of another version, or a field is wrong.
+    In a CSV, and in JSON written by hand, units may lie at latitudes and longitudes and look along
+    compass bearings, see :func:`placement.layout.unit_record`: that takes the `scene`. `sensors`
+    are models in addition to the catalogue's. Raises InputError if the file cannot be read, is of
+    another version, or a field is wrong.
     """
     path = Path(path)
     if path.suffix.lower() == ".csv":
@@ -324,10 +322,7 @@ def read_layout(
     scene: Scene | None = None,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from the text of a layout file; see :func:`load_layout`.
-
-    `where` is what is read, for error messages; `name` is for a layout that has none.
-    """
+    """Layout from the text of a layout file, see :func:`load_layout`; `name` if it has none."""
     document = parse_json(text, where, "a layout")
     known = (SCHEMA, *RESULT_SCHEMAS)
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
@@ -358,9 +353,9 @@ def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:
 
 
 def check_layout(layout: Layout, scene: Scene) -> None:
-    """Raise InputError unless a layout is of a scene.
+    """Raise InputError unless a layout is of a scene, not of another one.
 
-    It must not be made for another one; every unit is in the open air, at a site that exists.
+    Every unit is in the open air, at a site that exists.
     """
     if layout.scene_name not in ("", scene.name):
         raise InputError(
@@ -407,8 +402,8 @@ def find_layout(
 ) -> Layout:
     """A layout by its name (carlancap-12, the study's) or from a file; else an InputError.
 
-    A list of units with places on earth takes the `scene`; `sensors` are models in addition to
-    those of the catalogue, as a user lists them.
+    A list of units with places on earth takes the `scene`; `sensors` are models, as a user lists
+    them, beside the catalogue's.
     """
     if str(name) == BASELINE_NAME:
         return load_carlancap_layout()
@@ -497,9 +492,8 @@ def unit_record(
 
     `values` are id; site (may be empty); lat and lon, or x and y in the scene's frame, or neither:
     at the site; height above the ground, or z; bearing clockwise from north, or yaw; tilt, positive
-    down, or pitch; model. Case and units at the end of a name do not matter. `sensors` are models
-    in addition to those of the catalogue. Raises InputError where a field is missing or not of its
-    kind, a site or a model is unknown.
+    down, or pitch; model. Case and units at the end of a name do not matter. Raises InputError
+    where a field is missing or not of its kind, a site or a model is unknown.
     """
     columns = known_columns(list(values), where, _FIELDS)
     row = {field: values[name] for name, field in columns.items()}

@@ -1,9 +1,7 @@
 """Detections of units while somebody moves them: rays are cached, points projected again.
 
-A ray depends on the place of a sensor, not on where it looks: :class:`LiveTable` casts once per
-mount position, to every road user whom any direction or zoom could show, and answers every turn,
-tilt and zoom from there by the detection table's own kernels. Its rows are those of
-:func:`placement.visibility.build_detection_table`.
+Rays depend on a sensor's place, not on where it looks: they are cast once per mount position.
+Rows are those of :func:`placement.visibility.build_detection_table`.
 """
 
 from collections import OrderedDict
@@ -145,10 +143,9 @@ def table_verdict(
 ) -> Verdict:
     """Verdict on all units together by the detection table, and on the VUT if asked for.
 
-    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`; what the VUT's own
-    sensors detect is the setting's, see :func:`placement.evaluator.with_sight`. The table is read
-    as by the optimiser: a run is avoided if a confirmed track is alive at the last moment. The
-    evaluator asks pixels and bodies instead.
+    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`; the VUT's is the
+    setting's. As for the optimiser, a run is avoided if a confirmed track is alive at the last
+    moment.
     """
     axis, rule = setting.axis, setting.rule
     parties = [(row, unit.latency(rule)) for unit, row in zip(units, detected, strict=True)]

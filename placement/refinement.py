@@ -65,9 +65,8 @@ def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool
 def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
     """The bounds of a certificate for a set of poses that is as good as its layout or better.
 
-    `values` are those of a set within the certificate's problem. A bound holds for all sets that
-    are as good in the stages before as the certificate's layout, and so for those that are as good
-    as this one. `solver` is the text about the solver that the new certificate gets.
+    A bound holds for all sets that are as good in the stages before as the certificate's layout,
+    and so for those that are as good as this one. `solver` is the new certificate's text about it.
     """
     return Certificate(
         stages=tuple(
@@ -131,9 +130,8 @@ def moved(
 ) -> CandidatePose | None:
     """Replacement for a row of the grid, moved and turned; None if it would be inside something.
 
-    The height is brought into the site's range, the pitch into -90 .. 90 degrees, and the field of
-    view into the range of a varifocal lens; it is that of the grid by default. The pose's id says
-    where it is mounted and how it looks.
+    Height, pitch and field of view (by default the grid's) are brought into their ranges. The
+    pose's id says where it is mounted and how it looks.
     """
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
@@ -253,12 +251,10 @@ class _Search:
     def turn(self) -> None:
         """Compass search over yaw, pitch and field of view, then height, unit by unit.
 
-        In the end no step of any unit alone improves the set, unless time was up.
-
-        Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
-        direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function
-        here - runs are avoided or not, frames come every tenth of a second -, so that a larger step
-        may improve where smaller ones change nothing: all steps are tried at once.
+        In the end no step of any unit alone improves the set, unless time was up. All steps are
+        tried at once in place of a shrinking one (Kolda, Lewis, Torczon, "Optimization by direct
+        search", SIAM Review 45, 2003, section 3): what a set is worth is a step function here, so
+        that a larger step may improve where smaller ones change nothing.
         """
         position, n_settled = 0, 0
         while n_settled < len(self.units) and now_s() < self.end_s:
@@ -412,34 +408,13 @@ def refine(
 ) -> Refinement:
     """Look for a better layout between the poses of a grid.
 
-    Parameters
-    ----------
-    setting : Setting
-        What the layout was found in.
-    placement : Placement
-        The layout, and its problem: limits, floors, goal and stages stay as they are. Units that
-        are forced do not move.
-    candidates : sequence of CandidatePose
-        The grid: the rows of the placement's table.
-    time_limit_s : float
-        Six tenths of it for the steps, the rest for the proof. Results are the same again only
-        where it is not reached. [s]
-    solver : Effort, optional
-        Of the optimiser; its time limit is shortened where `time_limit_s` leaves less.
-    compute : Compute
-        Threads, progress, and the seed of the points on the VRUs: that of the table.
-
-    Returns
-    -------
-    refinement : Refinement
-        Never worse, in the order of the problem's stages. The units are turned, tilted, zoomed and
-        lifted in small steps where they are, until no step of one unit improves anything; then the
-        problem is solved again on the grid and all poses tried.
-
-    Raises
-    ------
-    InputError
-        The table is not that of the candidates, or of sampled worlds; the time is not positive.
+    Units of the placement that are not forced are turned, tilted, zoomed and lifted in small steps
+    where they are, until no step of one unit improves anything; then the problem is solved again on
+    the grid, whose `candidates` are the rows of the placement's table, and all poses tried. Six
+    tenths of `time_limit_s` are for the steps, the rest for the proof; results are the same again
+    only where it is not reached. `solver` is the optimiser's effort; `compute` has the table's
+    seed. The result is never worse. Raises InputError: the table is not that of the candidates, or
+    of sampled worlds; the time is not positive.
     """
     if not time_limit_s > 0.0:
         raise InputError("time_limit_s", time_limit_s, "seconds, more than 0")
@@ -571,9 +546,8 @@ def rename(
 ) -> tuple[Layout, tuple[Move, ...]]:
     """A layout of the poses, whose units keep their names where they stay in place, and the moves.
 
-    `before` has the names that stay. `named` are names that mean one pose and no other, such as
-    those of an existing layout: another pose gets another name. The units come in the order of the
-    old ones, new ones behind; the moves leave out units that stayed as they were.
+    Names of `named` mean one pose and no other, such as those of an existing layout. Units come in
+    the order of `before`, new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
     free = (unit_id for unit_id in (f"U{n}" for n in count(1)) if unit_id not in taken)

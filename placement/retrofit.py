@@ -64,8 +64,7 @@ def build_retrofit_poses(
 ) -> RetrofitPoses:
     """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
 
-    Of the grid only the directions are used; additions with the id of a unit are left out. Raises
-    :class:`InputError` if two ids are equal.
+    Additions with the id of a unit are left out. Raises InputError if two ids are equal.
     """
     aims = [
         (number, _aimed(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg))
@@ -196,11 +195,9 @@ def find_retrofit(
 ) -> Retrofit:
     """Find the best change of every kind: by APR, APR when one unit fails, margins, then price.
 
-    The problem is on the table of all poses. Its limits are those of units to be added, with those
-    already mounted as forced ones that cost nothing, see :func:`placement.wishes.build_limits`;
-    budgets and forced sites do not matter. `budget_eur` is for the combination; an addition must
-    not cost more, either. `effort` is for the combination, too; all other changes are tried one by
-    one.
+    The problem is on the table of all poses, with those mounted as forced ones that cost nothing;
+    its budgets and forced sites do not matter. `budget_eur` and `effort` are for the combination;
+    an addition must not cost more, either. All other changes are tried one by one.
     """
     effort = Effort() if effort is None else effort
     standing = tuple(range(poses.n_units))
@@ -243,9 +240,8 @@ def combined_limits(
 ) -> Limits:
     """Limits in which every unit stays or is re-aimed, and others are added within the budget.
 
-    Every unit becomes a site of its own with room for one of its poses, of which one must be
-    chosen. What room the units' real sites have left is there for new ones; rivals of units are
-    forbidden, since the units stay.
+    Every unit becomes a site of its own, on which one of its poses must be chosen. What room the
+    real sites have left is for new ones; rivals of units are forbidden.
     """
     n_units, n_sites = poses.n_units, limits.n_sites
     is_new = poses.unit_index < 0
@@ -382,7 +378,7 @@ def best_joining(
     """The pose of `each` (n_each,) that joins those `mounted` best: an index into `each`.
 
     Best by APR, then APR when one unit fails, smallest and mean margin, and price (by default
-    equal). Limits and floors of the problem do not matter.
+    equal). Limits and floors do not matter.
     """
     measure, weight = problem.measure(), problem.table.axis.weight
     margin = margins_joined_s(problem, mounted, each)

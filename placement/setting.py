@@ -159,7 +159,7 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises InputError if the latency budget is unknown, a latency is given as well, or tracks live
+    Raises InputError if the latency budget is unknown or a latency is given as well, or tracks live
     for less than a frame.
     """
     changes = {
@@ -182,8 +182,8 @@ def build_rule(question: Question) -> AebRule:
 def check_question(question: Question) -> None:
     """Check what can be checked of a question without a scene.
 
-    Raises InputError: a word is unknown, or a file cannot be used, wherever the question is asked.
-    MissingExtraError: what it needs is not installed.
+    Raises InputError: a word is unknown, or a file cannot be used. MissingExtraError: what it needs
+    is not installed.
     """
     _select(question)
     pick_positions(question.along_arms, question.cases)
@@ -216,10 +216,7 @@ def _weathers(question: Question) -> tuple[str, ...]:
 
 
 def _track_memory_s(question: Question) -> float:
-    """How long tracks live: as the question says, else for ever where the study's cases are asked.
-
-    In seconds.
-    """
+    """How long tracks live in seconds, for ever for the study's cases unless asked otherwise."""
     if question.track_memory_s is not None:
         return question.track_memory_s
     if is_study_set(question.cases):
@@ -246,12 +243,9 @@ def drive(
 ) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
 
-    Without a word on speeds none is driven that is above the speed limits of the scene's lanes.
-    With a `position`, every speed is driven at this one alone. In a `cache_folder` the runs are
-    cached for the next call.
-
-    Raises InputError where a word of the question is unknown, or the protocol does not drive a
-    speed.
+    Without a word on speeds none is driven above the speed limits of the scene's lanes. With a
+    `position`, every speed is driven at this one alone. In a `cache_folder` the runs are cached.
+    Raises InputError where a word is unknown, or the protocol does not drive a speed.
     """
     selection = _select(question)
     for beyond in selection.beyond:
@@ -299,10 +293,7 @@ def drive(
 
 
 def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
-    """The only run of a question at a position.
-
-    Raises InputError if it names no run, or several; or if there is no such position.
-    """
+    """The only run of a question at a position; InputError if there are none, or several."""
     where = "position"
     place = read_position(position, where)
     for case in select_cases(question.cases, force=True).cases:
@@ -331,28 +322,11 @@ def build_setting(
 ) -> Setting:
     """All that a layout is placed in and judged by.
 
-    Parameters
-    ----------
-    question : Question, optional
-        What is driven and how much it counts; by default the study's cases along the arms, each
-        case alike.
-    scene : Scene, optional
-        The junction, in place of the one that the question names.
-    weights : function of a Run, optional
-        How much a run counts, in place of the question's word; only proportions matter.
-    compute : Compute
-        Where the runs are cached for the next call.
-
-    Returns
-    -------
-    setting : Setting
-        At least one run.
-
-    Raises
-    ------
-    InputError
-        As :func:`drive`; no approach carries any of the cases, or with `strict` one of them; the
-        weights do not fit the runs.
+    `question` says what is driven and how much it counts, by default the study's cases along the
+    arms; `scene` is in place of the junction that it names, `weights` in place of its word on
+    weights: only proportions matter. `compute` has the cache of the runs, of which there is one at
+    least. Raises InputError: as :func:`drive`; no approach carries any of the cases, or with
+    `strict` one of them; the weights do not fit the runs.
     """
     question = question or Question()
     scene = scene or load_scene(question.scene, **map_options(question))

@@ -1,8 +1,7 @@
 """Which junction gets what: the best sum over all junctions, objective by objective, with bounds.
 
-The objectives are those of one junction: accidents prevented, by the weights of the junctions;
-those still prevented if at each junction the unit that is needed most fails; the smallest time to
-spare of all; its mean over the accidents prevented; cost. Each stage holds those before it.
+APR by the junctions' weights; APR if at each junction the unit needed most fails; smallest time
+to spare; its mean over the accidents prevented; cost. Each stage holds those before it.
 """
 
 from collections.abc import Sequence
@@ -76,11 +75,10 @@ def choose(
 ) -> CityChoice:
     """The best choice of one option for each junction, with its certificate.
 
-    `options` are the points of the junctions' fronts, `weight` (n_junctions,) is that of each
-    junction's accidents, `bounds` are those of :func:`placement.city.fronts.stack_bounds`, by
-    default the points, which are then taken for all that there is. A stage counts as settled at a
-    relative `gap`; `time_limit_s` is for all stages. Raises InputError where a least APR cannot be
-    reached, or not within the budgets; the message says what it takes.
+    `options` are the points of the fronts, `weight` (n_junctions,) that of each junction's
+    accidents, `bounds` those of :func:`placement.city.fronts.stack_bounds`, by default the points.
+    A stage counts as settled at a relative `gap`; `time_limit_s` is for all stages. Raises
+    InputError where a least APR cannot be reached, or not within the budgets.
     """
     end_s = now_s() + time_limit_s
     share = weight / weight.sum()
@@ -385,15 +383,9 @@ class Step:
 def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[Step]:
     """The city's front by money or units: who joins, or gets more, at each step.
 
-    Each step's choice is the best one of all for what it takes, as every choice is that is best at
-    some price [1]_; between two steps there are other choices, which the knapsack finds.
-
-    The first option of each junction takes nothing; `weight` (n_junctions,) is that of each
-    junction's accidents. Either euros or units are counted.
-
-    References
-    ----------
-    .. [1] H. Everett, "Generalized Lagrange multiplier method", 1963.
+    The first option of each junction takes nothing. Each step's choice is the best of all for what
+    it takes, as every choice that is best at some price (H. Everett, "Generalized Lagrange
+    multiplier method", 1963); between two steps there are others, which the knapsack finds.
     """
     share = weight / weight.sum()
     taken = options.cost_eur if by_cost else options.units.astype(np.float64)
@@ -446,14 +438,12 @@ def plan_phases(
     years: int | None = None,
     time_limit_s: float = 10.0,
 ) -> Phases:
-    """Spread units over years.
+    """Spread units over years, at most so many a year: the most gain times years that it is there.
 
-    At most so many units are mounted in a year. A junction counts from the year in which its last
-    unit is mounted: its units may come in two years. The order is the one with the largest sum of
-    gains over the years in which they are there: a mixed-integer model, or for thousands of
-    junctions those with the largest gain per unit first (Smith, 1956), with the bound of the order
-    in which units may be divided. `units` and `gain`, (n,), are those of each junction; there are
-    by default as many years as it takes. Raises InputError if the years do not suffice.
+    A junction counts from the year in which its last unit is mounted. Solved as a mixed-integer
+    model, or for thousands of junctions by the largest gain per unit first (Smith, 1956), with the
+    bound where units may be divided. `units` and `gain`, (n,), are those of each junction. Raises
+    InputError if the years, by default as many as it takes, do not suffice.
     """
     total = int(units.sum())
     needed = -(-total // units_per_year)

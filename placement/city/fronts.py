@@ -107,8 +107,8 @@ def build_junction_front(
 ) -> JunctionFront:
     """A front of the points that no other one beats, with steps that rise.
 
-    A point without new units is among them. `by_units` and `by_cost` are steps (from, APR) from 0
-    on, ascending, in any order of APR: a bound also holds for less.
+    A point without new units is among them; `by_units` and `by_cost` are steps (from, APR) from 0
+    on, ascending, in any order of APR.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
     kept = [
@@ -206,11 +206,10 @@ def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
 def stack_bounds(
     fronts: Sequence[JunctionFront], *, counts_units: bool, counts_cost: bool
 ) -> Options:
-    """Upper bounds of layouts other than the points, as options.
+    """Upper bounds of layouts other than the points, as options whose other values are 0.
 
-    Each layout of a junction takes at least as much as one of these options and has no higher APR:
-    what cannot be reached with them cannot be reached at all. With units and cost counted, an
-    option stands for a step of both. The other values are 0.
+    Each layout of a junction takes at least as much as one of them and has no higher APR. With
+    units and cost counted, an option stands for a step of both.
     """
     junction: list[int] = []
     units: list[float] = []
@@ -278,11 +277,10 @@ def rooms_of(limits: Limits) -> IntArray:
 def front_by_sites(
     problem: PlacementProblem, *, base_apr: float, max_units: int, effort: Callable[[], Effort]
 ) -> SiteFront:
-    """Layouts of more new units than sites, and what bounds them.
+    """Layouts of more new units than sites, and what bounds them, for up to `max_units` new units.
 
     The problem has no floors, and its prices do not count. `base_apr` is that of the existing
-    units; `effort` says what the next step may take. There are bounds up to as many sites as can
-    carry `max_units` new units; none where each unit has to confirm alone.
+    units; `effort` says what the next step may take. No bounds where each unit confirms alone.
     """
     limits = problem.limits
     room = rooms_of(limits)
@@ -339,12 +337,9 @@ def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
 def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]) -> Steps:
     """Upper bound of the APR by money: by the units and sites that it buys at most.
 
-    So many new units at so many sites, the dearest of which is of some tier, cost at least what the
-    cheapest ones and one site of that tier do; they do no more than what sites up to that tier can.
-
-    Of each tier: the lowest price of its sites in euros; bounds by new units, and by their sites,
-    where no site is dearer than those of the tier. The first one has all sites. The limits have
-    prices and a number of units.
+    So many new units at so many sites, the dearest of some tier, cost at least what the cheapest
+    ones and one site of that tier do, and do no more than sites up to that tier can. Of each tier,
+    all sites first: the lowest price of its sites, and bounds by new units and by their sites.
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)

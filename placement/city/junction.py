@@ -134,12 +134,11 @@ def find_front(
     begin: Callable[[str], None],
     first: IntArray | None = None,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
-    """Front of what units and money buy, and the layout of each point.
+    """Front of what units and money buy, and the layout of each point; the first takes nothing.
 
     The problem has a number of units, the existing ones among them, and no floors. `effort` says
-    what the next step may take, `begin` is called with each step. The front of the poses `first`,
-    (n,), the existing ones among them, is found first: no point is worse than what they can do. The
-    first point takes nothing; layouts are rows of the detection table, with the existing ones.
+    what the next step may take, `begin` is called with each step. No point is worse than what the
+    poses `first`, (n,), the existing ones among them, can do. Layouts are rows of the table.
     """
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
@@ -238,7 +237,7 @@ def _merge(
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """The points of all fronts that no other one beats, and the poses of each.
 
-    `tiers` are fronts with all sites, then with cheaper ones alone, and the least of their prices;
+    `tiers` are fronts with all sites, then with cheaper ones, and the least of their prices;
     `others` are more layouts.
     """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())

@@ -1,15 +1,9 @@
 """The multiple-choice knapsack: one option of each group, the best sum within some limits.
 
-Prices on the limits give a bound (Lagrangian relaxation; at the best prices that of the linear
-relaxation), and by how much each option falls short of its group's best at these prices. Only
-options that fall short by little can be in a better choice: they make the core, which HiGHS
-solves through cvxpy. A small problem is all core.
-
-References
-----------
-.. [1] D. Pisinger, "A minimal algorithm for the multiple-choice knapsack problem", 1995: the core.
-.. [2] H. Everett, "Generalized Lagrange multiplier method", 1963: what is best at a price is best
-   for the money that it takes.
+Prices on the limits give a bound (Lagrangian relaxation), and by how much each option falls
+short of its group's best. Only options that fall short by little can be in a better choice: they
+are the core, which HiGHS solves (D. Pisinger, "A minimal algorithm for the multiple-choice
+knapsack problem", 1995). A small problem is all core.
 """
 
 from dataclasses import dataclass
@@ -73,7 +67,7 @@ def solve_knapsack(
 ) -> Choice:
     """Choose one option of each group, up to a relative gap, within a time in seconds.
 
-    The solver is handed `core_options` at first; bounds hold for all choices, whatever the core.
+    `core_options` are handed to the solver at first; bounds hold for all choices.
     """
     end_s = now_s() + time_limit_s
     if len(problem.group) <= core_options:
@@ -121,10 +115,7 @@ def _tiny(amount: float) -> float:
 
 
 def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float]:
-    """The best option of each group at some prices, and the bound of these prices.
-
-    Of options that are worth the same at these prices, the first.
-    """
+    """The best option of each group at some prices, the first of equals, and the bound of these."""
     worth = problem.profit - prices @ problem.rows
     most = np.maximum.reduceat(worth, problem.starts)
     rows = np.flatnonzero(worth == most[problem.group])
