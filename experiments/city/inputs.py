@@ -438,8 +438,8 @@ def _number(
 def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:
     """Layouts of the units mounted already, by the name of the scene.
 
-    A folder is one of a city, and stands for the layouts that it chose. Raises InputError: a file
-    is no layout, two are of the same junction, or one is of none that counts.
+    A folder of a city stands for the layouts that it chose. Raises InputError: a file is no layout,
+    two are of the same junction, or one is of none that counts.
     """
     files: list[Path] = []
     for path in paths:

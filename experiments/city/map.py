@@ -30,7 +30,7 @@ def plot_city_map(
 ) -> Axes:
     """Streets and buildings of the maps, and what each junction gets.
 
-    The first map has the coordinates of `positions_m`, (2,) of each junction of `result`. Circles
+    `positions_m`, (2,) of each junction of `result`, are in the first map's coordinates. Circles
     grow with the gain and darken with the number of units, which stands in them. A small open
     circle gets nothing, a cross was not done.
     """
@@ -101,9 +101,8 @@ def _write(axes: Axes, number: int, place: FloatArray, **style: Any) -> None:
 def plot_city_front(result: CityResult) -> Axes:
     """Prevented accidents against money or units: who joins, and where the budget ends.
 
-    Each dot is a step at which a junction gets more, and its choice is the best for its cost.
-    Between two dots other choices are best; made of the layouts found, none is above the line. The
-    diamond is the choice for the budget; above it, the bound where that is higher.
+    Each dot is the best choice for its cost. The diamond is the choice for the budget; above it,
+    the bound where that is higher.
     """
     axes = new_axes(WIDTH_IN, 3.2)
     by_cost = result.by == "cost"

@@ -114,9 +114,9 @@ def run_city(
     """Choose the units of each junction of a city, and write the answer.
 
     `question` has the runs and sensors at each junction; `maps` those with roads, and others with
-    buildings; `out` is new, empty, or of the same city; `command` makes the result again; `tell`
-    gets the amount of work and the workers. Raises InputError: a file cannot be read, the maps
-    overlap, no junction can be solved, a wish cannot be met, or the folder is of something else.
+    buildings; `out` is new, empty, or of the same city; `tell` gets the amount of work and the
+    workers. Raises InputError: a file cannot be read, the maps overlap, no junction can be solved,
+    a wish cannot be met, or the folder is of something else.
     """
     check_folder(out)
     progress.kept = f"nothing was written to {out}"
@@ -431,7 +431,7 @@ def _served_tasks(
     """A task for each junction with units; layouts and pages of the others are removed.
 
     `same_fronts` are folders whose fronts are those of the last call: where it chose the same,
-    nothing is written again. The junctions that gain most, which the report lists, get pages.
+    nothing is written again. The junctions that gain most get pages.
     """
     sensors = {model.name: model for model in grid.sensors}
     for layout in existing.values():
@@ -505,8 +505,7 @@ def write_city(
 ) -> CityResult:
     """Write tables, map and report; the hashes of all files come last.
 
-    `records` are without layouts, which are read again where they are needed. `finish` gives the
-    seconds of all stages, when all but the summary is written.
+    `records` are without layouts. `finish` gives the seconds of all stages.
     """
     units = [row for one in served for row in one.units]
     poles = [row for one in served for row in one.poles]

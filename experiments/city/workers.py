@@ -129,8 +129,8 @@ class _Worker:
 class LocalWorkers:
     """Up to `n` processes on this machine, each ended if it takes more memory than `max_bytes`.
 
-    They are reached through pipes that nobody else can open; there is no port. Memory is watched
-    where the system has ``/proc``.
+    They are reached through pipes that nobody else can open. Memory is watched where the system has
+    ``/proc``.
     """
 
     def __init__(self, n: int, *, max_bytes: int) -> None:
@@ -258,8 +258,8 @@ def run_junctions(
 ) -> Iterator[tuple[JunctionTask, JunctionAnswer]]:
     """Run tasks on workers, in the order in which they end.
 
-    A task is taken when there is a worker for it. One that fails for no reason of its own, or whose
-    worker dies, is tried three times in all; then its record says so.
+    A task that fails for no reason of its own, or whose worker dies, is tried three times in all;
+    then its record says so.
     """
     waiting = iter(tasks)
     running: dict[Future[Any], tuple[JunctionTask, int]] = {}

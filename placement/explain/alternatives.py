@@ -57,8 +57,8 @@ def find_by_runs(
 ) -> ByRuns | None:
     """The layout that avoids the most runs, within the same limits.
 
-    None where it is not asked for the highest APR, where all runs count the same anyway, and of
-    problems in sampled worlds or too large for a proof.
+    None where the highest APR is not asked for, all runs count the same anyway, worlds are sampled,
+    or the problem is too large for a proof.
     """
     axis = problem.table.axis
     if not _is_plain(problem) or np.ptp(axis.weight) <= TOLERANCE / axis.n_runs:
@@ -163,8 +163,8 @@ def recommend(
     """Number of the front-runner to recommend, and what the first one was passed over for.
 
     In this order: APR; APR when the most needed unit fails; APR that a usual error of mounting
-    leaves, which `mounted_wrongly` gives by number, asked only for those that are equal so far.
-    Differences up to ``EQUAL_APR`` are none. Of equals the first is recommended: "order".
+    leaves, `mounted_wrongly` by number, asked only for those equal so far. Differences up to
+    ``EQUAL_APR`` are none. Of equals the first is recommended: "order".
     """
     left = list(range(len(runners)))
     keys: tuple[tuple[Deciding, Callable[[int], float]], ...] = (

@@ -97,8 +97,8 @@ class Wish:
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
         """Demands that a set of poses meets all at once, `active` ones among them if it meets them.
 
-        That floors hold when units fail counts as met where that is so for all floors that are
-        met without failures, or where it is asked for: then floors must hold so.
+        That floors hold when units fail counts as met where that is so for all floors that are met
+        without failures, or where it is asked for: then floors must hold so.
         """
         met = set()
         asks_to_survive = any(self.demands[number].kind == "survive" for number in active)
@@ -254,10 +254,9 @@ def _bring_nearer(
 def find_relaxation(
     wish: Wish, oracle: Oracle, number: int, others: frozenset[int]
 ) -> Relaxation | None:
-    """The least by which a demand has to give way so that others can be met, too.
+    """The least by which a demand has to give way so that others, which can be met, are met, too.
 
-    The others can be met together. None if nothing was found in time; `suffices` is to be filled
-    in.
+    None if nothing was found in time; `suffices` is to be filled in.
     """
     demand = wish.demands[number]
     with_it, without = wish.part(others | {number}), wish.part(others)
@@ -427,15 +426,12 @@ def find_conflicts(
     time_limit_s: float = 30.0,
     max_sets: int = _MAX_SETS,
 ) -> tuple[Conflict, ...]:
-    """Why no set of poses meets limits and floors.
+    """Why no set of poses meets limits and floors: smallest conflicts, no two with a common demand.
 
     With `keeps_forced`, forced poses are no demand but a fact, such as existing units.
-    `time_limit_s` is for all questions together, presolve is finished in any case. Up to `max_sets`
-    sets are gone through one by one, more of them by models.
-
-    A smallest conflict comes first, then a smallest one among the remaining demands, and so on: no
-    two share a demand. There is none if the wish can be met, if it was not found out that it
-    cannot, or if nothing would help.
+    `time_limit_s` is for all questions together, but for presolve. Up to `max_sets` sets are gone
+    through one by one, more of them by models. None if the wish can be met, if it was not found out
+    that it cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
@@ -523,8 +519,8 @@ def find_refusal(
 ) -> InputError | None:
     """Why wishes cannot be met, in one line, to be raised.
 
-    `problem` is what :func:`placement.wishes.build_problem` makes of them, `candidates` are the
-    rows of its table. None if they can be met, or if it was not found out that they cannot.
+    `candidates` are the rows of the problem's table. None if they can be met, or if it was not
+    found out that they cannot.
     """
     separation = build_separation(problem, wishes, scene, candidates)
     conflicts = find_conflicts(

@@ -120,8 +120,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     """Evaluate the failure of each unit of a layout, of each pair, and of each site.
 
     In each frame any remaining unit may be the one that detects, and the VUT where every VUT sees.
-    The worst comes first: the lowest APR (:func:`placement.evaluation.apr_one_failed` is that of
-    `one_failed`), then the smallest margin, then the layout's order.
+    The worst comes first: the lowest APR, then the smallest margin, then the layout's order.
     """
     axis, units = evaluation.axis, evaluation.layout.units
     arrivals_s = unit_arrivals_s(evaluation, rule)
@@ -187,14 +186,10 @@ class NextUnit:
 def find_next_unit(
     problem: PlacementProblem, reduced: ReducedProblem, pose_index: Sequence[int]
 ) -> NextUnit | None:
-    """The pose whose APR together with a layout is the highest, as greedy choice would go on.
+    """The pose whose APR together with a layout is the highest; None where no further pose fits.
 
-    Budgets do not count: this is what one more unit buys. Sites, rivals and wishes do. Another
-    layout of as many units may be better still.
-
-    `reduced` is what presolve left of the problem: poses that fell out see no more than others that
-    are left. `pose_index` are rows of the table, all among those left. None where no further pose
-    fits.
+    Budgets do not count, sites, rivals and wishes do. `reduced` is what presolve left of the
+    problem, `pose_index` are rows of the table, all among those left.
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)

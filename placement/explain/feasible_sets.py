@@ -33,8 +33,7 @@ _MAX_ADDED = 12  # values with failed units take too long to compute for more
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
     """Add poses one by one, that first which leaves the floors lacking least.
 
-    These are no more poses than are needed, or all that greedy choice has found room for; what
-    comes after the floors does not matter. They may lack something, see :func:`meets`.
+    No more than are needed, or all that there is room for; see :func:`meets`.
     """
     units = forced_units(reduced)
     most = min(reduced.limits.max_units, len(units) + _MAX_ADDED)
@@ -75,8 +74,7 @@ def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
 def presolve_undominated(problem: PlacementProblem) -> ReducedProblem:
     """The reduced problem with every pose that detects anything that counts, dominated or not.
 
-    Where every site carries as many units as there are poses, and any number may be mounted, no
-    pose stands in another one's way: presolve drops only poses that detect nothing.
+    Where every site carries any number of units, no pose stands in another one's way.
     """
     limits = problem.limits
     unusable = limits.is_forbidden | (limits.site_capacity[limits.site_index] == 0)
@@ -114,8 +112,8 @@ class Answer:
 class Oracle:
     """Answers by greedy choice, enumeration or mixed-integer models, until time is up.
 
-    All questions are about one problem with other limits and floors. Sets are gone through one by
-    one if there are no more than `max_sets`.
+    All questions are about one problem with other limits and floors. Up to `max_sets` sets are gone
+    through one by one.
     """
 
     def __init__(self, problem: PlacementProblem, *, end_s: float, max_sets: int) -> None:

@@ -62,10 +62,9 @@ def find_tolerances(
     fusion: Fusion = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Tolerance, ...]:
-    """By how much each unit of a layout may be off; `compute` has the seed of the layout's table.
+    """By how much each unit of a layout may be off, one thing at a time.
 
-    One thing is off at a time: a unit that is turned and too low at once may lose a run within both
-    tolerances.
+    `compute` has the seed of the layout's table.
     """
     return _find_errors(setting, units, STEPS, fusion=fusion, compute=compute).tolerances()
 

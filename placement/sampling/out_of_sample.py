@@ -33,25 +33,14 @@ _NO_SPREAD = 1.0e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanEstimate:
-    """A mean that is estimated from samples.
-
-    Attributes
-    ----------
-    mean : float
-        Of the samples.
-    standard_error : float
-        Of the mean: standard deviation / sqrt(n); NaN for a single sample.
-    low, high : float
-        Confidence interval of the true mean.
-    method : str
-        How the interval was found, in words.
-    """
+    """A mean that is estimated from samples."""
 
     mean: float
-    standard_error: float
+    standard_error: float  # of the mean; NaN for a single sample
+    # low, high: confidence interval of the true mean
     low: float
     high: float
-    method: str
+    method: str  # how the interval was found, in words
 
 
 def estimate_mean(
@@ -59,11 +48,10 @@ def estimate_mean(
 ) -> MeanEstimate:
     """Mean of independent samples within `bounds`, and between which limits the true mean lies.
 
-    The interval is Student's t, cut off at the bounds. Where all samples are equal, or there is but
-    one, they show no spread to go by: then at most a share q of all worlds differs, since n draws
-    in a row would show none of a larger share with a probability below (1 - q)^n = 1 - confidence,
-    and these may be as bad or as good as can be. Raises InputError for no sample, or one out of
-    bounds.
+    The interval is Student's t, cut off at the bounds. Where samples show no spread, at most a
+    share q of all worlds differs, since n draws in a row would show none of a larger share with a
+    probability below (1 - q)^n = 1 - confidence, and these may be as bad or as good as can be.
+    Raises InputError for no sample, or one out of bounds.
 
     References
     ----------
@@ -104,14 +92,9 @@ def estimate_mean(
 def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     """Conditional value at risk: the mean over the worst share of equally likely worlds.
 
-    max over t of t - mean(max(0, t - apr)) / tail. A tail of 1 is the expectation; up to 1 /
-    n_samples, 0 among them, it is the worst world alone. Where the share ends within a world, that
-    one counts in part. Raises InputError if there is no sample, or the tail is no share.
-
-    References
-    ----------
-    .. [1] R. T. Rockafellar, S. Uryasev, "Optimization of conditional value-at-risk", Journal of
-       Risk 2 (2000).
+    max over t of t - mean(max(0, t - apr)) / tail (R. T. Rockafellar, S. Uryasev, "Optimization of
+    conditional value-at-risk", Journal of Risk 2, 2000); up to 1 / n_samples it is the worst world.
+    Raises InputError if there is no sample, or the tail is no share.
 
     Examples
     --------
@@ -135,13 +118,8 @@ _N_RESAMPLED = 1000
 def resampled_cvar(apr_by_sample: ArrayLike, tail: float, *, seed: int = 0) -> FloatArray:
     """CVaR of several layouts, (n_layouts, n_samples), in worlds drawn with repetition.
 
-    (n_layouts, 1000): the bootstrap's distribution. In each draw all layouts have the same worlds,
-    so that differences have a distribution, too.
-
-    References
-    ----------
-    .. [1] B. Efron, "Bootstrap methods: another look at the jackknife", Annals of Statistics 7
-       (1979).
+    (n_layouts, 1000): the bootstrap's distribution (B. Efron, "Bootstrap methods: another look at
+    the jackknife", Annals of Statistics 7, 1979). All layouts have the same worlds in each draw.
     """
     samples = float_array(apr_by_sample, (-1, -1), "samples")
     rng = np.random.default_rng(seed)
@@ -159,30 +137,14 @@ FUSIONS = ("any", "single")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledApr:
-    """Accident prevention ratio of a layout, world by world.
-
-    Attributes
-    ----------
-    layout : Layout
-        Whose.
-    axis : FrameAxis
-        Runs as planned.
-    apr_by_sample : (n_samples,) float
-        In each world. 0 .. 1
-    avoided_share : (n_runs,) float
-        Of all worlds, those in which each run is avoided. 0 .. 1
-    driving : TrafficCount
-        Vehicles that drove by in these worlds.
-    alone : float
-        Mean accident prevention ratio of the VUT without units; 0 where cars are blind. 0 .. 1
-    """
+    """Accident prevention ratio of a layout, world by world."""
 
     layout: Layout
-    axis: FrameAxis
-    apr_by_sample: FloatArray
-    avoided_share: FloatArray
-    driving: TrafficCount = NO_TRAFFIC
-    alone: float = 0.0
+    axis: FrameAxis  # runs as planned
+    apr_by_sample: FloatArray  # (n_samples,): 0 .. 1
+    avoided_share: FloatArray  # (n_runs,): of all worlds, in which each run is avoided. 0 .. 1
+    driving: TrafficCount = NO_TRAFFIC  # vehicles that drove by in these worlds
+    alone: float = 0.0  # mean APR of the VUT without units; 0 where cars are blind. 0 .. 1
 
     def __post_init__(self) -> None:
         for name, shape in (("apr_by_sample", (-1,)), ("avoided_share", (self.axis.n_runs,))):
@@ -230,9 +192,8 @@ def out_of_sample_layouts(
 ) -> list[SampledApr]:
     """Evaluate layouts by detection tables in new sampled worlds, all in the same ones.
 
-    Units at the same pose in several layouts are looked from once. No draw is shared with the
-    worlds that :func:`placement.sampling.tables.sampled_table` chooses in, also not for the same
-    seed. Nothing is cached; progress counts the worlds.
+    No draw is shared with the worlds of :func:`placement.sampling.tables.sampled_table`, also not
+    for the same seed. Nothing is cached; progress counts the worlds.
     """
     worlds = look_at_fresh_worlds(
         *(setting, layouts, uncertainty),

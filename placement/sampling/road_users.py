@@ -29,10 +29,9 @@ def draw_road_users(
     """Runs of one sampled world, and how many road users move as planned because they must.
 
     `rng` gives each encounter its generator: a run is the same in all weathers, and does not depend
-    on the other runs. Speed, start, heading and way are drawn evenly within their limits; measured
-    speeds and starts, where there are some, as often as they were measured. Where something stands
-    in the turned or shifted way, the planned way stays. Where the drawn motion leads to no impact
-    at the planned place - whom the VUT follows is as fast as it - the planned motion stays.
+    on others. Speed, start, heading and way are drawn evenly within their limits, measured speeds
+    and starts as often as measured. The planned way stays where something stands in the other one,
+    the planned motion where the drawn one leads to no impact at the planned place.
     """
     changed: dict[int, Run | None] = {}
     drawn, n_kept = [], 0
@@ -106,27 +105,11 @@ def change_motion(
 ) -> Run | None:
     """A run whose road user is faster or slower, starts nearer to the impact, or comes otherwise.
 
-    The VUT keeps its way; both are at the impact as planned. Frames are those of the planned run;
-    who is slower is already on its way in the first one. The last brake time is computed anew.
-    None: the bodies do not touch, or long before, somewhere else.
-
-    Parameters
-    ----------
-    run : Run
-        As planned.
-    rule : AebRule
-        How the VUT brakes.
-    speed_mps : float
-        Of the road user, once it is reached; as planned where it stands or brakes. [m/s]
-    nearer_share : float
-        By which its way from rest to the impact is shorter. 0 .. 1
-    turn_deg : float
-        By which its way is turned about the impact, counter-clockwise. [deg]
-    aside_m : float
-        By which its way, once turned, lies farther to its left. [m]
-    start_mps2 : float, optional
-        Acceleration from rest of a road user that sets off; by default over the planned distance.
-        [m/s^2]
+    Its way from rest to the impact is shorter by `nearer_share`, turned about the impact by
+    `turn_deg`, counter-clockwise, then `aside_m` farther to its left. With `start_mps2` it sets off
+    so, else over the planned distance. The VUT keeps its way; both are at the impact as planned.
+    Frames are those of the planned run; the last brake time is computed anew. None: the bodies do
+    not touch, or long before, somewhere else.
     """
     encounter, vru = run.encounter, run.encounter.vru_motion
     if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):

@@ -20,10 +20,9 @@ from .worlds import Sample, link_frames, mount_key, pose_key, unit_key
 def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     """A table without the detections that do not reach the VUT, the same ones in all weathers.
 
-    All is drawn for each run, for accidents fall on independent days, and anew each time that a
-    world is looked at, but for low sun, which is that of the VUT and shines by day alone. Poses
-    that may be the same unit (see :func:`.unit_key`) are out of order and dirty together. LiDARs
-    are never blinded.
+    All is drawn for each run, and anew each time that a world is looked at, but for low sun, which
+    is that of the VUT and shines by day alone. Poses that may be the same unit (see
+    :func:`.unit_key`) are out of order and dirty together. LiDARs are never blinded.
     """
     drawn, loss = sample.uncertainty, sample.setting.radio.packet_loss
     if loss == 0.0 and not drawn.may_fail:

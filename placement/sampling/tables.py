@@ -46,11 +46,10 @@ def build_drawn_tables(
 ) -> tuple[DetectionTable, ...]:
     """Detection tables of a sampled world in which chance decides every frame of a camera.
 
-    The random numbers of a pose do not depend on the other poses, but for those of the person, and
-    are the same in all weathers; from frame to frame they are linked as in the evaluator. Boxes are
-    not drawn: they are near enough to match. A LiDAR counts the points that it may expect.
-    `lasting` is what this world shares with others, if there are some. A table for each of
-    `n_draws`: what can be seen is the same in all, and who is hard to see; chance decides anew.
+    Random numbers of a pose do not depend on the other poses, but for those of the person, and are
+    the same in all weathers; frames are linked as in the evaluator. Boxes are not drawn; a LiDAR
+    counts the points that it may expect. `lasting` is what this world shares with others. A table
+    for each of `n_draws`: what can be seen, and who is hard to see, is the same in all.
     """
     setting = sample.setting
     world = build_world(
@@ -114,8 +113,7 @@ def build_drawn_tables(
 def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
     """Frames in which the VUT's own sensors detect in a sampled world, if cars see, (n_frames,).
 
-    It is looked at by the evaluator's routine, as in the plan; where detections are drawn, with
-    random numbers of this world. Its own messages are never lost.
+    By the evaluator's routine; drawn detections have random numbers of this world.
     """
     compute = replace(compute, progress=silent)
     if sample.drawn_detector is not None:
@@ -129,8 +127,7 @@ def _limits(
 ) -> tuple[FloatArray, IntArray]:
     """Limits below which a standard normal number is a detection, for one mount position.
 
-    Of each candidate, weather and entry, (n, n_weathers, n_entries), and the entry that each frame
-    shows; -1 where nothing is seen.
+    (n, n_weathers, n_entries), and the entry that each frame shows; -1 where nothing is seen.
     """
     from scipy.special import ndtri
 
@@ -200,9 +197,8 @@ def sampled_table(
     """Detections of every candidate pose in many sampled worlds from `first` on, one after another.
 
     Where mounts, the street or detections are drawn, every world takes nearly as long as the plan's
-    own table: other things stand in the way, and sensors look elsewhere. A packed table has n_poses
-    x n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
-    worlds; progress counts the mount positions of all.
+    own table. A packed table has n_poses x n_frames / 8 bytes per world, in memory and in the
+    cache, which has single worlds. Progress counts the mount positions of all.
     """
     samples = draw_samples(
         *(setting, candidates, uncertainty), n_samples=n_samples, seed=compute.seed, first=first
@@ -260,13 +256,11 @@ def build_sample_tables(
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
-    Detections that are not told are taken out, see :func:`.silence`. Worlds in which everything
-    looks as planned share one build, and all of them what scene and bodies hide from the same eyes.
-    The next world is drawn, and built, while one is looked at. `n_samples` is the number of all
-    worlds, for the progress. With few poses, laying worlds out takes as long as looking: then
-    several worlds may be built `at_once`, each by one thread. `lasting` is as :func:`share_scene`
-    finds it, where other worlds were built from it. Each world comes `n_draws` times, with
-    detections and lost messages drawn anew; only single draws are cached.
+    Detections that are not told are taken out, see :func:`.silence`. Worlds that look as planned
+    share one build, all of them what scene and bodies hide. The next world is drawn and built while
+    one is looked at; with few poses, several may be built `at_once`, by one thread each.
+    `n_samples` is for the progress, `lasting` as of :func:`share_scene`. Each world comes `n_draws`
+    times, with detections and lost messages drawn anew; only single draws are cached.
     """
     lock, shared = Lock(), [] if lasting is None else [lasting]
 
@@ -302,10 +296,7 @@ def build_sample_tables(
 
 
 def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> SharedScene:
-    """Shared scene: what all sampled worlds have in common.
-
-    In worlds that are still nothing drives that was not planned.
-    """
+    """What all sampled worlds have in common; in still ones nothing drives that was not planned."""
     return build_shared_scene(
         setting.scene,
         setting.runs,

@@ -275,11 +275,7 @@ def stop_line_m(arm: Arm, lane: Lane, crosswalk_gap_m: float) -> float:
 def clear_of_ways(
     vehicles: tuple[PlacedActor, ...], ways: Mapping[GroupKey, Ways], *, clearance_m: float
 ) -> dict[GroupKey, tuple[PlacedActor, ...]]:
-    """Vehicles that stand in nobody's way, by group of runs.
-
-    Nobody stands nearer to a way than `clearance_m`: a vehicle that would has not come yet, or has
-    left.
-    """
+    """Vehicles that stand at least `clearance_m` from everybody's way, by group of runs."""
     footprints = _footprints_of(vehicles)
     return {
         key: tuple(

@@ -42,7 +42,7 @@ class FrameLinks:
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
-    """Find out which frames belong together, from numbers as `draw_index` gives, (n_frames,).
+    """Which frames belong together, from numbers as `draw_index` gives, (n_frames,).
 
     Equal ones share their random numbers, those that follow one another are linked.
     """
@@ -97,8 +97,7 @@ def mount_key(candidate: CandidatePose) -> tuple[object, ...]:
 def unit_key(candidate: CandidatePose) -> tuple[object, ...]:
     """Equal for poses of one sensor model at one mount that look into the same quarter.
 
-    So those that are tried for one unit share what becomes of it: none is chosen because it alone
-    was in order.
+    They share what becomes of the unit: none is chosen because it alone was in order.
     """
     quarter = round(candidate.pose.yaw_deg / 90.0) % 4
     return (*mount_key(candidate), candidate.sensor.name, quarter)
@@ -168,9 +167,8 @@ class Sample:
 def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
     """Setting that has a run of k times the mean weight k times, at most so often, k rounded.
 
-    The copies share its weight, and whatever is drawn for a run is drawn for each of them: so is
-    the variance of a weighted sum least for so many draws (Neyman), if runs are equally uncertain.
-    Ids of copies end in "+1", "+2" and so on.
+    Copies share its weight and are drawn each by itself: the variance of a weighted sum is least so
+    (Neyman), if runs are equally uncertain. Their ids end in "+1", "+2" and so on.
     """
     axis = setting.axis
     times = np.clip(np.rint(axis.weight / axis.weight.mean()), 1, most).astype(np.int64)
@@ -210,19 +208,15 @@ def draw_samples(
 ) -> Iterator[Sample]:
     """Draw worlds, one after the other: each is built when it is asked for.
 
-    A world is the same whatever their number, and from which one on they are drawn. `purpose` is
-    "choose" or "judge": worlds of the one share no random number with worlds of the other.
+    A world is the same whatever their number, and from which one on they are drawn. Worlds of one
+    `purpose`, "choose" or "judge", share no random number with those of the other.
 
-    All poses of one site are off by the same yaw, pitch and height: those of the mount. So they
-    stay comparable with one another, and share their rays as in the plan; two units on one pole
-    are off in the same way. What stands in the street is one and the same in all runs of a world,
-    but for what would stand in the way of a case from an approach: it is left out in those runs.
-    Road users move as the uncertainty says, each run's by itself (see :func:`.draw_road_users`).
-    What drives by is drawn for each group of runs (see :func:`.traffic.group_key`): they all have
-    their impact at the same moment of the same traffic.
-
-    Raises InputError for a number that cannot be, or vehicles in a scene without a junction;
-    MissingExtraError where SUMO shall drive and is not installed.
+    All poses of one site share the mount's errors of yaw, pitch and height. What stands in the
+    street is the same in all runs of a world, but for what would stand in a run's way. Road users
+    move as :func:`draw_road_users` says, each run's by itself; what drives by is drawn for each
+    group of runs (see :func:`.traffic.group_key`). Raises InputError for a number that cannot be,
+    or vehicles in a scene without a junction; MissingExtraError where SUMO shall drive and is not
+    installed.
     """
     check_whole("samples", n_samples, least=1)
     traffic = uncertainty.traffic

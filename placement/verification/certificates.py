@@ -143,9 +143,8 @@ def build_certificate(
 ) -> dict[str, Any]:
     """The document that ``certificate.json`` holds; an infinite gap is None in it.
 
-    `units` are the units as the layout's file has them, and `pose_index` their rows of the
-    detection table in the same order. `seconds` says how long the steps took, `versions` which
-    programs the numbers depend on, `mounts` what the poses are.
+    `units` are as the layout's file has them, and `pose_index` their rows of the table. `versions`
+    says which programs the numbers depend on, `mounts` what the poses are.
     """
     return {
         "schema": SCHEMA,
@@ -181,10 +180,9 @@ def save_certificate(
     problem: PlacementProblem,
     mounts: Mounts | None = None,
 ) -> None:
-    """Write ``certificate.json`` and ``instance.npz`` into a folder that exists.
+    """Write ``certificate.json``, a document of :func:`build_certificate`, and ``instance.npz``.
 
-    `document` is that of :func:`build_certificate` with the same `mounts`. Raises OSError if the
-    folder cannot be written to.
+    Raises OSError if the folder cannot be written to.
     """
     save_problem(folder / INSTANCE_FILE, problem, mounts)
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"

@@ -103,8 +103,8 @@ class Mounts:
         """The first pose of the grid whose name does not say where it is, in words; or nothing.
 
         Names of the grid have site, height, yaw, pitch and sensor. All poses of a site are one
-        above the other, as far apart as their names say; above the site, if `feet_m` says where
-        sites are.
+        above the other, as far apart as their names say; above the site, if `feet_m` has the places
+        of sites.
         """
         sites, foot_m = set(self.sites), dict(feet_m or {})
         for row, name in enumerate(pose_ids):

@@ -1,10 +1,8 @@
 """Recompute the worth of sets of poses from a saved problem, without the optimiser's code.
 
-Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file
-(the table's bits, the limits and the weights), and the names of the objectives. Frames are gone
-through one after the other, counting detections in a row and the time since the last one; there is
-no presolve, no window and no model. It checks the optimiser, so it is to be read against
-``docs/method.md`` and not against the optimiser.
+Shared with :mod:`placement.optimiser` are only the problem as it lies in a file and the names of
+the objectives. Frames are gone through one after the other; there is no presolve, no window and no
+model. To be read against ``docs/method.md``.
 """
 
 import math
@@ -311,11 +309,9 @@ def most_units(problem: "PlacementProblem") -> int:
 def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[Objective, float]:
     """Limit of each objective that no layout exceeds, by a look at all poses at once.
 
-    `stages` are what is claimed of a layout: limits of later stages hold for layouts that are as
-    good in earlier ones. The more poses, the earlier each run is confirmed: all usable poses
-    together avoid every run that any layout avoids, with the largest margin. If the layout avoids
-    as much as they do, every layout as good as it avoids the very same runs, so that their margins
-    bound it.
+    All usable poses together avoid every run that any layout avoids, with the largest margin. If
+    the layout that `stages` claim avoids as much, every layout as good avoids the very same runs,
+    so that their margins bound it.
     """
     limits, weight = problem.limits, problem.table.axis.weight
     usable = usable_poses(problem)

@@ -1,13 +1,10 @@
 """An independent check of a certificate: everything that can be recomputed is recomputed.
 
-What a certificate says of the layout (that it is within all limits, and what it is worth) is
-recomputed from the saved problem by :mod:`.recomputation`. What it says of all other
-layouts (that none is better than the bound) is proven again where that is easy: where all poses
-together reach no more, or where there are so few sets that all can be compared. Elsewhere the proof
-rests on the solver that the certificate names, and this says so; but every layout that differs in
-one unit is compared, if they are not too many, and a bound that one of them beats is found out.
-
-Whether the detection table is right is not looked at here: that is what the evaluator is for.
+That the layout is within all limits, and what it is worth, is recomputed by :mod:`.recomputation`.
+That no other is better than the bound is proven again where all poses together reach no more, or
+all sets can be compared. Elsewhere the proof rests on the solver that the certificate names; but
+layouts that differ in one unit are compared, if they are not too many. Whether the detection table
+is right is the evaluator's question.
 """
 
 import math

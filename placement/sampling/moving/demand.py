@@ -99,8 +99,7 @@ class _Kind(Struct, frozen=True, kw_only=True):
 def load_demand(path: Path | None = None) -> Demand:
     """Read a file of demand, by default ``data/demand.toml``.
 
-    Raises InputError if it cannot be read, a value is out of its range, shares do not sum to 1, or
-    nobody drives.
+    Raises InputError if it cannot be read, a value cannot be, or nobody drives.
     """
     if path is None:
         return _load_default()
@@ -216,11 +215,9 @@ def build_box(name: str, *, length_m: float, width_m: float, height_m: float) ->
 def write_routes(
     demand: Demand, ways: Mapping[str, Mapping[str, Mapping[str, str]]], n_lanes: Mapping[str, int]
 ) -> str:
-    """Vehicle types and flows as a SUMO route file.
+    """Vehicle types and flows as a SUMO route file; gaps between vehicles are exponential.
 
     `ways` has by arm, turn and exit the edges of the route; `n_lanes` the entry lanes of each arm.
-    Gaps between vehicles are exponential: arrivals are independent of one another.
-
     Raises InputError if the demand names an arm that the junction does not have, or nobody drives.
     """
     for arm in demand.arms:

@@ -51,10 +51,9 @@ class MovingTraffic:
     ) -> tuple[tuple[Run, ...], TrafficCount]:
         """Runs with the vehicles that drive by in one world.
 
-        `groups` are indices of runs that see the same traffic: one window of time for each group.
-        All end at the same moment, so that runs of different speeds have their impact in the same.
-        Who comes nearer than `clearance_m` to the VUT or the VRU of a run is left out of that run.
-        Raises InputError if SUMO cannot drive the demand, MissingExtraError without SUMO.
+        `groups` are indices of runs that see the same window of time, which all end at the same
+        moment. Who comes nearer than `clearance_m` to the VUT or the VRU of a run is left out of
+        it. Raises InputError if SUMO cannot drive the demand, MissingExtraError without SUMO.
         """
         members = {key: tuple(runs[index] for index in rows) for key, rows in groups.items()}
         found = simulate_windows(
@@ -117,8 +116,7 @@ def _driving_by(
 def load_traffic(source: str, scene: Scene) -> MovingTraffic:
     """Vehicles that drive by, as a question names them: "sumo", or a .toml file of demand for it.
 
-    Raises InputError if it is none of these, or not what it should be; MissingExtraError if SUMO is
-    not installed.
+    Raises InputError if it is not what it should be; MissingExtraError without SUMO.
     """
     path = Path(source)
     if source != SUMO and path.suffix.lower() != ".toml":

@@ -1,12 +1,11 @@
 """SUMO: a scene's lanes as its network, and the traffic of one sampled world on it.
 
-Plain nodes and edges are put together by netconvert. The simulation runs in a child process
-(:mod:`.child`). Windows of time, one per group of runs, follow one another with pauses of random
-length between them, so that each meets another moment of the signal programme. In each, the VUT of
-one run of the group is moved along its path without braking, and the vehicles of SUMO react to it
-as to any other: they follow it, keep their gaps and do not change lanes into it. It obeys neither
-lights nor right of way, as Euro NCAP's does not: who has a green light may come into its way, and
-is left out of the run by :mod:`.trajectories`.
+netconvert puts plain nodes and edges together; the simulation runs in a child process
+(:mod:`.child`). Windows of time, one per group of runs, follow one another with random pauses, so
+that each meets another moment of the signal programme. In each, the VUT of one run is moved along
+its path without braking; SUMO's vehicles react to it as to any other. It obeys neither lights nor
+right of way, as Euro NCAP's does not: who comes into its way is left out of the run by
+:mod:`.trajectories`.
 """
 
 import json
@@ -79,17 +78,10 @@ def missing_sumo() -> MissingExtraError:
 def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) -> RoadNetwork:
     """Write the lanes of a scene's junction as plain XML, and let netconvert connect them.
 
-    Lanes keep their lines. Arms that the map cuts off sooner than `approach_m` go straight on.
-    Where the map has lanes through the junction, vehicles drive along those and no others; from
-    all other lanes netconvert guesses them. Lights stand where the scene has some, with SUMO's own
-    programme; elsewhere priority is netconvert's.
-
-    Raises
-    ------
-    InputError
-        The scene has no junction, no lane leads in or out, or netconvert cannot read the lanes.
-    MissingExtraError
-        SUMO is not installed.
+    Lanes keep their lines; arms that end sooner than `approach_m` go straight on. The map's own
+    lanes through the junction are used where it has some. Lights stand where the scene has some;
+    else priority is netconvert's. Raises InputError: no junction, no lane leads in or out, or
+    netconvert cannot read the lanes; MissingExtraError: SUMO is not installed.
     """
     program = sumo_program("netconvert")
     junction = build_junction(scene)
@@ -325,11 +317,10 @@ def simulate_windows(
 ) -> SimulatedWindows:
     """Drive traffic through a junction long enough to cut one window for each group of runs.
 
-    Runs of a group, at least one, share a window as long as the longest; the VUT is that of the run
-    in the middle of their speeds. Vehicles farther than `reach_m` from the middle of the junction
-    are left out. The random numbers decide order and pauses of the windows, and SUMO's seed. Raises
-    InputError if the demand does not fit the junction or SUMO cannot drive it, MissingExtraError
-    without SUMO.
+    Runs of a group, at least one, share a window as long as the longest, with the VUT of the run in
+    the middle of their speeds. Vehicles farther than `reach_m` from the junction's middle are left
+    out. `rng` decides order and pauses of the windows, and SUMO's seed. Raises InputError if SUMO
+    cannot drive the demand, MissingExtraError without SUMO.
     """
     seed = int(rng.integers(_MAX_SEED))
     keys = list(groups)

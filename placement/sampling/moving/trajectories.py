@@ -77,10 +77,9 @@ def build_trajectories(
 ) -> Trajectories:
     """Trajectories from SUMO's samples, in any order.
 
-    `vehicle` (n,) is the number of each sample's vehicle, an index into `bodies`; those without a
-    sample are dropped. `front_m` (n, 2) is the middle of the front bumper, SUMO's x and y, in the
-    world frame; `angle_deg` (n,) is clockwise from north, as SUMO's. Traffic is known from
-    `span_s[0]` to `span_s[1]`, with samples `step_s` apart.
+    `vehicle` (n,) is each sample's index into `bodies`; `front_m` (n, 2) the middle of the front
+    bumper in the world frame; `angle_deg` (n,) clockwise from north. Traffic is known over
+    `span_s`, with samples `step_s` apart.
     """
     order = np.lexsort((time_s, vehicle))
     vehicle, time_s, front_m = vehicle[order], time_s[order], front_m[order]
