@@ -1,22 +1,26 @@
-"""Pages of a city: the report of all junctions, and one for each."""
+"""Pages and figures of a city: the report of all junctions, and one for each."""
 
 from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
+from geometry.arrays import FloatArray
+from geometry.maps.source_map import SourceMap
 from geometry.scene import Scene
+from placement.city.fronts import JunctionFront
 from placement.layout import Layout
 
-from ..figures.axes import VERMILION
+from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_axes
 from ..parts.section import Block, Bullets, Code, Section, Table, build_picture
 from ..report.page import page_template
 from ..results.numbers import euros, number, percent
-from ..scene.pictures import plot_scene_plan
+from ..scene.pictures import HALO, new_map_axes, plot_scene_plan
 from .answer import CityFrontRecord, CityJunctionRecord, CityResult
-from .map import plot_junction_front
 
 MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""
@@ -354,3 +358,148 @@ def _draw_units(axes: Axes, layout: Layout) -> None:
             zorder=10,
         )
         axes.plot([x], [y], marker="o", ms=7.0, mfc=VERMILION, mec="black", mew=0.6, zorder=11)
+
+
+# ---------- figures: the map with what each junction gets, the front, and a junction's front
+
+
+_AREA_PT2 = (70.0, 380.0)  # of the smallest and the largest circle
+_MAX_NAMED = 12
+_DOT: Style = {"linestyle": "none", "marker": "o"}
+_CHOSEN: Style = {
+    **{"linestyle": "none", "marker": "D", "ms": 7.5, "mfc": VERMILION, "mec": "black", "mew": 0.6},
+    **{"label": "chosen", "gid": "chosen", "zorder": 5},
+}
+
+
+def plot_city_map(
+    maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
+) -> Axes:
+    """Streets and buildings of the maps, and what each junction gets.
+
+    `positions_m`, (2,) of each junction of `result`, are in the first map's coordinates. Circles
+    grow with the gain and darken with the number of units, which stands in them. A small open
+    circle gets nothing, a cross was not done.
+    """
+    places, junctions = np.array(positions_m).reshape(-1, 2), result.junctions
+    axes = new_map_axes(maps, places)
+    gain = np.array([max(one.gain, 0.0) for one in junctions])
+    units = np.array([one.units for one in junctions])
+    failed = np.array([bool(one.reason) for one in junctions])
+    served = units > 0
+    most = max(int(units.max(initial=1)), 1)
+    size = _AREA_PT2[0] + (_AREA_PT2[1] - _AREA_PT2[0]) * gain / max(gain.max(initial=0.0), 1e-12)
+    order = np.flatnonzero(served)[np.argsort(-size[served], kind="stable")]
+
+    def shade(n: int) -> Any:
+        # Light to dark: a lightness that falls evenly is read without colours, too.
+        return colormaps["cividis_r"](0.15 + 0.85 * n / most)
+
+    for index in order:
+        axes.scatter(
+            places[index, 0],
+            places[index, 1],
+            s=size[index],
+            color=shade(units[index]),
+            edgecolor="black",
+            linewidth=0.6,
+            zorder=5,
+            gid=f"junction {junctions[index].id}",
+        )
+        dark = units[index] > 0.45 * most
+        _write(axes, units[index], places[index], fontsize=6.5, color="white" if dark else "black")
+    for rank, index in enumerate(order[:_MAX_NAMED], start=1):
+        away = (0.6 * np.sqrt(size[index]) + 1.0, 4.0)
+        style: Style = {"fontsize": 7.5, "fontweight": "bold", "color": BLUE, "ha": "left"}
+        _write(axes, rank, places[index], xytext=away, va="baseline", path_effects=[HALO], **style)
+    circle: Style = {**_DOT, "ms": 7.0, "mec": "black", "mew": 0.6}
+    handles = [
+        Line2D([], [], mfc=shade(n), label=f"{n} unit{'s' if n > 1 else ''}", **circle)
+        for n in sorted(set(units[served].tolist()))
+    ]
+    for mask, style in (
+        (
+            ~served & ~failed,
+            {**_DOT, "mfc": "white", "mec": "#444444", "mew": 0.9, "ms": 4.0, "label": "nothing"},
+        ),
+        (
+            failed,
+            {**_DOT, "marker": "x", "mec": VERMILION, "mew": 1.4, "ms": 5.0, "label": "not done"},
+        ),
+    ):
+        if mask.any():
+            handles += axes.plot(*places[mask].T, zorder=4, **style)
+    axes.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.01),
+        ncols=min(max(len(handles), 1), 6),
+        fontsize=7.5,
+        frameon=False,
+    )
+    return axes
+
+
+def _write(axes: Axes, number: int, place: FloatArray, **style: Any) -> None:
+    at: Style = {"xytext": (0.0, 0.0), "textcoords": "offset points", "zorder": 7}
+    axes.annotate(str(number), tuple(place), **{"ha": "center", "va": "center", **at, **style})
+
+
+def plot_city_front(result: CityResult) -> Axes:
+    """Prevented accidents against money or units: who joins, and where the budget ends.
+
+    Each dot is the best choice for its cost. The diamond is the choice for the budget; above it,
+    the bound where that is higher.
+    """
+    axes = new_axes(WIDTH_IN, 3.2)
+    by_cost = result.by == "cost"
+    x = [0.0, *(step.taken for step in result.front)]
+    y = [100.0 * result.apr_before, *(100.0 * step.apr for step in result.front)]
+    axes.plot(x, y, color=BLUE, lw=1.0, zorder=2)
+    axes.plot(x, y, ms=3.5, color=BLUE, zorder=3, gid="steps", **_DOT)
+    taken = result.cost_eur if by_cost else float(result.units)
+    stage = result.stages[0]
+    axes.plot([taken], [100.0 * stage.objective], **_CHOSEN)
+    if stage.bound is not None and stage.gap:
+        bar: Style = {"linestyle": "none", "marker": "_", "ms": 12.0, "mec": VERMILION, "mew": 2.0}
+        axes.vlines(taken, 100.0 * stage.objective, 100.0 * stage.bound, color=VERMILION, lw=2.0)
+        axes.plot([taken], [100.0 * stage.bound], label="no choice is above", **bar)
+    budget = result.budget_eur if by_cost else result.budget_units
+    if budget is not None:
+        axes.axvline(budget, color="black", lw=0.8, linestyle=(0, (2, 2)), label="budget")
+    axes.set_ylim(0.0, 104.0)
+    axes.set_xlim(left=0.0)
+    label = "cost of units and sites (EUR)" if by_cost else "new units"
+    return _finish_front(axes, label, "accidents prevented (%)", by_cost=by_cost)
+
+
+def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
+    """APR against money at one junction: points with their units, bounds, the one chosen."""
+    axes = new_axes(WIDTH_IN, 2.8)
+    cost = [point.cost_eur for point in front.points]
+    apr_percent = [100.0 * point.apr for point in front.points]
+    end = 1.1 * max(*cost, 1.0)
+    axes.plot(
+        [start for start, _ in front.by_cost] + [end],
+        [100.0 * bound for _, bound in (*front.by_cost, front.by_cost[-1])],
+        drawstyle="steps-post",
+        color="#777777",
+        lw=1.0,
+        linestyle=(0, (3, 2)),
+        label="no layout is above",
+    )
+    axes.plot(cost, apr_percent, ms=5.0, color=BLUE, label="layouts", gid="points", **_DOT)
+    for x, y, point in zip(cost, apr_percent, front.points, strict=True):
+        _write(axes, point.units, np.array([x, y]), xytext=(0.0, -9.0), va="baseline", fontsize=6.5)
+    axes.plot([cost[chosen]], [apr_percent[chosen]], **_CHOSEN)
+    axes.set_ylim(-8.0, 104.0)
+    axes.set_xlim(-0.03 * end, end)
+    return _finish_front(axes, "cost (EUR); below each point its units", "APR (%)", by_cost=True)
+
+
+def _finish_front(axes: Axes, x: str, y: str, *, by_cost: bool) -> Axes:
+    finish_axes(axes, x=x, y=y, grid="y")
+    if by_cost:
+        axes.xaxis.set_major_formatter(lambda value, _position: f"{value:,.0f}")
+    axes.legend(fontsize=8, frameon=False, loc="lower right")
+    return axes

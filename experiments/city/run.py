@@ -72,8 +72,13 @@ from .inputs import (
     load_existing,
     load_values,
 )
-from .map import plot_city_front, plot_city_map
-from .pages import MAX_ROWS, render_city_report, render_junction_page
+from .pages import (
+    MAX_ROWS,
+    plot_city_front,
+    plot_city_map,
+    render_city_report,
+    render_junction_page,
+)
 from .workers import JunctionAnswer, JunctionTask, check_memory, run_junctions, start_workers
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"

@@ -6,7 +6,7 @@ is the way in.
 """
 
 from .demand import read_body
-from .source import MovingTraffic, load_traffic
+from .sumo import MovingTraffic, load_traffic
 from .trajectories import NO_TRAFFIC, TrafficCount
 
 __all__ = ["NO_TRAFFIC", "MovingTraffic", "TrafficCount", "load_traffic", "read_body"]

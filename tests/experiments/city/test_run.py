@@ -508,7 +508,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):
-    from experiments.city.map import plot_city_front
+    from experiments.city.pages import plot_city_front
 
     result = run(tiny / "tiny.osm", city, budget_eur=20_000.0)
     axes = plot_city_front(result)
