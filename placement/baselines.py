@@ -8,7 +8,6 @@ from itertools import chain, pairwise
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError
 from geometry.junction import Arm, Junction, Line, build_junction, lane_line
 from geometry.scene import Lane, Scene
 
@@ -53,9 +52,6 @@ class RandomLayouts:
         """5 % of them prevent no less."""
         return float(np.quantile(self.apr, 0.95))
 
-    def __repr__(self) -> str:
-        return f"RandomLayouts({len(self.apr)} of {self.n_units} units, mean {self.mean:.4f})"
-
 
 def random_sets(
     limits: Limits, n_units: int, *, n: int = N_RANDOM, rng: np.random.Generator
@@ -64,11 +60,8 @@ def random_sets(
 
     One pose after the other is drawn, any that the limits still admit as likely as another; what
     cannot be completed is drawn anew. There are `n`, one perhaps twice; fewer where the limits
-    leave hardly any. Raises InputError for a number below 1.
+    leave hardly any.
     """
-    for where, number in (("n_units", n_units), ("n", n)):
-        if number < 1:
-            raise InputError(where, number, "a whole number, at least 1")
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
 
     @cache  # every set begins alike
@@ -233,7 +226,7 @@ def propose(
 ) -> Proposals:
     """Random layouts of so many units, and the poses that an expert's rule of thumb knows.
 
-    Raises InputError where a number is below 1, or the scene has no junction.
+    Raises InputError where the scene has no junction.
     """
     middle = middle_m(scene)
     direct = _most_direct(limits, candidates, middle)

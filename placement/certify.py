@@ -54,8 +54,7 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
 
     The expected bound of a block is not below the best expected APR: in each block the best layout
     is at least as good as the one that is best over all. Both means have an interval of Student's t
-    with 95 %, of which one end each counts: 2.5 % on either side, 5 % together. Raises InputError
-    for less than two of either.
+    with 95 %, of which one end each counts: 2.5 % on either side, 5 % together.
 
     References
     ----------
@@ -68,9 +67,6 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
     >>> round(estimate.bias, 4), round(estimate.gap, 4)
     (0.007, 0.0185)
     """
-    for where, values in (("blocks", bounds), ("worlds", aprs)):
-        if len(values) < 2:
-            raise InputError(where, len(values), "at least 2: one alone shows no spread")
     return GapEstimate(most=estimate_mean(bounds), least=estimate_mean(aprs))
 
 

@@ -393,9 +393,6 @@ class Refinement:
         """True if a better layout was found."""
         return bool(self.moves)
 
-    def __repr__(self) -> str:
-        return f"Refinement({self.placement.layout!r}, {self.n_tried} poses tried)"
-
 
 def refine(
     setting: Setting,

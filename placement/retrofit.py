@@ -13,7 +13,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError
-from geometry.files import load_toml, pick, read_table
+from geometry.files import load_toml, read_table
 from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
@@ -98,10 +98,6 @@ def _looks_there(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> bo
 # ---------- labour: what it costs to re-aim or to remove a unit
 
 
-_FILE = "labour.toml"
-_NUMBERS = ("people", "wage_eur_per_h", "travel_h", "lift_eur", "re_aim_h", "remove_h")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labour:
     """Prices of work without hardware: people and a lift."""
@@ -113,11 +109,6 @@ class Labour:
     re_aim_h: float  # at the pole
     remove_h: float  # at the pole
     source: str  # where the numbers come from
-
-    def __post_init__(self) -> None:
-        for field in _NUMBERS:
-            if not getattr(self, field) >= 0.0:
-                raise InputError(f"labour.{field}", getattr(self, field), "at least 0")
 
     @property
     def re_aim_eur(self) -> float:
@@ -133,16 +124,16 @@ class Labour:
         return self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h) + self.lift_eur
 
 
-def load_labour(name: str = "default") -> Labour:
-    """Labour prices by name, from ``data/labour.toml``.
+def load_labour() -> Labour:
+    """Labour prices, from ``data/labour.toml``.
 
     Examples
     --------
     >>> load_labour().re_aim_eur
     505.0
     """
-    table = pick(load_toml(files(__package__) / "data" / _FILE), name, _FILE)
-    return read_table(table, Labour, f"{_FILE}: {name}")
+    table = load_toml(files(__package__) / "data" / "labour.toml")["default"]
+    return read_table(table, Labour, "labour.toml: default")
 
 
 # ---------- changes

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError
 
 from ..layout import Certificate, Stage, relative_gap
 from ..optimiser.model import run_solver, solver_text
@@ -277,10 +277,6 @@ class CityWishes:
     districts: Sequence[District] = field(default_factory=tuple)  # each reaches its APR
     # (n_junctions,): APR that each junction reaches by itself; by default 0
     least_apr: FloatArray | None = None
-
-    def __post_init__(self) -> None:
-        if self.budget_units is None and self.budget_eur is None:
-            raise InputError("budget_units", Unquoted("nothing"), "`budget_units` or `budget_eur`")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

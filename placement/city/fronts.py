@@ -7,7 +7,7 @@ from math import comb
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray, freeze
+from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
@@ -85,19 +85,6 @@ class JunctionFront:
             if any(a[0] >= b[0] or a[1] > b[1] + TOLERANCE for a, b in pairwise(steps)):
                 raise InputError(f"front.{name}", steps, "steps that rise")
 
-    @property
-    def is_proven(self) -> bool:
-        """True if no layout has a higher APR than the points, for any number of units or euros."""
-        return all(
-            bound <= max(p.apr for p in self.points if p.units <= units) + TOLERANCE
-            for units, bound in self.by_units
-        ) and all(
-            bound
-            <= max(p.apr for p in self.points if p.cost_eur <= cost + COST_TOLERANCE_EUR)
-            + TOLERANCE
-            for cost, bound in self.by_cost
-        )
-
 
 def build_junction_front(
     points: Iterable[Point],
@@ -161,18 +148,6 @@ class Options:
     smallest_margin_s: FloatArray
     mean_margin_s: FloatArray
 
-    def __post_init__(self) -> None:
-        for name in ("junction", "units"):
-            object.__setattr__(self, name, freeze(np.array(getattr(self, name), dtype=np.int64)))
-        for name in _VALUES:
-            values = np.array(getattr(self, name), dtype=np.float64)
-            if values.shape != self.junction.shape or not np.isfinite(values).all():
-                raise InputError(f"options.{name}", values.shape, "a finite number for each option")
-            object.__setattr__(self, name, freeze(values))
-        steps = np.diff(self.junction, prepend=-1)
-        if not ((steps == 0) | (steps == 1)).all():
-            raise InputError("options.junction", Unquoted("gaps"), "junctions 0, 1, 2 .. in order")
-
     def __len__(self) -> int:
         return len(self.junction)
 
@@ -232,7 +207,7 @@ def stack_bounds(
     unknown = np.zeros(len(junction))
     return Options(
         junction=np.array(junction),
-        units=np.array(units),
+        units=np.array(units, dtype=np.int64),
         cost_eur=np.array(cost),
         apr=np.array(apr),
         apr_one_failed=unknown,

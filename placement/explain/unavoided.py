@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
 from geometry.files import says
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
@@ -273,17 +272,9 @@ def find_unavoided(
 
     `candidates` are the rows of the problem's table; at least one is mounted (`pose_index`);
     `compute` has the table's seed. Runs of weight 0 are left out. A candidate that would save a run
-    is allowed beside the others, whatever it costs. Raises InputError if the table does not belong
-    to runs and candidates.
+    is allowed beside the others, whatever it costs.
     """
-    axis, chosen = problem.table.axis, list(pose_index)
-    if axis.run_ids != setting.axis.run_ids or axis.n_frames != setting.axis.n_frames:
-        raise InputError("table", Unquoted(f"{axis.n_runs} other runs"), "the setting's runs")
-    if tuple(candidate.id for candidate in candidates) != problem.table.pose_ids:
-        raise InputError("candidates", Unquoted("others"), "the rows of the table")
-    if not chosen:
-        raise InputError("pose_index", chosen, "at least one pose")
-    scene, seed = setting.scene, compute.seed
+    scene, seed, chosen = setting.scene, compute.seed, list(pose_index)
     seen = ""
     if compute.cache_folder is not None:
         seen = table_fingerprint(scene, candidates, setting.runs, setting.table_detector, seed=seed)

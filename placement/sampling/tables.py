@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.lidar import LidarModel
 from geometry.weather import pick_weather
 
@@ -171,18 +170,6 @@ class SampledTable:
     sample_index: IntArray  # (n_runs,): world of each run of `table`, from 0
     n_samples: int
     seen_by_vut: BoolArray | None = None  # (n_frames,): of `table`, where cars see
-
-    def __post_init__(self) -> None:
-        index = np.array(self.sample_index, dtype=np.int64)
-        n_runs = self.table.axis.n_runs
-        if index.shape != (n_runs,):
-            raise InputError("sample_index", Unquoted(f"shape {index.shape}"), f"shape ({n_runs},)")
-        if sorted(set(index.tolist())) != list(range(self.n_samples)):
-            raise InputError("sample_index", index.tolist(), f"0 .. {self.n_samples - 1}, each")
-        object.__setattr__(self, "sample_index", freeze(index))
-
-    def __repr__(self) -> str:
-        return f"SampledTable({self.n_samples} samples, {self.table!r})"
 
 
 def sampled_table(

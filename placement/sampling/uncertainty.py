@@ -351,9 +351,6 @@ class Uncertainty:
         """True if chance decides anew each time that a world is looked at."""
         return self.draws_detections or self.packet_loss > 0.0 or self.may_fail
 
-    def __repr__(self) -> str:
-        return f"Uncertainty({self.name!r})"
-
 
 def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Uncertainty:
     """Uncertainty with vehicles that drive by, which replace those drawn at the stop lines."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, IntArray, freeze
-from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.scene import Scene
 from scenarios.aeb import AebRule, last_brake_time_s
@@ -71,11 +70,6 @@ class RandomStreams:
     purpose: str  # {"choose", "judge"}: what the world is for
     index: int  # number of the world
     draw: int = 0  # of detections and lost messages: a world may be looked at more than once
-
-    def __post_init__(self) -> None:
-        check_whole("seed", self.seed, least=0)
-        if self.purpose not in PURPOSES:
-            raise InputError("purpose", self.purpose, "one of " + ", ".join(PURPOSES))
 
     def rng(self, *key: object) -> np.random.Generator:
         """Generator of one thing of this world; its draws do not depend on any other thing."""
@@ -160,12 +154,6 @@ class Sample:
         is_empty = not self.vehicles and not self.driving.n_vehicles
         is_run_as_planned = is_empty and self.uncertainty.road_users.are_as_planned
         return is_run_as_planned and self.drawn_detector is None
-
-    def __repr__(self) -> str:
-        return (
-            f"Sample({self.streams.index}, {self.streams.purpose!r}, "
-            f"{len(self.vehicles)} vehicles, {len(self.candidates)} poses)"
-        )
 
 
 def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:

@@ -145,9 +145,6 @@ class StoredCertificate:
     versions: Mapping[str, Any]  # of the programs that the numbers depend on
     presolve: Mapping[str, tuple[int, int]]  # sizes before and after
 
-    def __repr__(self) -> str:
-        return f"StoredCertificate({list(self.pose_ids)}, {self.solver!r})"
-
 
 def build_certificate(
     problem: PlacementProblem,

@@ -75,9 +75,6 @@ class Mounts:
             got = int(self.sensor_index[outside][0])
             raise InputError("mount_sensor", got, "a row of sensors")
 
-    def __repr__(self) -> str:
-        return f"Mounts({len(self.sites)} poses in {self.scene_name!r})"
-
     def differences(self, row: int, unit: CandidatePose) -> list[str]:
         """Differences of a unit from the pose of a row, in words; its name does not count."""
         found = []

@@ -60,9 +60,6 @@ class Demand:
         """Vehicles an hour on all entry lanes of an arm."""
         return self.arms.get(arm, self.vehicles_per_hour_per_lane * n_lanes)
 
-    def __repr__(self) -> str:
-        return f"Demand({self.name!r}, {self.vehicles_per_hour_per_lane:g} per hour and lane)"
-
 
 # ---------- reading
 

@@ -454,9 +454,6 @@ class MovingTraffic:
     demand: Demand  # what SUMO drives
     network: RoadNetwork  # on which SUMO drives it, anew in each world
 
-    def __repr__(self) -> str:
-        return f"MovingTraffic({self.name!r})"
-
     def draw(
         self,
         runs: Sequence[Run],

@@ -35,9 +35,6 @@ class Trajectories:
             object.__setattr__(self, name, freeze(np.array(getattr(self, name), dtype=np.float64)))
         object.__setattr__(self, "row_start", freeze(np.array(self.row_start, dtype=np.int64)))
 
-    def __repr__(self) -> str:
-        return f"Trajectories({len(self.bodies)} vehicles, {len(self.time_s)} samples)"
-
     def between(self, first_s: float, last_s: float) -> IntArray:
         """Vehicles with samples that may reach into a span of time, (n,)."""
         begin = self.time_s[self.row_start[:-1]]
