@@ -13,13 +13,14 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, pick, take_list, take_number
+from geometry.files import load_toml, pick
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.sensors import project_points
 from geometry.terrain import ground_height_m
 
+from .compute import check_distinct
 from .question import Question, read_number, split_names
 
 if TYPE_CHECKING:  # solvers of differential equations come with it
@@ -183,10 +184,7 @@ def build_candidates(
         for yaw_deg, pitch_deg in grid.directions_deg(sensor)
     ]
     candidates += extra
-    ids = [candidate.id for candidate in candidates]
-    if len(set(ids)) < len(ids):
-        repeated = next(name for name in ids if ids.count(name) > 1)
-        raise InputError("candidates", repeated, "every id once")
+    check_distinct("candidates", [candidate.id for candidate in candidates], "every id once")
     return tuple(candidates)
 
 
@@ -195,19 +193,8 @@ def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
     """The default grid, from ``data/candidates.toml``, or one with a ninth of its poses."""
     where = "coarse_candidates.toml" if is_coarse else "candidates.toml"
     table = load_toml(files(__package__) / "data" / where)
-    return CandidateGrid(
-        heights_m=float_array(take_list(table, "heights_m", where), (-1,), f"{where}: heights_m"),
-        yaw_step_deg=take_number(table, "yaw_step_deg", where),
-        pitches_deg=float_array(
-            take_list(table, "pitches_deg", where), (-1,), f"{where}: pitches_deg"
-        ),
-        ring_pitches_deg=float_array(
-            take_list(table, "ring_pitches_deg", where), (-1,), f"{where}: ring_pitches_deg"
-        ),
-        sensors=tuple(
-            pick_sensor(name, f"{where}: sensors") for name in take_list(table, "sensors", where)
-        ),
-    )
+    models = tuple(pick_sensor(name, f"{where}: sensors") for name in table.pop("sensors"))
+    return CandidateGrid(**table, sensors=models)
 
 
 def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:

@@ -18,6 +18,7 @@ from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
+from .compute import check_distinct
 from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
@@ -54,10 +55,7 @@ class LatencyBudget:
         where = f"{self.name}.parts"
         if not self.parts:
             raise InputError(where, Unquoted("none"), "at least one")
-        names = [part.name for part in self.parts]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(where, Unquoted(f"{name!r} twice"), "every name once")
+        check_distinct(where, [part.name for part in self.parts], "every name once")
 
     @property
     def best_s(self) -> float:

@@ -2,17 +2,17 @@
 
 import math
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 
-from geometry.arrays import float_array
+from geometry.arrays import Point3
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
@@ -23,7 +23,7 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, parse_json, pick, read_text, take_list, take_number, take_text
+from geometry.files import Text, load_toml, parse_json, pick, read_table, read_text
 from geometry.frames import from_carla_pose
 from geometry.maps.place_lists import (
     PLACE_FIELDS,
@@ -40,6 +40,7 @@ from geometry.study_scene import load_study_scene
 from geometry.terrain import ground_height_m
 
 from .candidates import CandidatePose, above_ground, own_models
+from .compute import check_distinct
 from .question import BASELINE_NAME
 
 if TYPE_CHECKING:
@@ -53,7 +54,6 @@ RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
 _MAX_DISTANCE_M = 1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
-_NUMBERS = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,21 +77,17 @@ class Layout:
     def __post_init__(self) -> None:
         if not self.units:
             raise InputError(f"layout {self.name}", Unquoted("no unit"), "at least one unit")
-        ids = [unit.id for unit in self.units]
-        if len(set(ids)) < len(ids):
-            repeated = next(name for name in ids if ids.count(name) > 1)
-            raise InputError(f"layout {self.name}: id", repeated, "every id once")
-        sensors = [unit.sensor.name for unit in self.units]
-        for text in (self.name, *ids, *sensors, *(unit.site_id for unit in self.units)):
+        ids, where = [unit.id for unit in self.units], f"layout {self.name}: id"
+        check_distinct(where, ids, "every id once")
+        words = (word for unit in self.units for word in (unit.id, unit.sensor.name, unit.site_id))
+        for text in (self.name, *words):
             if not text.isprintable():  # a line break, or half of a surrogate pair
                 raise InputError("layout: name or id", text, "printable text")
         for name in ids:
             if name in RESERVED_IDS:
-                raise InputError(
-                    f"layout {self.name}: id",
-                    name,
-                    "another name: " + ", ".join(RESERVED_IDS) + " mean other sensing parties",
-                )
+                meant = ", ".join(RESERVED_IDS)
+                expected = f"another name: {meant} mean other sensing parties"
+                raise InputError(where, name, expected)
 
     def __repr__(self) -> str:
         return f"Layout({self.name!r}, {[unit.id for unit in self.units]})"
@@ -213,6 +209,22 @@ def _lens_record(sensor: Sensor) -> dict[str, float]:
     return {"fov_deg": sensor.horizontal_fov_deg}
 
 
+class _UnitRecord(Struct, frozen=True, kw_only=True):
+    """A unit of a layout file."""
+
+    id: Text
+    camera: Text | None = None
+    lidar: Text | None = None
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_deg: float
+    pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0, description="-90 .. 90 degrees")]
+    site: str = ""
+    latency_s: Annotated[float, Meta(ge=0.0, description="seconds, at least 0")] | None = None
+    fov_deg: float | None = None
+
+
 def layout_from_records(
     name: str, records: Sequence[Any], where: str, *, sensors: Mapping[str, Sensor] | None = None
 ) -> Layout:
@@ -226,51 +238,31 @@ def layout_from_records(
         here = f"{where}: layout[{index}]"
         if not isinstance(record, Mapping):
             raise InputError(here, record, "an object with the fields of a unit")
-        kinds = [kind for kind in SENSOR_KINDS if kind in record]
+        known = {key: record[key] for key in _UnitRecord.__struct_fields__ if key in record}
+        unit = read_table(known, _UnitRecord, here)
+        kinds = [kind for kind in SENSOR_KINDS if getattr(unit, kind) is not None]
         if len(kinds) > 1:
             raise InputError(here, Unquoted(" and ".join(kinds)), "one of them")
-        kind = kinds[0] if kinds else SENSOR_KINDS[0]
-        for key in ("id", kind, *_NUMBERS):
-            if key not in record:
-                raise InputError(f"{here}.{key}", Unquoted("nothing"), "a value")
-        for key in ("id", kind):
-            if not isinstance(record[key], str) or not record[key]:
-                raise InputError(f"{here}.{key}", record[key], "text")
-        latency_s = record.get("latency_s")
-        fov_deg = record.get("fov_deg")
-        for key in (*_NUMBERS, "latency_s", "fov_deg"):
-            if key not in _NUMBERS and record.get(key) is None:
-                continue
-            value = record[key]
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (is_number and abs(value) <= sys.float_info.max):
-                raise InputError(f"{here}.{key}", value, "a finite number")
-        if not -90.0 <= record["pitch_deg"] <= 90.0:
-            raise InputError(f"{here}.pitch_deg", record["pitch_deg"], "-90 .. 90 degrees")
-        if latency_s is not None and latency_s < 0.0:
-            raise InputError(f"{here}.latency_s", latency_s, "seconds, at least 0")
-        site = record.get("site", "")
-        if not isinstance(site, str):
-            raise InputError(f"{here}.site", site, "text")
-        own = (sensors or {}).get(record[kind])
-        sensor = own or pick_sensor(record[kind], f"{here}.{kind}", kind=kind)
+        if not kinds:
+            raise InputError(f"{here}.{SENSOR_KINDS[0]}", Unquoted("nothing"), "a value")
+        kind, model = kinds[0], getattr(unit, kinds[0])
+        own = (sensors or {}).get(model)
+        sensor = own or pick_sensor(model, f"{here}.{kind}", kind=kind)
         if sensor_kind(sensor) != kind:
-            raise InputError(f"{here}.{kind}", record[kind], f"a {kind}")
-        if fov_deg is not None:
+            raise InputError(f"{here}.{kind}", model, f"a {kind}")
+        if unit.fov_deg is not None:
             if not isinstance(sensor, CameraModel):
-                raise InputError(f"{here}.fov_deg", fov_deg, "nothing: only cameras have lenses")
-            sensor = with_fov(sensor, fov_deg, f"{here}.fov_deg")
+                expected = "nothing: only cameras have lenses"
+                raise InputError(f"{here}.fov_deg", unit.fov_deg, expected)
+            sensor = with_fov(sensor, unit.fov_deg, f"{here}.fov_deg")
+        position_m = np.array([unit.x_m, unit.y_m, unit.z_m])
         units.append(
             CandidatePose(
-                id=record["id"],
-                site_id=site,
-                pose=Pose(
-                    position_m=np.array([record["x_m"], record["y_m"], record["z_m"]]),
-                    yaw_deg=record["yaw_deg"],
-                    pitch_deg=record["pitch_deg"],
-                ),
+                id=unit.id,
+                site_id=unit.site,
+                pose=Pose(position_m=position_m, yaw_deg=unit.yaw_deg, pitch_deg=unit.pitch_deg),
                 sensor=sensor,
-                latency_s=latency_s,
+                latency_s=unit.latency_s,
             )
         )
     return Layout(name=name, units=tuple(units))
@@ -412,34 +404,32 @@ def find_layout(
     return load_layout(Path(name), scene=scene, sensors=own_models(sensors))
 
 
+class _StudyUnit(Struct, frozen=True, kw_only=True):
+    id: str
+    site: str
+    position_m: Point3
+    yaw_deg: float
+    pitch_deg: float
+
+
 @cache
 def load_carlancap_layout() -> Layout:
     """The study's 12 roadside cameras, from ``data/carla_ncap_layout.toml``."""
     where = "carla_ncap_layout.toml"
     table = load_toml(files(__package__) / "data" / where)
-    camera = pick_camera(take_text(table, "camera", where), f"{where}: camera")
-    units = []
-    for index, entry in enumerate(take_list(table, "units", where)):
-        here = f"{where}: units[{index}]"
-        units.append(
-            CandidatePose(
-                id=take_text(entry, "id", here),
-                site_id=take_text(entry, "site", here),
-                pose=from_carla_pose(
-                    position_m=float_array(
-                        take_list(entry, "position_m", here), (3,), f"{here}.position_m"
-                    ),
-                    yaw_deg=take_number(entry, "yaw_deg", here),
-                    pitch_deg=take_number(entry, "pitch_deg", here),
-                ),
-                sensor=camera,
-            )
+    camera = pick_camera(table["camera"], f"{where}: camera")
+    units = tuple(
+        CandidatePose(
+            id=unit.id,
+            site_id=unit.site,
+            pose=from_carla_pose(
+                position_m=unit.position_m, yaw_deg=unit.yaw_deg, pitch_deg=unit.pitch_deg
+            ),
+            sensor=camera,
         )
-    return Layout(
-        name=take_text(table, "name", where),
-        units=tuple(units),
-        scene_name=load_study_scene().name,
+        for unit in read_table(table["units"], list[_StudyUnit], where)
     )
+    return Layout(name=table["name"], units=units, scene_name=load_study_scene().name)
 
 
 def find_baseline(scene: Scene) -> Layout | None:

@@ -12,11 +12,11 @@ from importlib.resources import files
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError
 from geometry.files import load_toml, read_table
 from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
+from .compute import check_distinct
 from .detection_table import run_of_level
 from .layout import Certificate, Layout
 from .optimiser import (
@@ -66,33 +66,24 @@ def build_retrofit_poses(
 
     Additions with the id of a unit are left out. Raises InputError if two ids are equal.
     """
-    aims = [
-        (number, _aimed(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg))
-        for number, unit in enumerate(layout.units)
-        for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor)
-        if not _looks_there(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    ]
+    aims, numbers = [], [*range(len(layout.units))]
+    for number, unit in enumerate(layout.units):
+        for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor):
+            turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
+            if is_turn_useless(unit.sensor, pitch_deg=pitch_deg):
+                turn_deg = 0.0
+            if max(abs(turn_deg), abs(unit.pose.pitch_deg - pitch_deg)) > _SAME_DEG:
+                pose = replace(unit.pose, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+                name = f"{unit.id}/aim/{yaw_deg:g}/{pitch_deg:g}"
+                aims.append(replace(unit, id=name, pose=pose))
+                numbers.append(number)
     taken = {unit.id for unit in layout.units}
     new = [candidate for candidate in additions if candidate.id not in taken]
-    candidates = (*layout.units, *(aim for _, aim in aims), *new)
+    candidates = (*layout.units, *aims, *new)
     ids = [candidate.id for candidate in candidates]
-    if len(set(ids)) < len(ids):
-        repeated = next(name for name in ids if ids.count(name) > 1)
-        raise InputError(f"layout {layout.name}: id", repeated, "ids unlike those of candidates")
-    numbers = [*range(len(layout.units)), *(number for number, _ in aims), *([-1] * len(new))]
-    return RetrofitPoses(candidates=candidates, unit_index=np.array(numbers, dtype=np.int64))
-
-
-def _aimed(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> CandidatePose:
-    pose = replace(unit.pose, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return replace(unit, id=f"{unit.id}/aim/{yaw_deg:g}/{pitch_deg:g}", pose=pose)
-
-
-def _looks_there(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> bool:
-    turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
-    if is_turn_useless(unit.sensor, pitch_deg=pitch_deg):
-        turn_deg = 0.0
-    return max(abs(turn_deg), abs(unit.pose.pitch_deg - pitch_deg)) <= _SAME_DEG
+    check_distinct(f"layout {layout.name}: id", ids, "ids unlike those of candidates")
+    unit_index = np.array([*numbers, *([-1] * len(new))], dtype=np.int64)
+    return RetrofitPoses(candidates=candidates, unit_index=unit_index)
 
 
 # ---------- labour: what it costs to re-aim or to remove a unit

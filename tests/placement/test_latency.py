@@ -190,7 +190,7 @@ def test_parts_have_names_of_their_own(write_budget):
     path = write_budget(part + part)
     with pytest.raises(InputError) as caught:
         load_latency_budget(str(path))
-    assert str(caught.value) == f"{path}: mine.parts: got 'a' twice; expected every name once"
+    assert str(caught.value) == f"{path}: mine.parts: got 'a'; expected every name once"
 
 
 def test_a_file_has_one_budget(write_budget):

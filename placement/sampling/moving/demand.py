@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +11,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.actors import Actor, Shape, pick_actor
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import (
     Table,
     Text,
@@ -22,6 +21,8 @@ from geometry.files import (
     take_number,
     take_text,
 )
+
+from ...compute import check_distinct
 
 TURNS = ("left", "straight", "right")
 SUMO_CLASSES = ("passenger", "delivery", "truck", "trailer", "bus", "coach", "motorcycle", "moped")
@@ -99,13 +100,8 @@ def load_demand(path: Path | None = None) -> Demand:
     Raises InputError if it cannot be read, a value cannot be, or nobody drives.
     """
     if path is None:
-        return _load_default()
+        return _read(load_toml(files("placement") / "data" / _FILE), _FILE, "default")
     return _read(load_toml(path), str(path), path.name)
-
-
-@cache
-def _load_default() -> Demand:
-    return _read(load_toml(files("placement") / "data" / _FILE), _FILE, "default")
 
 
 def _read(document: Table, where: str, name: str) -> Demand:
@@ -121,10 +117,8 @@ def _read(document: Table, where: str, name: str) -> Demand:
         if abs(sum(shares) - 1.0) > _SUM_TOLERANCE:
             got = Unquoted(f"a sum of {sum(shares):g}")
             raise InputError(f"{where}: {what}", got, "shares that sum to 1")
-    names = [kind.actor.name for kind in kinds]
-    for kind_name in names:
-        if names.count(kind_name) > 1:
-            raise InputError(f"{where}: vehicles", kind_name, "every body once")
+    bodies = [kind.actor.name for kind in kinds]
+    check_distinct(f"{where}: vehicles", bodies, "every body once")
     if table.vehicles_per_hour_per_lane == 0.0 and not any(table.arms.values()):
         raise InputError(
             f"{where}: vehicles_per_hour_per_lane",
@@ -146,14 +140,9 @@ def _read(document: Table, where: str, name: str) -> Demand:
 
 def _read_kind(entry: Table, where: str) -> DrivingKind:
     kind = read_table({k: v for k, v in entry.items() if k in _KIND_KEYS}, _Kind, where)
-    if kind.sumo_class not in SUMO_CLASSES:
-        known = "one of " + ", ".join(SUMO_CLASSES)
-        raise InputError(f"{where}.sumo_class", kind.sumo_class, known)
-    return DrivingKind(
-        actor=read_body({k: v for k, v in entry.items() if k not in _KIND_KEYS}, where),
-        sumo_class=kind.sumo_class,
-        share=kind.share,
-    )
+    check_one_of(f"{where}.sumo_class", kind.sumo_class, SUMO_CLASSES)
+    actor = read_body({k: v for k, v in entry.items() if k not in _KIND_KEYS}, where)
+    return DrivingKind(actor=actor, sumo_class=kind.sumo_class, share=kind.share)
 
 
 # ---------- bodies of vehicles in files of traffic
@@ -172,38 +161,29 @@ _BOX_TRIANGLES = np.array(
 def read_body(entry: Table, where: str) -> Actor:
     """A vehicle by a table's `actor`, or a box by `name`, `length_m`, `width_m` and `height_m`.
 
-    Raises InputError for any other key, or a body of the catalogue that is no vehicle.
+    A box reaches down to the road. Raises InputError for any other key, or a body of the catalogue
+    that is no vehicle.
     """
     known = ("actor",) if "actor" in entry else ("name", *_SIZES)
     for key in entry:
-        if key not in known:
-            raise InputError(where, key, "one of " + ", ".join(known))
+        check_one_of(where, key, known)
     if "actor" in entry:
         actor = pick_actor(take_text(entry, "actor", where), f"{where}.actor")
         if actor.class_name != "parked vehicle":
             raise InputError(f"{where}.actor", actor.name, "a parked vehicle")
         return actor
-    length_m, width_m, height_m = (take_number(entry, key, where) for key in _SIZES)
+    sizes_m = {key: take_number(entry, key, where) for key in _SIZES}
+    bits = np.array([[index & 1, index >> 1 & 1, index >> 2] for index in range(8)])
+    corners = (bits - [0.5, 0.5, 0.0]) * [*sizes_m.values()]
     try:
-        return build_box(
-            take_text(entry, "name", where), length_m=length_m, width_m=width_m, height_m=height_m
+        return Actor(
+            name=take_text(entry, "name", where),
+            class_name="parked vehicle",
+            **sizes_m,
+            shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
         )
     except InputError as error:
         raise InputError(f"{where}: {error.where}", error.got, error.expected) from None
-
-
-def build_box(name: str, *, length_m: float, width_m: float, height_m: float) -> Actor:
-    """A vehicle as a box that reaches down to the road."""
-    bits = np.array([[index & 1, index >> 1 & 1, index >> 2] for index in range(8)])
-    corners = (bits - [0.5, 0.5, 0.0]) * [length_m, width_m, height_m]
-    return Actor(
-        name=name,
-        class_name="parked vehicle",
-        length_m=length_m,
-        width_m=width_m,
-        height_m=height_m,
-        shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
-    )
 
 
 # ---------- SUMO's routes
