@@ -1,6 +1,6 @@
 """Gains of refinement between the poses of the grid, in sentences."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import Annotated, cast
 
 import msgspec
@@ -58,8 +58,8 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
     )
 
 
-def _stage_values(values: Iterable[tuple[str, float]]) -> StageValues:
-    return {cast(StageName, name): value for name, value in values}
+def _stage_values(values: Mapping[Objective, float]) -> StageValues:
+    return {cast(StageName, name): value for name, value in values.items()}
 
 
 def _move(move: Move) -> MoveRecord:
