@@ -79,7 +79,7 @@ from .pages import (
     render_city_report,
     render_junction_page,
 )
-from .workers import JunctionAnswer, JunctionTask, check_memory, run_junctions, start_workers
+from .workers import JunctionTask, check_memory, run_junctions, start_workers
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
 JUNCTION_TABLE, POLE_TABLE, UNITS = "junctions.csv", "poles.csv", "units"
@@ -233,15 +233,11 @@ def _find_missing(
         progress(SOLVE, len(done), n_all)
         for task, answer in run_junctions(started, map(tasks.task, todo.values())):
             one = todo[task.options.name]
-            _keep(out, one, answer)
+            # The scene first: where a front is, the scene is whole.
+            text = msgspec.json.format(msgspec.json.encode(answer.record), indent=1)
+            write_files(out / JUNCTIONS / one.folder, {**answer.files, FRONT: text + b"\n"})
             done[one.folder] = answer.record.without_layouts()
             progress(SOLVE, len(done), n_all)
-
-
-def _keep(out: Path, one: CityJunction, answer: JunctionAnswer) -> None:
-    """Write a junction's scene, then its front: where a front is, the scene is whole."""
-    text = msgspec.json.format(msgspec.json.encode(answer.record), indent=1)
-    write_files(out / JUNCTIONS / one.folder, {**answer.files, FRONT: text + b"\n"})
 
 
 def _update_manifest(
@@ -361,7 +357,13 @@ def write_served(task: ServedTask) -> Served:
     one, question = task.one, task.question
     folder = task.out / one.folder
     scene = load_scene_folder(folder)
-    layout = _junction_layout(one, scene, {sensor.name: sensor for sensor in task.sensors})
+    layout = layout_from_records(
+        f"city-{len(one.layout)}",
+        [to_plain(unit) for unit in one.layout],
+        one.folder,
+        sensors={sensor.name: sensor for sensor in task.sensors},
+    )
+    layout = replace_field(layout, scene_name=scene.name)
     names = [unit.id for unit in layout.units]
     existing = () if task.existing is None else task.existing.units
     items: list[tuple[str, str, int, float | None]] = []
@@ -411,19 +413,6 @@ def _write_served(
     return served
 
 
-def _junction_layout(
-    one: CityJunctionRecord, scene: Scene, sensors: Mapping[str, Sensor]
-) -> Layout:
-    """The units that a junction gets, with those that are mounted already."""
-    layout = layout_from_records(
-        f"city-{len(one.layout)}",
-        [to_plain(unit) for unit in one.layout],
-        one.folder,
-        sensors=sensors,
-    )
-    return replace_field(layout, scene_name=scene.name)
-
-
 def _served_tasks(
     out: Path,
     result: CityResult,
@@ -451,7 +440,9 @@ def _served_tasks(
     right = {
         one.folder
         for one in served
-        if same.get(one.folder) == one and _content(out / one.folder / QUESTION) == asked
+        if same.get(one.folder) == one
+        and (out / one.folder / QUESTION).is_file()
+        and read_bytes(out / one.folder / QUESTION) == asked
     }
     for path in (out / JUNCTIONS).glob("*/" + REPORT):
         folder = path.parent.relative_to(out).as_posix()
@@ -473,13 +464,6 @@ def _served_tasks(
         )
         for one in served
     ]
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return read_bytes(path)
-    except InputError:
-        return b""
 
 
 def _purchases(served: Iterable[Served]) -> tuple[CityPurchaseRecord, ...]:
@@ -519,8 +503,8 @@ def write_city(
         for one, record in zip(result.junctions, records, strict=True)
     )
     tables = {
-        JUNCTION_TABLE: csv_text(_junction_table(result, records)).encode(),
-        POLE_TABLE: csv_text(_frame(poles, _POLE_COLUMNS)).encode(),
+        JUNCTION_TABLE: _table([*_junction_rows(result, records)], (*_GOT, *_TOOK)),
+        POLE_TABLE: _table(poles, _POLE_COLUMNS),
         FRONTS: fronts_table(fronts),
     }
     (out / GEOPACKAGE).unlink(missing_ok=True)
@@ -557,13 +541,8 @@ def _poles(
         at.setdefault(unit["site"] or unit["id"], []).append(unit)
     return [
         {
-            "junction": one.id,
-            "name": one.name,
-            "year": one.year,
-            "site": site,
-            "kind": kinds.get(site, "unknown"),
-            "units": len(units),
-            **{key: units[0][key] for key in _POLE_COLUMNS[6:] if key in units[0]},
+            **{key: units[0][key] for key in _POLE_COLUMNS if key in units[0]},
+            **{"site": site, "kind": kinds.get(site, "unknown"), "units": len(units)},
         }
         for site, units in at.items()
     ]
@@ -581,59 +560,55 @@ def _to_geopackage(
     import pandas as pd
     import pyogrio
 
-    def layer(rows: Any, x: Any, y: Any, z: Any, path: Path, name: str) -> None:
-        points = gpd.points_from_xy(x, y, z=z)
-        table = gpd.GeoDataFrame(pd.DataFrame(rows), geometry=points, crs=crs)
-        kind = "Point" if z is None else "Point Z"
-        pyogrio.write_dataframe(
-            table, path, layer=name, driver="GPKG", geometry_type=kind, append=path.exists()
-        )
-
     columns = (
         *("id", "name", "map", "weight", "district", "units", "cost_eur", "year"),
         *("apr_before", "apr", "apr_one_failed", "gain", "reason"),
     )
     rows = [{name: getattr(one, name) for name in columns} for one in junctions]
+    points = gpd.points_from_xy([one.x for one in junctions], [one.y for one in junctions])
+    layers = [(JUNCTIONS, "Point", rows, points)]
+    if units:
+        places = [
+            transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)
+            if unit["map_crs"] != crs
+            else (unit["map_x"], unit["map_y"])
+            for unit in units
+        ]
+        heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
+        points = gpd.points_from_xy(*zip(*places, strict=True), z=heights_m)
+        layers.append((UNITS, "Point Z", [dict(unit) for unit in units], points))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / GEOPACKAGE
-        layer(
-            rows, [one.x for one in junctions], [one.y for one in junctions], None, path, JUNCTIONS
-        )
-        if units:
-            places = [
-                transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)
-                if unit["map_crs"] != crs
-                else (unit["map_x"], unit["map_y"])
-                for unit in units
-            ]
-            heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
-            x, y = zip(*places, strict=True)
-            layer(units, x, y, heights_m, path, UNITS)
+        for name, kind, records, geometry in layers:
+            pyogrio.write_dataframe(
+                gpd.GeoDataFrame(pd.DataFrame(records), geometry=geometry, crs=crs),
+                *(path, name, "GPKG"),
+                geometry_type=kind,
+                append=path.exists(),
+            )
         return read_bytes(path)
 
 
-_SIZES = ("sites", "poses", "runs", "frames")
+_GOT = (
+    *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
+    *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
+)
+_TOOK = ("sites", "poses", "runs", "frames", "cpu_s", "peak_memory_mib")
 
 
-def _junction_table(result: CityResult, records: Sequence[CityFrontRecord]) -> Any:
-    """A row for each junction: what it gets, how large its question was, and what that took."""
-    columns = (
-        *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
-        *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
-    )
-    rows = [
-        {name: getattr(one, name) for name in columns}
-        | {name: getattr(record, name) for name in _SIZES}
-        | {
-            "cpu_s": round(sum(record.seconds.values()), 1),
-            "peak_memory_mib": record.peak_memory_mib,
-        }
-        for one, record in zip(result.junctions, records, strict=True)
-    ]
-    return _frame(rows, (*columns, *_SIZES, "cpu_s", "peak_memory_mib"))
-
-
-def _frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Any:
+def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> bytes:
     import pandas as pd
 
-    return pd.DataFrame(rows, columns=list(columns))
+    return csv_text(pd.DataFrame(rows, columns=list(columns))).encode()
+
+
+def _junction_rows(
+    result: CityResult, records: Sequence[CityFrontRecord]
+) -> Iterator[dict[str, Any]]:
+    """A row for each junction: what it gets, how large its question was, and what that took."""
+    for one, record in zip(result.junctions, records, strict=True):
+        yield {
+            **{name: getattr(one, name) for name in _GOT},
+            **{name: getattr(record, name) for name in _TOOK if name != "cpu_s"},
+            "cpu_s": round(sum(record.seconds.values()), 1),
+        }
