@@ -89,7 +89,7 @@ def test_refinement_is_never_worse_in_the_order_of_the_stages(name, placements, 
     assert not improves(refinement.before, refinement.after)
     assert refinement.is_improved == improves(refinement.after, refinement.before)
     stages = placement.certificate.stages
-    assert [value.name for value in refinement.after] == [stage.name for stage in stages]
+    assert [*refinement.after] == [stage.name for stage in stages]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -134,7 +134,7 @@ def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(refi
     assert {"one unit", "two units", "survives", "money", "kept"} <= set(better)
     for name in better:
         certificate = refinements[name].placement.certificate
-        for stage, value in zip(certificate.stages, refinements[name].after, strict=True):
+        for stage, value in zip(certificate.stages, refinements[name].after.items(), strict=True):
             assert (stage.name, stage.objective) == value
             if stage.name in ("units", "cost_eur"):
                 assert stage.bound <= stage.objective
