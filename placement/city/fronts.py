@@ -16,12 +16,13 @@ from ..optimiser.bitsets import BestSet, set_values, values_with_each
 from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import ReducedProblem
-from ..optimiser.problem import Objective
+from ..optimiser.problem import Objective, PlacementValue
 from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
 # ---------- one junction
 
+_WORTH = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s")
 Steps = tuple[tuple[float, float], ...]
 """From which units or euros on, up to the next step, which APR is not exceeded."""
 
@@ -47,24 +48,23 @@ class Point:
         )
 
 
-NOTHING = Point(
-    units=0,
-    cost_eur=0.0,
-    apr=0.0,
-    apr_one_failed=0.0,
-    smallest_margin_s=0.0,
-    mean_margin_s=0.0,
-)
+NOTHING = Point(units=0, cost_eur=0.0, **dict.fromkeys(_WORTH, 0.0))
 """A junction where nothing is mounted."""
 
 
 def _compare(one: Point, other: Point) -> int:
     """1 if a point is better than another, objective by objective, -1 if worse, 0 if alike."""
-    for name in ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s"):
+    for name in _WORTH:
         difference = getattr(one, name) - getattr(other, name)
         if abs(difference) > TOLERANCE:
             return 1 if difference > 0.0 else -1
     return 0
+
+
+def point_of(value: PlacementValue, *, units: int, cost_eur: float) -> Point:
+    """A point that takes so much, by what its layout is worth."""
+    worth = {name: getattr(value, name) for name in _WORTH}
+    return Point(units=units, cost_eur=cost_eur, **worth)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +165,7 @@ class Options:
         )
 
 
-_VALUES = ("cost_eur", "apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s")
+_VALUES = ("cost_eur", *_WORTH)
 
 
 def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
@@ -186,30 +186,24 @@ def stack_bounds(
     Each layout of a junction takes at least as much as one of them and has no higher APR. With
     units and cost counted, an option stands for a step of both.
     """
-    junction: list[int] = []
-    units: list[float] = []
-    cost: list[float] = []
-    apr: list[float] = []
+    rows = []
     for index, front in enumerate(fronts):
         by_units = front.by_units if counts_units else ((0, front.by_units[-1][1]),)
         by_cost = front.by_cost if counts_cost else ((0.0, front.by_cost[-1][1]),)
         for row, (n_units, most) in enumerate(by_units):
             for column, (eur, bound) in enumerate(by_cost):
                 value = min(most, bound)
-                if row and min(by_units[row - 1][1], bound) == value:
-                    continue  # fewer units bound it as well
-                if column and min(most, by_cost[column - 1][1]) == value:
-                    continue
-                junction.append(index)
-                units.append(n_units)
-                cost.append(eur)
-                apr.append(value)
-    unknown = np.zeros(len(junction))
+                # Fewer units, or less money, may bound it as well.
+                is_bound = row and min(by_units[row - 1][1], bound) == value
+                if not is_bound and not (column and min(most, by_cost[column - 1][1]) == value):
+                    rows.append((index, n_units, eur, value))
+    junction, units, cost_eur, apr = np.array(rows).T
+    unknown = np.zeros(len(rows))
     return Options(
-        junction=np.array(junction),
-        units=np.array(units, dtype=np.int64),
-        cost_eur=np.array(cost),
-        apr=np.array(apr),
+        junction=junction.astype(np.int64),
+        units=units.astype(np.int64),
+        cost_eur=cost_eur,
+        apr=apr,
         apr_one_failed=unknown,
         smallest_margin_s=unknown,
         mean_margin_s=unknown,
@@ -293,8 +287,8 @@ def front_by_sites(
             if are_best and n_units == widest[:n_sites].sum() and parts:
                 layouts[n_sites, n_units] = parts[0]  # the best one there is
                 continue
-            fewer = [layouts.get(key) for key in _fewer(n_sites, n_units)]
-            starts = [*parts, *(layout for layout in fewer if layout is not None)]
+            fewer = ((n_sites, n_units - 1), (n_sites - 1, n_units))
+            starts = [*parts, *(layouts[key] for key in fewer if key in layouts)]
             layouts[n_sites, n_units] = _improved(at, starts, effort())
     return SiteFront(
         limits=tuple(np.maximum.accumulate([base_apr, *bounds]).tolist()),
@@ -434,10 +428,6 @@ def _parts_of(layout: tuple[int, ...], limits: Limits, n_units: int) -> list[tup
     if not 0 < n_new <= len(new):
         return []
     return [tuple(sorted([*existing, *part])) for part in combinations(new, n_new)]
-
-
-def _fewer(n_sites: int, n_units: int) -> tuple[tuple[int, int], ...]:
-    return (n_sites, n_units - 1), (n_sites - 1, n_units)
 
 
 def _improved(

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,19 +12,17 @@ from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
-from ..candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
+from ..candidates import CandidateGrid, build_candidates, load_candidate_grid
 from ..compute import Compute
 from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
 from ..optimiser.front import Front, FrontPoint, cost_front, largest_values, pareto_front
-from ..optimiser.limits import Limits
 from ..optimiser.problem import Objective, PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout
 from ..question import Question
 from .fronts import (
     JunctionFront,
-    Point,
     SiteFront,
     Steps,
     bounds_by_money,
@@ -32,6 +30,7 @@ from .fronts import (
     front_by_sites,
     lowered,
     lowest,
+    point_of,
     price_tiers_eur,
     rooms_of,
 )
@@ -118,7 +117,10 @@ def solve_junction(
         raise InputError(error.where, error.got, error.expected) from None
     return SolvedJunction(
         front=front,
-        layouts=tuple(_layout(candidates, index, existing) for index in chosen),
+        layouts=tuple(
+            pick_layout(candidates, index, f"front-{len(index)}") if index else existing
+            for index in chosen
+        ),
         n_sites=len(scene.sites),
         n_poses=len(candidates),
         n_runs=len(assembly.setting.runs),
@@ -165,11 +167,15 @@ def find_front(
             few = [tuple(first[list(layout)].tolist()) for layout in found]
     fronts, by_cost = [fronts_of(problem, begin)], None
     tiers = price_tiers_eur(limits)
-    if _has_prices(limits):
+    free = ~limits.is_forbidden & ~limits.is_forced
+    site_eur = limits.site_cost_eur[limits.site_index]
+    # Where one unit, or one site, costs more than another, money is more than numbers.
+    if np.ptp(limits.unit_cost_eur[free]) or np.ptp(site_eur[free]):
         begin("fronts of cheap sites")
         for _, highest_eur in reversed(tiers[:-1]):
-            cheap = _without_dear_sites(problem, highest_eur)
-            fronts.append(fronts_of(cheap, lambda _: None))
+            is_dear = (site_eur > highest_eur) & ~limits.is_forced
+            cheap = replace(limits, is_forbidden=limits.is_forbidden | is_dear)
+            fronts.append(fronts_of(replace(problem, limits=cheap), lambda _: None))
         begin("front by money")
         by_cost = _cost_front(problem, effort())
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
@@ -194,20 +200,6 @@ def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int
     return most
 
 
-def _without_dear_sites(problem: PlacementProblem, highest_eur: float) -> PlacementProblem:
-    limits = problem.limits
-    is_dear = limits.site_cost_eur[limits.site_index] > highest_eur
-    is_forbidden = limits.is_forbidden | (is_dear & ~limits.is_forced)
-    return replace(problem, limits=replace(limits, is_forbidden=is_forbidden))
-
-
-def _has_prices(limits: Limits) -> bool:
-    """True if one unit, or one site, costs more than another: then money is more than numbers."""
-    free = ~limits.is_forbidden & ~limits.is_forced
-    sites = limits.site_cost_eur[np.unique(limits.site_index[free])]
-    return bool(np.ptp(limits.unit_cost_eur[free]) or np.ptp(sites))
-
-
 def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
     """The front by money; None where the poses avoid nothing."""
     try:
@@ -216,12 +208,6 @@ def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
         if error.where != "candidates":
             raise
         return None
-
-
-def _layout(
-    candidates: Sequence[CandidatePose], index: tuple[int, ...], existing: Layout | None
-) -> Layout | None:
-    return pick_layout(candidates, index, f"front-{len(index)}") if index else existing
 
 
 # ---------- one front of all
@@ -241,7 +227,7 @@ def _merge(
     `others` are more layouts.
     """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
-    poses = {_point(base, 0, 0.0): forced}
+    poses = {point_of(base, units=0, cost_eur=0.0): forced}
     layouts = [(placement_value(problem, layout), layout) for layout in others]
     layouts += [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
     for _, (by_units, by_sites) in tiers:
@@ -249,7 +235,7 @@ def _merge(
         layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]
     for value, layout in layouts:
         if n_new := len(layout) - n_existing:
-            poses.setdefault(_point(value, n_new, value.cost_eur), layout)
+            poses.setdefault(point_of(value, units=n_new, cost_eur=value.cost_eur), layout)
     bounds = [
         (eur, _bounds_by_units(by_units, base=base.apr, n_existing=n_existing), by_sites)
         for eur, (by_units, by_sites) in tiers
@@ -265,31 +251,19 @@ def _merge(
     return front, [poses[point] for point in front.points]
 
 
-def _point(value: PlacementValue, units: int, cost_eur: float) -> Point:
-    return Point(
-        units=units,
-        cost_eur=cost_eur,
-        apr=value.apr,
-        apr_one_failed=value.apr_one_failed,
-        smallest_margin_s=value.smallest_margin_s,
-        mean_margin_s=value.mean_margin_s,
-    )
+def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
+    steps = [
+        (float(point.units - n_existing), max(_apr_bound(point), base))
+        for point in front.points
+        if point.units > n_existing
+    ]
+    return lowered([(0.0, base), *steps])
 
 
 def _apr_bound(point: FrontPoint) -> float:
     stage = point.stage(Objective.APR)
     assert stage is not None  # the first of all fronts
     return stage.bound
-
-
-def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
-    steps = [(0.0, base)]
-    steps += [
-        (float(point.units - n_existing), max(_apr_bound(point), base))
-        for point in front.points
-        if point.units > n_existing
-    ]
-    return lowered(steps)
 
 
 def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> Steps:
@@ -299,23 +273,21 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
     by the step of the front, so that up to a step more is not ruled out for less money.
     """
     steps: list[tuple[float, float]] = [(0.0, base)]
+
+    def add(eur: float, bound: float) -> None:
+        before_eur, before = steps[-1]
+        if eur <= before_eur:
+            steps.pop()
+            eur = before_eur
+        steps.append((eur, max(bound, before)))
+
     points = front.points
     for index, point in enumerate(points):
-        cost = point.certificate.stages[0]
-        last = index + 1 == len(points)
-        beyond = most if last else _apr_bound(points[index + 1])
+        beyond = most if index + 1 == len(points) else _apr_bound(points[index + 1])
         here = max(_apr_bound(point), min(point.value.apr + step, beyond))
-        before, bound = steps[-1]
-        if cost.bound > before:
-            steps.append((cost.bound, max(here, bound)))
-        else:
-            steps[-1] = (before, max(here, bound))
+        add(point.certificate.stages[0].bound, here)
     if front.settled is None:
-        end = points[-1].value.cost_eur
-        if end > steps[-1][0]:
-            steps.append((end, max(most, steps[-1][1])))
-        else:
-            steps[-1] = (steps[-1][0], max(most, steps[-1][1]))
+        add(points[-1].value.cost_eur, most)
     return tuple(steps)
 
 
