@@ -5,7 +5,7 @@ to spare; its mean over the accidents prevented; cost. Each stage holds those be
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -68,7 +68,6 @@ class Choice:
     # objective, bound: sum of profits, and what no choice exceeds
     objective: float
     bound: float
-    n_core: int  # options that the solver was handed
 
 
 def solve_knapsack(
@@ -87,11 +86,9 @@ def solve_knapsack(
         chosen, bound = _solve_core(
             problem, np.ones(len(problem.group), dtype=bool), gap=gap, end_s=end_s
         )
-        return _choice(problem, chosen, bound, len(problem.group))
+        return _choice(problem, chosen, bound)
     prices = best_prices(problem, end_s=now_s() + 0.5 * time_limit_s)
-    best, relaxed = priced_choice(problem, prices)
-    at_prices = problem.profit - prices @ problem.rows
-    short = at_prices[best][problem.group] - at_prices  # at least 0
+    best, relaxed, short = _shortfalls(problem, prices)
     incumbent = best if problem.is_within(best) else None
     objective = -np.inf if incumbent is None else float(problem.profit[incumbent].sum())
     bound, size = relaxed, core_options
@@ -110,14 +107,14 @@ def solve_knapsack(
         if is_done or is_core.sum() >= _MAX_CORE:
             break
         size = min(max(size, 4 * int(is_core.sum())), _MAX_CORE)
-    return _choice(problem, incumbent, bound, int(is_core.sum()))
+    return _choice(problem, incumbent, bound)
 
 
-def _choice(problem: Knapsack, chosen: IntArray | None, bound: float, n_core: int) -> Choice:
+def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> Choice:
     objective = -np.inf if chosen is None else float(problem.profit[chosen].sum())
     if chosen is not None and bound <= objective + _tiny(objective):
         bound = objective
-    return Choice(chosen=chosen, objective=objective, bound=bound, n_core=n_core)
+    return Choice(chosen=chosen, objective=objective, bound=bound)
 
 
 def _tiny(amount: float) -> float:
@@ -134,6 +131,13 @@ def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, floa
     rows = np.flatnonzero(worth == most[problem.group])
     best: IntArray = rows[np.flatnonzero(np.diff(problem.group[rows], prepend=-1))]
     return best, float(most.sum() + prices @ problem.limits)
+
+
+def _shortfalls(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float, FloatArray]:
+    """As :func:`priced_choice`, and by how much each option falls short of its group's best."""
+    best, bound = priced_choice(problem, prices)
+    worth = problem.profit - prices @ problem.rows
+    return best, bound, worth[best][problem.group] - worth
 
 
 def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
@@ -329,7 +333,10 @@ def choose(
         )
         highest = max(most.bound, found.objective)
     stages = [_stage(Objective.APR, found.objective, highest, now_s() - began_s)]
-    keep = _may_be_best(problem, found.objective, highest=found.bound)
+    # Options that can be in a choice with at least this objective, by their prices.
+    _, relaxed, short = _shortfalls(problem, best_prices(problem))
+    room = max(relaxed, found.bound) - found.objective + 1.0e-7 * max(1.0, abs(relaxed))
+    keep = short <= room
     later = _Later(
         options=left.taken(np.flatnonzero(keep)),
         rows=rows[keep],
@@ -418,15 +425,6 @@ def _part(district: District, share: FloatArray) -> tuple[FloatArray, FloatArray
     return share / total if total > 0.0 else is_in / max(is_in.sum(), 1.0), is_in
 
 
-def _may_be_best(problem: Knapsack, objective: float, *, highest: float) -> BoolArray:
-    """Options that can be in a choice with at least this objective, by their prices."""
-    prices = best_prices(problem)
-    best, relaxed = priced_choice(problem, prices)
-    worth = problem.profit - prices @ problem.rows
-    short = worth[best][problem.group] - worth
-    return short <= max(relaxed, highest) - objective + 1.0e-7 * max(1.0, abs(relaxed))
-
-
 # ---------- the stages after the first
 
 
@@ -446,42 +444,31 @@ class _Later:
     def solve(self, apr: float) -> list[Stage]:
         by_weight = self.share[self.options.junction]
         self.held.append((by_weight * self.options.apr, apr))
-        stages = [self._most(Objective.APR_ONE_FAILED, by_weight * self.options.apr_one_failed)]
-        stages.append(self._smallest_margin())
-        by_weight = self.share[self.options.junction]  # fewer than before
+        one_failed = self._most(Objective.APR_ONE_FAILED, by_weight * self.options.apr_one_failed)
+        smallest = self._smallest_margin()
         # At a given APR, the sum of prevented accidents by their time to spare says the same.
-        stages.append(
-            self._most(
-                Objective.MEAN_MARGIN,
-                by_weight * self.options.apr * self.options.mean_margin_s,
-                unit=apr,
-            )
-        )
-        stages.append(self._most(Objective.COST, -self.options.cost_eur, unit=-1.0))
-        return stages
+        prevented = self.share[self.options.junction] * self.options.apr  # fewer than before
+        mean = self._most(Objective.MEAN_MARGIN, prevented * self.options.mean_margin_s, unit=apr)
+        cost = self._most(Objective.COST, -self.options.cost_eur, unit=-1.0)
+        return [one_failed, smallest, mean, cost]
 
-    def _value(self, objective: Objective) -> float:
-        return city_values(self.options, self.chosen, self.share)[objective]
-
-    def _knapsack(self, profit: FloatArray, rows: IntArray | None = None) -> Knapsack:
+    def _knapsack(self, profit: FloatArray, rows: IntArray | slice = slice(None)) -> Knapsack:
         whole = _problem(self.options, self.share, self.wishes, profit=profit)
-        held = [-_HELD * row for row, _ in self.held]
         least = [-_HELD * (value - TOLERANCE) for _, value in self.held]
-        every = np.vstack([whole.rows, *held])
-        rows = np.arange(len(profit)) if rows is None else rows
         return Knapsack(
             group=whole.group[rows],
             profit=profit[rows],
-            rows=every[:, rows],
+            rows=np.vstack([whole.rows, *(-_HELD * row for row, _ in self.held)])[:, rows],
             limits=np.append(whole.limits, least),
         )
 
-    def _left_s(self) -> float:
-        return max(0.5 * (self.end_s - now_s()), 1.0)
+    def _solve(self, problem: Knapsack, gap: float = 0.0) -> Choice:
+        time_limit_s = max(0.5 * (self.end_s - now_s()), 1.0)
+        return solve_knapsack(problem, gap=gap, time_limit_s=time_limit_s)
 
     def _most(self, objective: Objective, profit: FloatArray, *, unit: float = 1.0) -> Stage:
         began_s = now_s()
-        found = solve_knapsack(self._knapsack(profit), gap=self.gap, time_limit_s=self._left_s())
+        found = self._solve(self._knapsack(profit), self.gap)
         if found.chosen is not None and found.objective > profit[self.chosen].sum():
             self.chosen = found.chosen
         value = float(profit[self.chosen].sum())
@@ -495,9 +482,13 @@ class _Later:
     def _smallest_margin(self) -> Stage:
         """The largest smallest margin: options with less are left out, as many as can be."""
         began_s = now_s()
-        margin_s = self.options.smallest_margin_s
-        counts = self.options.apr > TOLERANCE
-        value = self._value(Objective.SMALLEST_MARGIN)
+        margin_s, counts = self.options.smallest_margin_s, self.options.apr > TOLERANCE
+
+        def reached() -> float:
+            values = city_values(self.options, self.chosen, self.share)
+            return values[Objective.SMALLEST_MARGIN]
+
+        value = reached()
         levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
         profit = np.zeros(len(self.options))
         low, high = 0, len(levels)  # levels below low can be kept, those from high on cannot
@@ -505,10 +496,9 @@ class _Later:
         while low < high and now_s() < self.end_s:
             middle = (low + high) // 2
             rows = np.flatnonzero(~counts | (margin_s >= levels[middle] - TOLERANCE))
-            has_all = len(np.unique(self.options.junction[rows])) == self.options.n_junctions
             found = None
-            if has_all:
-                answer = solve_knapsack(self._knapsack(profit, rows), time_limit_s=self._left_s())
+            if len(np.unique(self.options.junction[rows])) == self.options.n_junctions:
+                answer = self._solve(self._knapsack(profit, rows))
                 found = answer.chosen
                 if found is None and answer.bound > -np.inf:
                     break  # the time was up
@@ -518,17 +508,13 @@ class _Later:
             else:
                 self.chosen = rows[found]
                 low = middle + 1
-        value = self._value(Objective.SMALLEST_MARGIN)
+        value = reached()
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
-        self._leave_out(keep)
+        self.chosen = np.searchsorted(keep, self.chosen)  # go on with these alone
+        self.options, self.rows = self.options.taken(keep), self.rows[keep]
+        self.held = [(row[keep], least) for row, least in self.held]
         seconds = now_s() - began_s
         return _stage(Objective.SMALLEST_MARGIN, value, max(bound, value), seconds)
-
-    def _leave_out(self, keep: IntArray) -> None:
-        """Go on with some of the options alone."""
-        self.chosen = np.searchsorted(keep, self.chosen)
-        self.options, self.rows = self.options.taken(keep), self.rows[keep]
-        self.held = [(row[keep], value) for row, value in self.held]
 
 
 # ---------- what cannot be met
@@ -563,25 +549,11 @@ def _check_reach(
 
 def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputError:
     """The error of wishes that the budgets do not allow: what they take at least."""
-    free = CityWishes(
-        budget_eur=np.inf if wishes.budget_eur is not None else None,
-        budget_units=None if wishes.budget_eur is not None else 10**9,
-        districts=wishes.districts,
-        least_apr=wishes.least_apr,
-    )
-    left = options.taken(np.flatnonzero(_may_be(options, free)))
     in_money = wishes.budget_eur is not None
+    free = replace(wishes, budget_eur=None, budget_units=None)
+    left = options.taken(np.flatnonzero(_may_be(options, free)))
     taken = left.cost_eur if in_money else left.units.astype(np.float64)
-    problem = _problem(left, share, free, profit=-taken)
-    finite = np.isfinite(problem.limits)
-    found = solve_knapsack(
-        Knapsack(
-            group=problem.group,
-            profit=problem.profit,
-            rows=problem.rows[finite],
-            limits=problem.limits[finite],
-        )
-    )
+    found = solve_knapsack(_problem(left, share, free, profit=-taken))
     option = "budget_eur" if in_money else "budget_units"
     got = wishes.budget_eur if in_money else wishes.budget_units
     if found.chosen is None:
@@ -685,8 +657,7 @@ def plan_phases(
         )
     rows = np.flatnonzero(units > 0)
     year = np.zeros(len(units), dtype=np.int64)
-    year[rows] = _in_order(units[rows], gain[rows], units_per_year)
-    bound = _divided(units[rows], gain[rows], units_per_year, n_years)
+    year[rows], bound = _in_order(units[rows], gain[rows], units_per_year, n_years)
     if 0 < len(rows) * n_years <= _MAX_BINARIES and n_years > 1:
         found, proven = _solve(
             units[rows], gain[rows], units_per_year, n_years, time_limit_s=time_limit_s
@@ -705,25 +676,19 @@ def _gain_years(year: IntArray, gain: FloatArray, n_years: int) -> float:
     return float(gain @ (n_years + 1 - year)) if len(gain) else 0.0
 
 
-def _in_order(units: IntArray, gain: FloatArray, units_per_year: int) -> IntArray:
-    """Years where the junctions with the largest gain per unit come first."""
+def _in_order(
+    units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
+) -> tuple[IntArray, float]:
+    """Years where the largest gain per unit comes first; the sum if parts gained parts of it."""
     order = np.argsort(-gain / units, kind="stable")
-    year = np.empty(len(units), dtype=np.int64)
-    year[order] = -(-np.cumsum(units[order]) // units_per_year)
-    return year
-
-
-def _divided(units: IntArray, gain: FloatArray, units_per_year: int, n_years: int) -> float:
-    """The largest sum where parts of a junction would gain parts of it."""
-    order = np.argsort(-gain / units, kind="stable") if len(units) else units
     end = np.cumsum(units[order])
+    year = np.empty(len(units), dtype=np.int64)
+    year[order] = -(-end // units_per_year)
     worth = 0.0
-    for year in range(1, n_years + 1):
-        within = np.clip(
-            (year * units_per_year - (end - units[order])) / np.maximum(units[order], 1), 0.0, 1.0
-        )
-        worth += float(gain[order] @ within)
-    return worth
+    for number in range(1, n_years + 1):
+        mounted = (number * units_per_year - (end - units[order])) / units[order]
+        worth += float(gain[order] @ np.clip(mounted, 0.0, 1.0))
+    return year, worth
 
 
 def _solve(
