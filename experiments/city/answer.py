@@ -352,7 +352,7 @@ def _junction_record(
         x=float(one.surveyed.position[0]),
         y=float(one.surveyed.position[1]),
         weight=float(values.weight[index] / values.weight.sum()),
-        district=values.district_of(index),
+        district=", ".join(name for name, members in values.districts if index in members),
         reason=record.reason,
     )
     if record.front is None:

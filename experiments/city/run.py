@@ -21,6 +21,7 @@ from msgspec.structs import replace
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
+from geometry.maps.cut import Neighbourhoods
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import ImportOptions
 from geometry.maps.sites import check_sites
@@ -287,7 +288,10 @@ class _Tasks:
         self.city = city
         self._question, self._search, self._grid = question, search, grid
         self._existing, self._seed = existing, seed
-        self._around = city.neighbourhoods(radius_m=search.radius_m)
+        self._around = {
+            source.name: Neighbourhoods([source, *city.others], radius_m=search.radius_m)
+            for source in city.roads
+        }
         sites = Path(search.sites)
         listed = sha256(sites) if sites.is_file() else ""
         weighed = [sha256(path) for path in weight_files(question.weights) if path.is_file()]

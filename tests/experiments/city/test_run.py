@@ -312,12 +312,11 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
 
 def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
     city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
-    cost_eur, apr = [0.0, 8_560.0, 0.0, 4_040.0, 5_000.0], [0.0, 0.9, 0.0, 0.2, 0.3]
     options = Options(
-        junction=[0, 0, 1, 1, 1],
-        units=[0, 1, 0, 1, 1],
-        cost_eur=cost_eur,
-        apr=apr,
+        junction=np.array([0, 0, 1, 1, 1]),
+        units=np.array([0, 1, 0, 1, 1]),
+        cost_eur=np.array([0.0, 8_560.0, 0.0, 4_040.0, 5_000.0]),
+        apr=np.array([0.0, 0.9, 0.0, 0.2, 0.3]),
         **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
     )
     said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
