@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -164,10 +164,15 @@ def build_rule(question: Question) -> AebRule:
     """
     changes = {
         name: getattr(question, name)
-        for name in ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
+        for name in (
+            *("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations"),
+            "track_memory_s",
+        )
         if getattr(question, name) is not None
     }
-    changes["track_memory_s"] = _track_memory_s(question)
+    # By default tracks live for ever in the study's cases, as the study reads it.
+    study = is_study_set(question.cases)
+    changes.setdefault("track_memory_s", math.inf if study else load_track_memory_s())
     if question.latency_budget:
         if question.latency_s is not None:
             raise InputError("latency_s", Unquoted("it beside `latency_budget`"), "one of them")
@@ -188,7 +193,7 @@ def check_question(question: Question) -> None:
     _select(question)
     pick_positions(question.along_arms, question.cases)
     _words(question.approaches, "approaches", ARM_NAMES)
-    _weathers(question)
+    _words(question.weather, "weather", WEATHERS, at_least=1)
     build_rule(question)
     read_cars(question.cars)
     if question.weights:
@@ -206,22 +211,6 @@ def _select(question: Question) -> Selection:
         case_range=question.case_range,
         protect=question.protect,
     )
-
-
-def _weathers(question: Question) -> tuple[str, ...]:
-    weathers = _words(question.weather, "weather", WEATHERS)
-    if not weathers:
-        raise InputError("weather", question.weather, "one or more of " + ", ".join(WEATHERS))
-    return weathers
-
-
-def _track_memory_s(question: Question) -> float:
-    """How long tracks live in seconds, for ever for the study's cases unless asked otherwise."""
-    if question.track_memory_s is not None:
-        return question.track_memory_s
-    if is_study_set(question.cases):
-        return math.inf
-    return load_track_memory_s()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -253,7 +242,7 @@ def drive(
     positions = (position,) if position else pick_positions(question.along_arms, question.cases)
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "approaches", known) or known
-    weathers = _weathers(question)
+    weathers = _words(question.weather, "weather", WEATHERS, at_least=1)
     laid: dict[str, Any] = {
         "vut": pick_actor("vut", "vut"),
         "rule": build_rule(question),
@@ -272,17 +261,14 @@ def drive(
         made_from=(scene, selection.cases, laid),
         packages=("geometry", "scenarios"),
     )
+    no_speed = f"none of the speeds asked for ({question.speeds}) is one of this case"
+    protected = "and only vulnerable road users are protected"
     reasons: list[tuple[Case, str, LeftOut]] = [
-        (case, f"none of the speeds asked for ({question.speeds}) is one of this case", "speeds")
-        for case in selection.left_out
-    ]
-    reasons += [
-        (
-            case,
-            f"a {case.road_user} is met, and only vulnerable road users are protected",
-            "unprotected",
-        )
-        for case in selection.unprotected
+        *((case, no_speed, "speeds") for case in selection.left_out),
+        *(
+            (case, f"a {case.road_user} is met, {protected}", "unprotected")
+            for case in selection.unprotected
+        ),
     ]
     left_out = tuple(
         left_out_case(case, approach, reason, left_out)
@@ -338,18 +324,31 @@ def build_setting(
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)
-    _check_classes(detector, runs)
-    weight = (
-        weigh(
+    classes = {vru_class(run.encounter.vru) for run in runs}
+    if isinstance(detector, NetworkDetector):
+        detector.check_classes(sorted(classes))
+    elif isinstance(detector, ResponseDetector) and (words := detector.assumed_words(classes)):
+        _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
+    if weights is not None:
+        weight = weight_by_function(runs, weights)
+    else:
+        weight = weigh(
             runs,
             question.weights or default_weights(question.cases),
             refused=drives.refused,
             near=_place_deg(question, scene),
             within_m=question.accidents_within_m,
         )
-        if weights is None
-        else weight_by_function(runs, weights)
-    )
+    levels = None
+    if question.score != AVOIDED:
+        levels = cached_value(
+            compute.cache_folder,
+            "levels",
+            partial(build_levels, runs, question.score, rule),
+            kind=Levels | None,
+            made_from=(runs, question.score, rule),
+            packages=("geometry", "scenarios"),
+        )
     return Setting(
         scene=scene,
         runs=runs,
@@ -360,7 +359,7 @@ def build_setting(
         refusals=(*drives.refused, *drives.left_out),
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
-        levels=_levels(question.score, runs, rule, compute),
+        levels=levels,
         cars=cars,
     )
 
@@ -384,29 +383,6 @@ def _read_place_deg(text: str) -> tuple[float, float]:
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise InputError("near", text, "latitude,longitude in degrees, such as 52.52,13.40")
     return latitude, longitude
-
-
-def _levels(score: str, runs: tuple[Run, ...], rule: AebRule, compute: Compute) -> Levels | None:
-    """Levels of runs by a score, cached for the next call."""
-    if score == AVOIDED:
-        return None
-    return cached_value(
-        compute.cache_folder,
-        "levels",
-        partial(build_levels, runs, score, rule),
-        kind=Levels | None,
-        made_from=(runs, score, rule),
-        packages=("geometry", "scenarios"),
-    )
-
-
-def _check_classes(detector: Detector, runs: Sequence[Run]) -> None:
-    """Refuse a network that knows no such road users; say what is assumed of a response table."""
-    classes = {vru_class(run.encounter.vru) for run in runs}
-    if isinstance(detector, NetworkDetector):
-        detector.check_classes(sorted(classes))
-    elif isinstance(detector, ResponseDetector) and (words := detector.assumed_words(classes)):
-        _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
 
 
 def _check_every_case(drives: Drives, scene: Scene) -> None:
@@ -444,10 +420,10 @@ def _table_detector(detector: Detector) -> PlanningDetector:
     return planner if detector.lidar is None else replace(planner, lidar=detector.lidar)  # type: ignore[type-var]
 
 
-def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:
+def _words(text: str, where: str, known: tuple[str, ...], *, at_least: int = 0) -> tuple[str, ...]:
     """Known words with commas between; none of an empty text."""
     words = split_names(text, where)
-    for word in words:
+    for word in words if len(words) >= at_least else [text]:
         if word not in known:
             raise InputError(where, word, "one or more of " + ", ".join(known))
     return words

@@ -1,7 +1,7 @@
 """Contribution of each unit to a layout: what is left without some, and what one more would add."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Annotated
@@ -146,24 +146,20 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
             site_id=site_id,
         )
 
-    def without_units(failed: tuple[int, ...]) -> FloatArray:
-        left: FloatArray = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
-        return left
+    def several(failed: tuple[int, ...], site_id: str = "") -> Failure:
+        left_s = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
+        return failure(failed, left_s, site_id)
 
+    sites = units_by_site(evaluation.layout).items()
     return Failures(
         none_failed=failure((), earliest_s),
-        one_failed=_worst_first([failure((unit,), left) for unit, left in enumerate(without)]),
-        two_failed=_worst_first([failure(pair, without_units(pair)) for pair in pairs]),
-        site_failed=_worst_first(
-            [
-                failure(tuple(failed), without_units(tuple(failed)), site_id)
-                for site_id, failed in units_by_site(evaluation.layout).items()
-            ]
-        ),
+        one_failed=_worst_first(failure((unit,), left) for unit, left in enumerate(without)),
+        two_failed=_worst_first(several(pair) for pair in pairs),
+        site_failed=_worst_first(several(tuple(failed), site_id) for site_id, failed in sites),
     )
 
 
-def _worst_first(failures: Sequence[Failure]) -> tuple[Failure, ...]:
+def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
     def key(failure: Failure) -> tuple[float, float]:
         margin_s = failure.smallest_margin_s
         return failure.apr, -math.inf if math.isnan(margin_s) else margin_s
