@@ -89,9 +89,8 @@ class Adviser:
         problem, poses = self._beside(units)
         change = find_addition(problem, poses, budget_eur=None)
         if change is None:
-            raise InputError(
-                "the best next unit", Unquoted("no candidate that is an improvement"), "one"
-            )
+            got = Unquoted("no candidate that is an improvement")
+            raise InputError("the best next unit", got, "one")
         return Advice(
             units=self._named(units, poses.candidates, change.added),
             before=placement_value(problem, range(len(units))),
@@ -106,9 +105,8 @@ class Adviser:
         sites cannot carry them, or one unit more is no improvement.
         """
         if n_units <= len(units):
-            raise InputError(
-                "units in all", n_units, f"more than the {len(units)} that are mounted already"
-            )
+            expected = f"more than the {len(units)} that are mounted already"
+            raise InputError("units in all", n_units, expected)
         is_forced = self._wishes.forced_sites or any(
             site.use == "forced" for site in self._setting.scene.sites
         )
@@ -196,11 +194,8 @@ class Adviser:
         rows: IntArray = np.flatnonzero(free & here)
         rows = rows[rows >= len(units)]
         if not len(rows):
-            raise InputError(
-                where,
-                Unquoted("no pose of the grid that is allowed there"),
-                "a site with room, that is not forbidden",
-            )
+            expected = "a site with room, that is not forbidden"
+            raise InputError(where, Unquoted("no pose of the grid that is allowed there"), expected)
         best = int(rows[best_joining(problem, standing.tolist(), rows)])
         beside = Advice(
             units=self._named(units, poses.candidates, [best]),

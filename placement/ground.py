@@ -191,9 +191,8 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
-        raise InputError(
-            "no_look", Unquoted(f"{total_m2:,.0f} square metres"), f"at most {_MAX_POINTS:,}"
-        )
+        expected = f"at most {_MAX_POINTS:,}"
+        raise InputError("no_look", Unquoted(f"{total_m2:,.0f} square metres"), expected)
     points, index = [], []
     for number, (name, shape) in enumerate(areas):
         if not shape.area > 0.0:
@@ -277,11 +276,8 @@ def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArra
     kept: BoolArray = share <= max_share
     if not kept.any():
         least = np.ceil(1000.0 * share.min()) / 1000.0
-        raise InputError(
-            "no_look_share",
-            Unquoted(f"{100.0 * max_share:.1f} %"),
-            f"at least {least:g}, the share that the pose with the least in its picture sees",
-        )
+        expected = f"at least {least:g}, the share that the pose with the least in its picture sees"
+        raise InputError("no_look_share", Unquoted(f"{100.0 * max_share:.1f} %"), expected)
     return kept
 
 

@@ -350,11 +350,9 @@ def check_layout(layout: Layout, scene: Scene) -> None:
     Every unit is in the open air, at a site that exists.
     """
     if layout.scene_name not in ("", scene.name):
-        raise InputError(
-            f"layout {layout.name}",
-            Unquoted(f"one made for {layout.scene_name}"),
-            f"one of {scene.name}, the scene that is looked at",
-        )
+        got = Unquoted(f"one made for {layout.scene_name}")
+        expected = f"one of {scene.name}, the scene that is looked at"
+        raise InputError(f"layout {layout.name}", got, expected)
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
@@ -536,7 +534,6 @@ def _one_of(
     ]
     if len(found) != 1:
         got = "both" if found else "nothing"
-        raise InputError(
-            f"{where}: {first[0]}", Unquoted(got), f"a number, or {other[0]} in its place"
-        )
+        expected = f"a number, or {other[0]} in its place"
+        raise InputError(f"{where}: {first[0]}", Unquoted(got), expected)
     return found[0][1] + 0.0

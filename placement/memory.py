@@ -86,11 +86,8 @@ def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
     """
     free = available_bytes()
     if needed_bytes > free:
-        raise InputError(
-            where,
-            Unquoted(f"{what}, which takes about {gib(needed_bytes)} of memory"),
-            f"what fits into the {gib(free)} that are free: {remedy}",
-        )
+        got = Unquoted(f"{what}, which takes about {gib(needed_bytes)} of memory")
+        raise InputError(where, got, f"what fits into the {gib(free)} that are free: {remedy}")
 
 
 def gib(size: int) -> str:

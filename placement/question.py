@@ -454,9 +454,8 @@ def save_question(path: str | Path, question: Question) -> None:
     try:
         write_atomically(Path(path), question_text(question))
     except OSError as error:
-        raise InputError(
-            str(path), Unquoted(error.strerror or error), "a file that can be written"
-        ) from None
+        expected = "a file that can be written"
+        raise InputError(str(path), Unquoted(error.strerror or error), expected) from None
 
 
 Question.__signature__ = Signature(  # type: ignore[attr-defined]  # without limits, to be read

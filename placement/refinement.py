@@ -433,9 +433,8 @@ def _check_table(
     if problem.table.pose_ids != tuple(candidate.id for candidate in candidates):
         raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")
     if problem.table.axis.run_ids != setting.axis.run_ids:
-        raise InputError(
-            "refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
-        )
+        expected = "a table of the runs as planned"
+        raise InputError("refine", Unquoted("a table of sampled worlds"), expected)
 
 
 # ---------- moves

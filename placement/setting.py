@@ -288,11 +288,9 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     drives = drive(replace(question, protect="all"), scene, position=place)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
-        raise InputError(
-            f"{refusal.case.name} from the {refusal.approach}",
-            Unquoted(refusal.reason),
-            "a case that this approach carries",
-        )
+        got = Unquoted(refusal.reason)
+        expected = "a case that this approach carries"
+        raise InputError(f"{refusal.case.name} from the {refusal.approach}", got, expected)
     if len(drives.runs) != 1:
         ids = ", ".join(run.id for run in drives.runs)
         raise InputError(question.cases, Unquoted(f"{len(drives.runs)} runs ({ids})"), "one run")
@@ -398,11 +396,8 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
             f"from the {', '.join(dict.fromkeys(arms))}: {reason}"
             for reason, arms in by_reason.items()
         )
-        raise InputError(
-            "cases",
-            Unquoted(f"{case}, which no approach carries"),
-            f"a case that can be driven at {scene.name} ({why})",
-        )
+        expected = f"a case that can be driven at {scene.name} ({why})"
+        raise InputError("cases", Unquoted(f"{case}, which no approach carries"), expected)
 
 
 def _table_detector(detector: Detector) -> PlanningDetector:

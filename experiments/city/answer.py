@@ -391,11 +391,8 @@ def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) 
             else "more time or memory for each: --max-junction-seconds, --worker-memory",
         )
     if not values.weight[solved].sum() > 0.0:
-        raise InputError(
-            "--junction-weights",
-            Unquoted("weights only of junctions that have no front"),
-            "a weight above 0 for one that has",
-        )
+        got = Unquoted("weights only of junctions that have no front")
+        raise InputError("--junction-weights", got, "a weight above 0 for one that has")
     return solved
 
 

@@ -166,11 +166,9 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
             place = surveyed.junction.position_m
             if source.crs != roads[0].crs:
                 if not (source.crs and roads[0].crs):
-                    raise InputError(
-                        source.name,
-                        Unquoted(f"coordinates unlike those of {roads[0].name}"),
-                        "maps that all say where on earth they lie, or none of them",
-                    )
+                    got = Unquoted(f"coordinates unlike those of {roads[0].name}")
+                    expected = "maps that all say where on earth they lie, or none of them"
+                    raise InputError(source.name, got, expected)
                 place = transform(place, source.crs, roads[0].crs)
             folder = _folder_name(source.name if len(roads) > 1 else "", surveyed.junction.id)
             found.append(
@@ -208,11 +206,9 @@ def _refuse_overlap(found: Sequence[CityJunction]) -> None:
     for one, other in sorted(cKDTree(places).query_pairs(_SAME_M)):
         first, second = found[one], found[other]
         if first.roads is not second.roads:
-            raise InputError(
-                f"{first.roads.name} and {second.roads.name}",
-                Unquoted(f"maps that overlap: both have a junction at {first.label}"),
-                "maps of different places",
-            )
+            got = Unquoted(f"maps that overlap: both have a junction at {first.label}")
+            expected = "maps of different places"
+            raise InputError(f"{first.roads.name} and {second.roads.name}", got, expected)
 
 
 def _counting(
@@ -313,9 +309,8 @@ def load_values(city: City, wish: CityWish) -> CityValues:
         columns = {name for area in areas for name in area.values}
         if not columns & {"weight", "min_apr"}:
             known = ", ".join(sorted(columns)) or "none"
-            raise InputError(
-                f"{wish.areas}: columns", Unquoted(known), "weight or min_apr, or both"
-            )
+            expected = "weight or min_apr, or both"
+            raise InputError(f"{wish.areas}: columns", Unquoted(known), expected)
         for index, hits in enumerate(areas_of(areas, places, within_m=wish.near_m)):
             for hit in hits:
                 area = areas[hit]
@@ -371,11 +366,9 @@ def _weights(
     nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
     is_near = nearest >= 0
     if not is_near.any():
-        raise InputError(
-            "--junction-weights",
-            Unquoted(f"{path}, whose nearest place is {distance.min():,.0f} m from a junction"),
-            f"places within {wish.snap_m:g} m (--snap) of a junction that counts",
-        )
+        got = Unquoted(f"{path}, whose nearest place is {distance.min():,.0f} m from a junction")
+        expected = f"places within {wish.snap_m:g} m (--snap) of a junction that counts"
+        raise InputError("--junction-weights", got, expected)
     np.add.at(weight, nearest[is_near].astype(np.int64), counts.values[is_near])
     source = f"{path.name}, {what}, at the nearest junction within {wish.snap_m:g} m"
     notes = []

@@ -174,9 +174,8 @@ def _begin(out: Path, city: City) -> CityManifest:
     path = out / MANIFEST
     if not path.exists():
         if out.is_dir() and any(out.iterdir()):
-            raise InputError(
-                "--out", Unquoted(f"{out}, which holds other things"), "a new folder, or a city's"
-            )
+            expected = "a new folder, or a city's"
+            raise InputError("--out", Unquoted(f"{out}, which holds other things"), expected)
         _write_manifest(out, new)
         return new
     found = load_manifest(path)
@@ -190,11 +189,8 @@ def _begin(out: Path, city: City) -> CityManifest:
         and south <= found.bounds[3]
     )
     if is_apart or not old & names:
-        raise InputError(
-            "--out",
-            Unquoted(f"{out}, the folder of another city ({', '.join(sorted(old))})"),
-            "a new folder, or that of the same maps",
-        )
+        got = Unquoted(f"{out}, the folder of another city ({', '.join(sorted(old))})")
+        raise InputError("--out", got, "a new folder, or that of the same maps")
     return replace(new, junctions=found.junctions)
 
 

@@ -540,11 +540,8 @@ def _check_reach(
         part, is_in = _part(district, share)
         reach = float((part * is_in) @ most)
         if reach < district.least_apr - TOLERANCE:
-            raise InputError(
-                "min_district_apr",
-                district.least_apr,
-                f"at most {_floor(reach)}, what can be reached in {district.name}",
-            )
+            expected = f"at most {_floor(reach)}, what can be reached in {district.name}"
+            raise InputError("min_district_apr", district.least_apr, expected)
 
 
 def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputError:
@@ -650,11 +647,8 @@ def plan_phases(
     needed = -(-total // units_per_year)
     n_years = max(needed if years is None else years, 1)
     if needed > n_years:
-        raise InputError(
-            "years",
-            years,
-            f"at least {needed}, for {total} units, at most {units_per_year} of them a year",
-        )
+        expected = f"at least {needed}, for {total} units, at most {units_per_year} of them a year"
+        raise InputError("years", years, expected)
     rows = np.flatnonzero(units > 0)
     year = np.zeros(len(units), dtype=np.int64)
     year[rows], bound = _in_order(units[rows], gain[rows], units_per_year, n_years)

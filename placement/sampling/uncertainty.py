@@ -95,9 +95,8 @@ class LatencyJitter:
         _check_numbers(self)
         most = np.inf if self.distribution == "gamma" else self.mean_s / _UNIFORM_REACH
         if self.sd_s > most * (1.0 + 1.0e-9) or (self.mean_s == 0.0 and self.sd_s > 0.0):
-            raise InputError(
-                "sd_s", self.sd_s, f"less spread around a mean of {self.mean_s:g} s: none below 0"
-            )
+            expected = f"less spread around a mean of {self.mean_s:g} s: none below 0"
+            raise InputError("sd_s", self.sd_s, expected)
         if self.budget is not None and (self.mean_s, self.sd_s) != (0.0, 0.0):
             raise InputError("budget", self.budget.name, "no mean_s and sd_s beside it")
 

@@ -551,13 +551,9 @@ def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> No
         if array.dtype.kind != "U" if is_text else array.dtype != np.dtype(field.dtype):
             raise InputError(f"{where}: {name}", Unquoted(f"type {array.dtype}"), field.dtype)
         if array.ndim != len(field.axes):
-            raise InputError(
-                f"{where}: {name}",
-                Unquoted(f"{array.ndim} axes"),
-                f"{len(field.axes)} ({', '.join(field.axes) or 'a single value'})",
-            )
+            expected = f"{len(field.axes)} ({', '.join(field.axes) or 'a single value'})"
+            raise InputError(f"{where}: {name}", Unquoted(f"{array.ndim} axes"), expected)
         for axis, size in zip(field.axes, array.shape, strict=True):
             if sizes.setdefault(axis, size) != size:
-                raise InputError(
-                    f"{where}: {name}", Unquoted(f"shape {array.shape}"), f"{sizes[axis]} {axis}"
-                )
+                got = Unquoted(f"shape {array.shape}")
+                raise InputError(f"{where}: {name}", got, f"{sizes[axis]} {axis}")

@@ -107,9 +107,8 @@ def load_demand(path: Path | None = None) -> Demand:
 def _read(document: Table, where: str, name: str) -> Demand:
     table = read_table(document, _DemandFile, where)
     if table.pause_s[0] > table.pause_s[1]:
-        raise InputError(
-            f"{where}: pause_s", list(table.pause_s), "[shortest, longest], in seconds"
-        )
+        expected = "[shortest, longest], in seconds"
+        raise InputError(f"{where}: pause_s", list(table.pause_s), expected)
     entries = take_list(document, "vehicles", where)
     kinds = tuple(_read_kind(entry, f"{where}: vehicles[{i}]") for i, entry in enumerate(entries))
     turns = {turn: getattr(table.turns, turn) for turn in TURNS}
@@ -199,9 +198,8 @@ def write_routes(
     """
     for arm in demand.arms:
         if arm not in n_lanes:
-            raise InputError(
-                f"{demand.name}: arms", arm, "an arm with lanes in: " + ", ".join(n_lanes)
-            )
+            expected = "an arm with lanes in: " + ", ".join(n_lanes)
+            raise InputError(f"{demand.name}: arms", arm, expected)
     lines = ["<routes>", '<vTypeDistribution id="all">']
     for kind in demand.vehicles:
         body = kind.actor

@@ -101,11 +101,8 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
     leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
     entry, leaving = ({k: v for k, v in edges.items() if v} for edges in (entry, leaving))
     if not entry or not leaving:
-        raise InputError(
-            f"{scene.name}: lanes",
-            Unquoted("no lane into the junction" if not entry else "no lane out of it"),
-            "lanes that are driven in both directions",
-        )
+        got = Unquoted("no lane into the junction" if not entry else "no lane out of it")
+        raise InputError(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
     xml = _run_netconvert(program, plain, scene, has_lights=_has_lights(scene))
     return RoadNetwork(
@@ -270,9 +267,8 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
             raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert") from None
         if done.returncode != 0 or not target.exists():
             reason = " ".join(done.stderr.split())
-            raise InputError(
-                f"{scene.name}: lanes", Unquoted(reason), "lanes that netconvert connects"
-            )
+            expected = "lanes that netconvert connects"
+            raise InputError(f"{scene.name}: lanes", Unquoted(reason), expected)
         return read_text(target, "XML")
 
 
@@ -292,9 +288,8 @@ def _find_ways(
         edges = " ".join([*entry[arm], *leaving[other]])
         ways.setdefault(arm, {}).setdefault(turn, {})[other] = edges
     if not ways:
-        raise InputError(
-            f"{scene.name}: lanes", Unquoted("no way through the junction"), "lanes in and out"
-        )
+        expected = "lanes in and out"
+        raise InputError(f"{scene.name}: lanes", Unquoted("no way through the junction"), expected)
     return ways
 
 
