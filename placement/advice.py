@@ -268,10 +268,8 @@ class Adviser:
         return (*units, *grid)
 
     def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
-        packed = np.packbits(self._live.detected(units), axis=1, bitorder="little")
-        return DetectionTable(
-            pose_ids=tuple(unit.id for unit in units), axis=self._setting.axis, packed=packed
-        )
+        names, axis = tuple(unit.id for unit in units), self._setting.axis
+        return DetectionTable(pose_ids=names, axis=axis, packed=self._live.packed(units))
 
     def _tell(self, stage: str) -> None:
         self._compute.progress(f"optimise: {stage}", 0, 0)

@@ -85,11 +85,10 @@ class Wish:
 
     def part(self, active: Set[int]) -> PlacementProblem:
         """The problem with some of the demands only; equal limits are one object."""
-        demands = self.demands
-        survives = any(demands[number].kind == "survive" for number in active)
-        floors = tuple(
-            floor if survives else replace(floor, n_failures=0) for floor in self._floors(active)
-        )
+        demands = [self.demands[number] for number in sorted(active)]
+        floors = tuple(self.problem.floors[one.floor] for one in demands if one.floor is not None)
+        if not any(demand.kind == "survive" for demand in demands):
+            floors = tuple(replace(floor, n_failures=0) for floor in floors)
         return replace(
             self.problem, limits=self._limits_of(active), floors=floors, goal="best", survive=0
         )
@@ -122,10 +121,6 @@ class Wish:
 
     def _holds(self, floor: Floor, poses: Sequence[int]) -> bool:
         return floor_value(self.problem, floor, poses) >= floor.share - TOLERANCE
-
-    def _floors(self, active: Set[int]) -> list[Floor]:
-        indices = [self.demands[number].floor for number in sorted(active)]
-        return [self.problem.floors[index] for index in indices if index is not None]
 
     def _limits_of(self, active: Set[int]) -> Limits:
         key = frozenset(
@@ -587,18 +582,15 @@ class _Words:
 
     def _demand(self, demand: Demand) -> str:
         limits, kind = self.problem.limits, demand.kind
-        if kind == "floor":
-            assert demand.floor is not None
+        if demand.floor is not None:
             floor = self.problem.floors[demand.floor]
             is_max = _field(floor.name) == "target" and self.wishes.target == np.inf
             return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
-        if kind == "forbidden":
-            return f"`forbid_site` {self._sites_of(np.flatnonzero(limits.is_forbidden).tolist())}"
-        if kind == "forced_sites":
-            sites = np.flatnonzero(limits.is_forced_site).tolist()
-            return f"`force_site` {_few([self.site_ids[site] for site in sites])}"
         if kind == "capacity" and self.wishes.site_capacity is None:
             return "what the sites can carry"
+        items = {"forbidden": limits.is_forbidden, "forced_sites": limits.is_forced_site}
+        if kind in items:
+            return self._sites(kind, np.flatnonzero(items[kind]).tolist())
         number = {
             "survive": max((floor.n_failures for floor in self.problem.floors), default=0),
             "budget_units": (limits.budget_units or 0) - self._n_kept,
@@ -606,31 +598,26 @@ class _Words:
             "capacity": self.wishes.site_capacity,
             "separation": self.wishes.separation_m,
         }[kind]
-        return f"{_FIELDS[kind]} {number:g}{self._failing if kind == 'survive' else ''}"
+        return f"`{_FIELDS[kind]}` {number:g}{self._failing if kind == 'survive' else ''}"
 
     def _way_out(self, relaxation: Relaxation) -> str:
-        demand, value = relaxation.demand, relaxation.value
-        gone = list(relaxation.given_up)
-        if demand.kind == "floor":
-            assert demand.floor is not None
+        demand, kind, value = relaxation.demand, relaxation.demand.kind, relaxation.value
+        if demand.floor is not None:
             name = self.problem.floors[demand.floor].name
             text = _inserted(name, f"{np.floor(value * 1.0e4 + 1.0e-6) / 1.0e4:g}")
-        elif demand.kind == "forbidden":
-            text = f"`forbid_site` without {self._sites_of(gone)}"
-        elif demand.kind == "forced_sites":
-            text = f"`force_site` without {_few([self.site_ids[site] for site in gone])}"
-        elif demand.kind == "separation" and not value > 0.0:
+        elif kind in ("forbidden", "forced_sites"):
+            text = self._sites(kind, list(relaxation.given_up), "without ")
+        elif kind == "separation" and not value > 0.0:
             text = "no `separation_m`"
-        elif demand.kind == "budget_units":
-            text = f"`budget` {value - self._n_kept:g}"
-        elif demand.kind == "budget_eur":
-            text = f"`budget_cost` {np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}"
-            text = text.removesuffix(".00")
-        elif demand.kind == "separation":
-            text = f"`separation_m` {np.floor(value * 100.0) / 100.0:g}"
         else:
-            failing = self._failing if demand.kind == "survive" else ""
-            text = f"{_FIELDS[demand.kind]} {value:g}{failing}"
+            number = f"{value:g}"
+            if kind == "budget_units":
+                number = f"{value - self._n_kept:g}"
+            elif kind == "budget_eur":
+                number = f"{np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}".removesuffix(".00")
+            elif kind == "separation":
+                number = f"{np.floor(value * 100.0) / 100.0:g}"
+            text = f"`{_FIELDS[kind]}` {number}{self._failing if kind == 'survive' else ''}"
         if not relaxation.suffices:
             text += " (not enough by itself)"
         return text if relaxation.is_least else f"{text} (perhaps less will do)"
@@ -645,17 +632,25 @@ class _Words:
         """Existing units, which the budget does not count."""
         return int(self.problem.limits.is_forced.sum())
 
-    def _sites_of(self, poses: Sequence[int]) -> str:
-        sites = self.problem.limits.site_index[list(poses)].tolist()
-        return _few([self.site_ids[site] for site in sites])
+    def _sites(self, kind: Kind, items: list[int], without: str = "") -> str:
+        """A demand that lists sites, or the poses at them: the first few, each once."""
+        sites = items
+        if kind == "forbidden":
+            sites = self.problem.limits.site_index[items].tolist()
+        names = list(dict.fromkeys(self.site_ids[site] for site in sites))
+        left = len(names) - _MAX_NAMES
+        more = f" and {left} more" if left > 0 else ""
+        return f"`{_FIELDS[kind]}` {without}{','.join(names[:_MAX_NAMES])}{more}"
 
 
 _FIELDS = {
-    "survive": "`survive`",
-    "budget_units": "`budget`",
-    "budget_eur": "`budget_cost`",
-    "capacity": "`site_capacity`",
-    "separation": "`separation_m`",
+    "survive": "survive",
+    "budget_units": "budget",
+    "budget_eur": "budget_cost",
+    "capacity": "site_capacity",
+    "separation": "separation_m",
+    "forbidden": "forbid_site",
+    "forced_sites": "force_site",
 }
 
 
@@ -667,10 +662,3 @@ def _inserted(name: str, number: str) -> str:
 def _field(name: str) -> str:
     """Field of a question that the name of a floor begins with."""
     return name.partition(" ")[0].strip("-`").replace("-", "_")
-
-
-def _few(names: Sequence[str]) -> str:
-    """The first few names, each once."""
-    each = list(dict.fromkeys(names))
-    left = len(each) - _MAX_NAMES
-    return ",".join(each[:_MAX_NAMES]) + (f" and {left} more" if left > 0 else "")
