@@ -7,9 +7,9 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.junction import Arm, Junction, Line, build_junction, lane_line
-from geometry.scene import Lane, Scene
+from geometry.scene import Scene
 
 from .candidates import CandidatePose
 from .optimiser import Limits, PlacementProblem, apr, run_margins_s
@@ -32,10 +32,6 @@ class RandomLayouts:
     apr: FloatArray  # (n,): accident prevention ratio of each, 0..1
     # (n_worlds,): mean of all in each sampled world; one number where nothing was sampled
     mean_by_world: FloatArray
-
-    def __post_init__(self) -> None:
-        for name in ("apr", "mean_by_world"):
-            object.__setattr__(self, name, float_array(getattr(self, name), (-1,), name))
 
     @property
     def mean(self) -> float:
@@ -116,18 +112,13 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
     outward: Line | None = None
     for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
         for lane in lanes:
-            line = _outward(lane, is_in=is_in)
+            line, _ = lane_line(lane, is_in=is_in, length_m=_MOUTH_M)
+            line = line.turned(180.0) if is_in else line  # away from the junction
             outward = outward or line
             edges += [line.at(0.0, side * 0.5 * lane.width_m) for side in (1.0, -1.0)]
     assert outward is not None  # an arm has lanes: that is how it was found
     to_the_left = outward.coordinates(np.array(edges))[:, 1]
     return edges[int(to_the_left.argmax())], edges[int(to_the_left.argmin())]
-
-
-def _outward(lane: Lane, *, is_in: bool) -> Line:
-    """The line through a lane's mouth that leads away from the junction."""
-    line, _ = lane_line(lane, is_in=is_in, length_m=_MOUTH_M)
-    return line.turned(180.0) if is_in else line
 
 
 def middle_m(scene: Scene) -> FloatArray:
@@ -263,23 +254,20 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
             units = np.append(units, row)
     is_complete = len(units) > 0 and is_allowed(limits, units)
     expert = tuple(sorted(units.tolist())) if is_complete else ()
-    return Baselines(
-        random=_judge_random(problem, proposals) if proposals.random else None,
-        expert=expert,
-        corners=tuple(name for name in first if corners[name] in expert),
-    )
-
-
-def _judge_random(problem: PlacementProblem, proposals: Proposals) -> RandomLayouts:
-    margins_s = np.array([run_margins_s(problem, units) for units in proposals.random])
-    is_avoided: BoolArray = margins_s > -np.inf
-    measure = problem.measure()
-    worlds = [measure.sample_index == world for world in range(len(measure.sample_weight))]
-    avoided_share = is_avoided.mean(axis=0)
-    return RandomLayouts(
-        n_units=proposals.n_units,
-        apr=measure.of(is_avoided),
-        mean_by_world=np.array(
-            [np.average(avoided_share, weights=measure.weight * mine) for mine in worlds]
-        ),
-    )
+    random = None
+    if proposals.random:
+        measure = problem.measure()
+        margins_s = np.array([run_margins_s(problem, units) for units in proposals.random])
+        is_avoided: BoolArray = margins_s > -np.inf
+        share = is_avoided.mean(axis=0)
+        by_world = [
+            np.average(share, weights=measure.weight * (measure.sample_index == world))
+            for world in range(len(measure.sample_weight))
+        ]
+        random = RandomLayouts(
+            n_units=proposals.n_units,
+            apr=measure.of(is_avoided),
+            mean_by_world=np.array(by_world),
+        )
+    corner_names = tuple(name for name in first if corners[name] in expert)
+    return Baselines(random=random, expert=expert, corners=corner_names)

@@ -76,14 +76,10 @@ class GroundCoverage:
         """Share of the road's cells in each band, "unseen" last; together 1."""
         road = self.density[self.is_road]
         found, above = {}, 0.0
-        for name, least in BANDS:
+        for name, least in (*BANDS, ("coarser", np.nextafter(0.0, 1.0))):
             here = float((road >= least).mean()) if len(road) else 0.0
-            found[name] = here - above
-            above = here
-        seen = float((road > 0.0).mean()) if len(road) else 0.0
-        found["coarser"] = seen - above
-        found["unseen"] = 1.0 - seen
-        return found
+            found[name], above = here - above, here
+        return found | {"unseen": 1.0 - above}
 
 
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
@@ -109,8 +105,8 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
             continue
         mount = unit.pose.position_m - origin
         is_open = is_in_sight(caster, mount, points - origin, near_m=camera.near_m)
-        seen = is_open * (camera.focal_length_px / _depth_in_picture(points, unit))
-        density = np.maximum(density, seen)
+        finest = camera.focal_length_px / _depth_in_picture(points, unit)
+        density = np.maximum(density, is_open * finest)
     is_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
     return GroundCoverage(
         east_m=freeze(east),

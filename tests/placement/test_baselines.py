@@ -93,7 +93,9 @@ def test_where_nothing_fits_nothing_is_drawn():
 
 
 def test_mean_and_ends_are_those_of_the_ratios():
-    layouts = RandomLayouts(n_units=2, apr=np.linspace(0.0, 1.0, 101), mean_by_world=[0.5])
+    layouts = RandomLayouts(
+        n_units=2, apr=np.linspace(0.0, 1.0, 101), mean_by_world=np.array([0.5])
+    )
     assert (layouts.mean, layouts.low, layouts.high) == pytest.approx((0.5, 0.05, 0.95))
 
 
