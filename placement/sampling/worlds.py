@@ -255,7 +255,10 @@ def _draw(
         last_s = np.array([run.last_brake_time_s for run in runs])
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m
-        runs = _with_vehicles(runs, clear_of_ways(vehicles, ways, clearance_m=clearance_m))
+        standing = clear_of_ways(vehicles, ways, clearance_m=clearance_m)
+        runs = tuple(
+            replace(run, obstruction=(*run.obstruction, *standing[group_key(run)])) for run in runs
+        )
     driving = TrafficCount()
     if uncertainty.moving is not None:
         groups: dict[GroupKey, list[int]] = {}
@@ -309,14 +312,6 @@ def _with_lasting_noise(
         if isinstance(detector := getattr(setting, name), ResponseDetector)
     }
     return replace(setting, **changed)
-
-
-def _with_vehicles(
-    runs: tuple[Run, ...], standing: dict[GroupKey, tuple[PlacedActor, ...]]
-) -> tuple[Run, ...]:
-    return tuple(
-        replace(run, obstruction=(*run.obstruction, *standing[group_key(run)])) for run in runs
-    )
 
 
 def _as_mounted(
@@ -376,7 +371,9 @@ def draw_road_users(
             changed[key] = _draw_one(run, users, rule, rng("road user", *place, *both), scene)
         other = changed[key]
         n_kept += other is None
-        drawn.append(run if other is None else _like(run, other))
+        if other is not None:  # its bodies move so in every weather
+            run = replace(run, **{name: getattr(other, name) for name in _MOVED})
+        drawn.append(run)
     return tuple(drawn), n_kept
 
 
@@ -512,8 +509,3 @@ _MOVED = (
     *("encounter", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg"),
     *("vru_shape", "last_brake_time_s"),
 )
-
-
-def _like(run: Run, other: Run) -> Run:
-    """A run whose bodies move as in the same one in another weather."""
-    return replace(run, **{name: getattr(other, name) for name in _MOVED})

@@ -104,7 +104,8 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
         got = Unquoted("no lane into the junction" if not entry else "no lane out of it")
         raise InputError(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
-    xml = _run_netconvert(program, plain, scene, has_lights=_has_lights(scene))
+    kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
+    xml = _run_netconvert(program, plain, scene, has_lights="traffic light" in kinds)
     return RoadNetwork(
         xml=xml,
         origin_m=origin,
@@ -113,11 +114,6 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
         n_entry_lanes={name: len(junction.arms[name].entry_lanes) for name in entry},
         ways=_find_ways(xml, entry, leaving, scene),
     )
-
-
-def _has_lights(scene: Scene) -> bool:
-    kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
-    return "traffic light" in kinds
 
 
 class _Plain:
@@ -259,12 +255,9 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
             *("--xml-validation", "never", "--no-warnings", "true"),
             *(("--lefthand", "true") if scene.keeps_left else ()),
         ]
-        try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, timeout=_NETCONVERT_TIMEOUT_S, check=False
-            )
-        except subprocess.TimeoutExpired:
-            raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert") from None
+        done = _run_program(command, timeout_s=_NETCONVERT_TIMEOUT_S)
+        if done is None:
+            raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert")
         if done.returncode != 0 or not target.exists():
             reason = " ".join(done.stderr.split())
             expected = "lanes that netconvert connects"
@@ -378,8 +371,16 @@ def simulate_windows(
 
 
 def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, Any] | None:
-    """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane."""
-    leaving = _exits(run, network)
+    """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane.
+
+    It takes the way through the junction that leads most nearly where its path points.
+    """
+    turns = network.ways.get(run.approach, {})
+    first, last = run.vut_yaw_deg[[0, -1]].tolist()
+    turned_deg = (last - first + 180.0) % 360.0 - 180.0
+    wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
+    exits = turns.get(wanted) or next(iter(turns.values()), {})
+    leaving = next(iter(exits.values()), "")
     if run.approach not in network.entry_edges or not leaving:
         return None
     yaw = np.radians(run.vut_yaw_deg)
@@ -394,17 +395,8 @@ def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, A
     }
 
 
-def _exits(run: Run, network: RoadNetwork) -> str:
-    """Edges of the way through the junction that leads most nearly where the VUT's path points."""
-    turns = network.ways.get(run.approach, {})
-    first, last = run.vut_yaw_deg[[0, -1]].tolist()
-    turned_deg = (last - first + 180.0) % 360.0 - 180.0
-    wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
-    exits = turns.get(wanted) or next(iter(turns.values()), {})
-    return next(iter(exits.values()), "")
-
-
 def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, Any]:
+    child = Path(__file__).with_name("child.py")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         paths = {key: folder / f"junction.{key}.xml" for key in ("network", "routes")}
@@ -412,17 +404,11 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
         write_new(paths["routes"], routes)
         given, found = folder / "job.json", folder / "found.npz"
         write_new(given, json.dumps(job | {key: str(path) for key, path in paths.items()}))
-        try:
-            done = subprocess.run(
-                [sys.executable, "-I", str(_CHILD), str(given), str(found)],
-                capture_output=True,
-                text=True,
-                timeout=_TIMEOUT_S,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
+        command = [sys.executable, "-I", str(child), str(given), str(found)]
+        done = _run_program(command, timeout_s=_TIMEOUT_S)
+        if done is None:
             got = Unquoted(f"a simulation that takes more than {_TIMEOUT_S:g} s")
-            raise InputError("traffic", got, "less demand, or fewer runs") from None
+            raise InputError("traffic", got, "less demand, or fewer runs")
         if done.returncode != 0:
             lines = done.stderr.split("\n")
             reason = next((line for line in reversed(lines) if line.strip()), "no reason given")
@@ -431,7 +417,16 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
             return {key: stored[key] for key in stored.files}
 
 
-_CHILD = Path(__file__).with_name("child.py")
+def _run_program(
+    command: Sequence[str], *, timeout_s: float
+) -> subprocess.CompletedProcess[str] | None:
+    """Run a program to its end; None where that takes too long."""
+    try:
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=timeout_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return None
 
 
 # ---------- vehicles that drive by in sampled worlds

@@ -1,7 +1,7 @@
 """Where vehicles are at what time, and windows of it: what drives by while a run lasts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -133,13 +133,7 @@ class TrafficCount:
     n_waiting: int = 0
 
     def __add__(self, other: "TrafficCount") -> "TrafficCount":
-        return TrafficCount(
-            self.n_runs + other.n_runs,
-            self.n_vehicles + other.n_vehicles,
-            self.n_left_out + other.n_left_out,
-            self.n_departed + other.n_departed,
-            self.n_waiting + other.n_waiting,
-        )
+        return TrafficCount(*map(sum, zip(astuple(self), astuple(other), strict=True)))
 
     def __str__(self) -> str:
         text = (
