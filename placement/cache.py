@@ -124,25 +124,32 @@ def _is_usable(folder: Path) -> bool:
 
 def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays | None:
     """Read arrays of a fingerprint; None, and logged, if the file is damaged or foreign."""
+
+    def read(file: BinaryIO) -> Arrays:
+        # Opened before: numpy does not close a file that turns out to be no archive.
+        with np.load(file, allow_pickle=False) as stored:
+            if str(stored["format"]) != kind or str(stored["fingerprint"]) != fingerprint:
+                raise ValueError("made from other inputs")
+            arrays = {name: stored[name] for name in stored.files if name not in _OWN}
+            if str(stored["content"]) != content_hash(arrays, fingerprint):
+                raise ValueError("its content is not what was written")
+        return arrays
+
+    return _read(path, read, what=what)
+
+
+def _read(path: Path, read: Callable[[BinaryIO], _T], *, what: str) -> _T | None:
+    """Content of a file; None, and logged, if it is damaged or foreign."""
     if not path.parent.is_dir() or not _is_usable(path.parent):
         return None
     try:
-        # Opened here: numpy does not close a file that turns out to be no archive.
-        with open_own(path) as file, np.load(file, allow_pickle=False) as stored:
-            if str(stored["format"]) != kind or str(stored["fingerprint"]) != fingerprint:
-                raise ValueError("made from other inputs")
-            content = str(stored["content"])
-            names = [name for name in stored.files if name not in _OWN]
-            arrays = {name: stored[name] for name in names}
-            if content != content_hash(arrays, fingerprint):
-                raise ValueError("its content is not what was written")
+        with open_own(path) as file:
+            return read(file)
     except FileNotFoundError:
         return None
     except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
         tell_unused(path, error, what=what)
         return None
-    else:
-        return arrays
 
 
 _OWN = ("format", "fingerprint", "content")
@@ -253,9 +260,17 @@ def cached_value(
         return make()
     fingerprint = Fingerprints().of(hash_of_code(packages), *made_from)
     path = folder / f"{name}-{fingerprint}.msgpack"
-    found = _load_value(path, name, kind, fingerprint, classes)
+
+    def read(file: BinaryIO) -> _T:
+        stored = file.read()
+        if _key(stored[_HASH_SIZE:], fingerprint) != stored[:_HASH_SIZE]:
+            raise ValueError("its content is not what was written")
+        return cast(_T, from_bytes(stored[_HASH_SIZE:], kind, classes=classes))
+
+    found = _read(path, read, what=name)
     if found is not None:
-        return cast(_T, found)
+        _log.info("%s (cached): read from %s", name, path)
+        return found
     value = make()
     if is_worth_it(value):
         content = to_bytes(value)
@@ -263,27 +278,6 @@ def cached_value(
         if _write(path, lambda file: file.write(key + content), what=name):
             _prune(path, most=MAX_VALUES)
     return value
-
-
-def _load_value(
-    path: Path, name: str, kind: Any, fingerprint: str, classes: Sequence[type]
-) -> object:
-    """A value from a file; None, and logged, if that is damaged or foreign."""
-    if not path.parent.is_dir() or not _is_usable(path.parent):
-        return None
-    try:
-        with open_own(path) as file:
-            stored = file.read()
-        if _key(stored[_HASH_SIZE:], fingerprint) != stored[:_HASH_SIZE]:
-            raise ValueError("its content is not what was written")
-        found: object = from_bytes(stored[_HASH_SIZE:], kind, classes=classes)
-    except FileNotFoundError:
-        return None
-    except Exception as error:  # what is damaged raises anything
-        tell_unused(path, error, what=name)
-        return None
-    _log.info("%s (cached): read from %s", name, path)
-    return found
 
 
 def _key(content: bytes, fingerprint: str) -> bytes:
