@@ -63,7 +63,9 @@ class LiveTable:
         for row, unit in enumerate(units):
             known = self._rows.get(_row_key(unit))
             if known is None:
-                missing.setdefault(_mount_key(unit), []).append(row)
+                sensor, place = unit.sensor, unit.pose.position_m.tolist()
+                key = (*place, sensor.near_m, isinstance(sensor, LidarModel))  # of all rays
+                missing.setdefault(key, []).append(row)
             else:
                 self._rows.move_to_end(_row_key(unit))
                 packed[row] = known
@@ -71,7 +73,10 @@ class LiveTable:
             return packed
         keys = list(missing)
         if self._world is None:
-            self._world = self._build_world()
+            setting, compute = self._setting, self._compute
+            self._world = build_world(
+                setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+            )
 
         def fill(key: _Key) -> tuple[Sensing, float]:
             alike = [units[row] for row in missing[key]]
@@ -91,12 +96,6 @@ class LiveTable:
             for row in rows:
                 _put(self._rows, _row_key(units[row]), packed[row].copy(), most=MAX_ROWS)
         return packed
-
-    def _build_world(self) -> World:
-        setting, compute = self._setting, self._compute
-        return build_world(
-            setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
-        )
 
     def _sensing(self, key: _Key, units: Sequence[CandidatePose]) -> tuple[Sensing, float]:
         """View from the mount of units in every direction, as far as they reach, and how far."""
@@ -122,11 +121,6 @@ def _put(cached: OrderedDict[_Key, _T], key: _Key, value: _T, *, most: int) -> N
     cached.move_to_end(key)
     if len(cached) > most:
         cached.popitem(last=False)
-
-
-def _mount_key(unit: CandidatePose) -> _Key:
-    """Equal for units that share all rays."""
-    return (*unit.pose.position_m.tolist(), unit.sensor.near_m, isinstance(unit.sensor, LidarModel))
 
 
 def _row_key(unit: CandidatePose) -> _Key:
