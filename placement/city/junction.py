@@ -60,16 +60,15 @@ class JunctionWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedJunction:
-    """A junction's front with its layouts."""
+    """A junction's front with its layouts, and the sizes of its question."""
 
-    front: JunctionFront  # Points and bounds
-    # Of each point, with the existing units; None where nothing is mounted
-    layouts: tuple[Layout | None, ...]
-    n_sites: int  # Sizes of the question
-    n_poses: int
-    n_runs: int
-    n_frames: int
-    seconds: dict[str, float]  # Processor time of the thread that solved it, by stage. [s]
+    front: JunctionFront  # points and bounds
+    layouts: tuple[Layout | None, ...]  # of each point, existing units too; None: nothing mounted
+    sites: int
+    poses: int
+    runs: int
+    frames: int
+    seconds: dict[str, float]  # processor time of the thread that solved it, by stage. [s]
 
 
 def solve_junction(
@@ -121,10 +120,10 @@ def solve_junction(
             pick_layout(candidates, index, f"front-{len(index)}") if index else existing
             for index in chosen
         ),
-        n_sites=len(scene.sites),
-        n_poses=len(candidates),
-        n_runs=len(assembly.setting.runs),
-        n_frames=assembly.setting.axis.n_frames,
+        sites=len(scene.sites),
+        poses=len(candidates),
+        runs=len(assembly.setting.runs),
+        frames=assembly.setting.axis.n_frames,
         seconds=watch.finish(),
     )
 
@@ -298,37 +297,29 @@ class _Watch:
     """Takes the time of each stage, and ends what takes too long."""
 
     def __init__(self, limit_s: float, compute: Compute) -> None:
-        self._end_s = now_s() + limit_s
-        self._limit_s = limit_s
+        self._end_s, self._limit_s = now_s() + limit_s, limit_s
         self._progress = compute.progress
-        self._clock: Callable[[], float] = time.process_time
-        self._began_s = self._clock()
-        self._stage = "begin"
+        self._stage, self._began_s = "begin", time.process_time()
         self._seconds: dict[str, float] = {}
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:
         self._progress(stage, done, total)
-        self._check()
+        if self.left_s() < 0.0 and not self._stage.startswith("front"):
+            raise TimeUpError(f"{self._limit_s:g} s were up in the stage '{self._stage}'")
 
     def begin(self, stage: str) -> None:
         self._note()
         self._stage = stage
-        self._progress(stage, 0, 0)
-        self._check()
-
-    def finish(self) -> dict[str, float]:
-        self._note()
-        self._seconds.pop("begin", None)
-        return {name: round(value, 2) for name, value in self._seconds.items()}
-
-    def left_s(self) -> float:
-        return self._end_s - now_s()
+        self(stage, 0, 0)
 
     def _note(self) -> None:
-        at_s = self._clock()
+        at_s = time.process_time()
         self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + at_s - self._began_s
         self._began_s = at_s
 
-    def _check(self) -> None:
-        if self.left_s() < 0.0 and not self._stage.startswith("front"):
-            raise TimeUpError(f"{self._limit_s:g} s were up in the stage '{self._stage}'")
+    def finish(self) -> dict[str, float]:
+        self._note()
+        return {name: round(s, 2) for name, s in self._seconds.items() if name != "begin"}
+
+    def left_s(self) -> float:
+        return self._end_s - now_s()
