@@ -265,9 +265,8 @@ def run_junctions(
                 if attempt < TRIES:
                     hand_over(task, attempt + 1)
                     continue
-                reason = (
-                    f"an unexpected error, {TRIES} times: " + " ".join(str(error).split())[:200]
-                )
+                text = " ".join(str(error).split())[:200]  # it begins with the kind
+                reason = f"an unexpected error, {TRIES} times: {text}"
                 if isinstance(error, WorkerDiedError):
                     cause = f" of {error}" if str(error) else ""
                     remedy = "more --worker-memory, or fewer poses"
