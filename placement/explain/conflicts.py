@@ -200,50 +200,27 @@ class Relaxation:
 def relax(
     problem: PlacementProblem, relaxation: Relaxation, separation: Separation | None = None
 ) -> PlacementProblem:
-    """The problem with one demand relaxed, all others as they were."""
+    """The problem with a demand relaxed that has no number of its own to be asked for."""
     kind, value = relaxation.demand.kind, relaxation.value
     limits, items = problem.limits, list(relaxation.given_up)
-    if kind == "floor":
-        floors = list(problem.floors)
-        index = relaxation.demand.floor
-        assert index is not None
-        floors[index] = replace(floors[index], share=min(max(value, 0.0), 1.0))
-        return replace(problem, floors=tuple(floors))
     if kind == "survive":
-        most = int(value)
-        return replace(
-            problem,
-            floors=tuple(replace(f, n_failures=min(f.n_failures, most)) for f in problem.floors),
-        )
-    if kind == "budget_units":
-        limits = replace(limits, budget_units=int(value))
-    elif kind == "budget_eur":
-        limits = replace(limits, budget_eur=value)
-    elif kind == "capacity":
+        floors = (replace(f, n_failures=min(f.n_failures, int(value))) for f in problem.floors)
+        return replace(problem, floors=tuple(floors))
+    if kind == "capacity":
         limits = replace(limits, site_capacity=np.maximum(limits.site_capacity, int(value)))
-    elif kind == "separation":
-        limits = _bring_nearer(limits, value, items, separation)
+    elif kind == "separation" and separation is None:
+        limits = replace(limits, rivals=np.delete(limits.rivals, items, axis=0))
+    elif kind == "separation" and separation is not None:
+        is_near = separation.pair_distance_m < value
+        capacity = limits.site_capacity if value > 0.0 else separation.site_capacity
+        limits = replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
     else:
-        field = {
-            "forced": "is_forced",
-            "forbidden": "is_forbidden",
-            "forced_sites": "is_forced_site",
-        }[kind]
+        names = {"forced_sites": "is_forced_site"}
+        field = names.get(kind, f"is_{kind}")
         flags = getattr(limits, field).copy()
         flags[items] = False
         limits = replace(limits, **{field: flags})
     return replace(problem, limits=limits)
-
-
-def _bring_nearer(
-    limits: Limits, distance_m: float, pairs: Sequence[int], separation: Separation | None
-) -> Limits:
-    """Limits with a smaller separation, or without some rivals where no distance is known."""
-    if separation is None:
-        return replace(limits, rivals=np.delete(limits.rivals, list(pairs), axis=0))
-    is_near = separation.pair_distance_m < distance_m
-    capacity = limits.site_capacity if distance_m > 0.0 else separation.site_capacity
-    return replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
 
 
 def find_relaxation(
@@ -253,55 +230,42 @@ def find_relaxation(
 
     None if nothing was found in time; `suffices` is to be filled in.
     """
-    demand = wish.demands[number]
+    demand, separation = wish.demands[number], wish.separation
     with_it, without = wish.part(others | {number}), wish.part(others)
+    limits, kinds = with_it.limits, {wish.demands[other].kind for other in others}
+    answer = None
     if demand.kind == "budget_units":
-        asked = with_it.limits.budget_units or 0
-        return _of_value(demand, oracle.least_units(without, more_than=asked))
-    if demand.kind == "budget_eur":
-        asked_eur = with_it.limits.budget_eur or 0.0
-        return _of_value(demand, oracle.least_cost_eur(without, more_than_eur=asked_eur))
-    if demand.kind == "floor":
-        assert demand.floor is not None
+        answer = oracle.least_units(without, more_than=limits.budget_units or 0)
+    elif demand.kind == "budget_eur":
+        answer = oracle.least_cost_eur(without, more_than_eur=limits.budget_eur or 0.0)
+    elif demand.floor is not None:
         floor = wish.problem.floors[demand.floor]
-        survives = any(wish.demands[other].kind == "survive" for other in others)
-        answer = oracle.most(
-            without, wish.problem.floor_measure(floor), floor.n_failures if survives else 0
+        n_failures = floor.n_failures if "survive" in kinds else 0
+        answer = oracle.most(without, wish.problem.floor_measure(floor), n_failures)
+    if answer is not None:
+        if answer.pose_index is None:
+            return None
+        return Relaxation(
+            demand=demand,
+            value=answer.value,
+            is_least=answer.is_proven,
+            pose_index=answer.pose_index,
         )
-        return _of_value(demand, answer)
-    trial = _Trial(demand, with_it, oracle, _separation_among(wish, others))
+    if separation is not None and "capacity" not in kinds:  # sites may carry any number of units
+        any_number = np.full(wish.problem.limits.n_sites, wish.problem.limits.n_poses)
+        separation = replace(separation, site_capacity=any_number)
+    trial = _Trial(demand, with_it, oracle, separation)
     if demand.kind == "survive":
         most = max(floor.n_failures for floor in with_it.floors)
         return trial.first([float(n) for n in range(most - 1, -1, -1)])
     if demand.kind == "capacity":
-        limits = with_it.limits
         per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
         least = int(limits.site_capacity.min()) + 1
         return trial.first([float(n) for n in range(least, int(per_site.max()) + 1)])
-    if demand.kind == "separation" and wish.separation is not None:
-        distances = np.unique(wish.separation.pair_distance_m)
+    if demand.kind == "separation" and separation is not None:
+        distances = np.unique(separation.pair_distance_m)
         return trial.first([*distances[::-1].tolist(), 0.0])
-    return trial.fewest(_items(demand, with_it.limits), oracle.find(without))
-
-
-def _separation_among(wish: Wish, others: frozenset[int]) -> Separation | None:
-    """The demand of the separation where sites may also carry any number of units."""
-    separation = wish.separation
-    if separation is None or any(wish.demands[other].kind == "capacity" for other in others):
-        return separation
-    limits = wish.problem.limits
-    return replace(separation, site_capacity=np.full(limits.n_sites, limits.n_poses))
-
-
-def _of_value(demand: Demand, answer: Answer) -> Relaxation | None:
-    if answer.pose_index is None:
-        return None
-    return Relaxation(
-        demand=demand,
-        value=answer.value,
-        is_least=answer.is_proven,
-        pose_index=answer.pose_index,
-    )
+    return trial.fewest(_items(demand, limits), oracle.find(without))
 
 
 def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
