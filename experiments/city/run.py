@@ -43,7 +43,7 @@ from ..progress import WRITING, StageProgress, follow_parent
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
 from ..results.numbers import several
-from ..results.record import to_plain
+from ..results.record import Record, to_plain
 from ..results.tables import csv_text
 from .answer import (
     FRONT,
@@ -96,21 +96,14 @@ SERVE = "junctions with units"
 _NEW_FOR_A_PROCESS = 8  # a process takes some seconds to start, a page half of one
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CityWorkers:
-    """Processes on this machine, and the most memory of each."""
-
-    n_workers: int = 1
-    memory: str = "1.5GiB"
-
-
 def run_city(
     question: Question,
     *,
     maps: Sequence[Path],
     wish: CityWish,
     search: CitySearch,
-    workers: CityWorkers,
+    n_workers: int,
+    memory: str,
     out: Path,
     seed: int,
     command: str,
@@ -120,15 +113,15 @@ def run_city(
     """Choose the units of each junction of a city, and write the answer.
 
     `question` has the runs and sensors at each junction; `maps` those with roads, and others with
-    buildings; `out` is new, empty, or of the same city; `tell` gets the amount of work and the
-    workers. Raises InputError: a file cannot be read, the maps overlap, no junction can be solved,
-    a wish cannot be met, or the folder is of something else.
+    buildings; `memory` is the most of each worker; `out` is new, empty, or of the same city; `tell`
+    gets the amount of work and the workers. Raises InputError: a file cannot be read, the maps
+    overlap, no junction can be solved, a wish cannot be met, or the folder is of something else.
     """
     check_folder(out)
     progress.kept = f"nothing was written to {out}"
     grid = build_grid(question, is_coarse=search.is_coarse)
     check_question(question)
-    check_memory(workers.memory)
+    check_memory(memory)
     progress("read maps", 0, 0)
     city = load_city(maps, search.reading, wish)
     for source in city.roads:
@@ -136,8 +129,8 @@ def run_city(
     values = load_values(city, wish)
     existing = load_existing(wish.keep, city)
     manifest = _begin(out, city)
-    tasks = _Tasks(city, question, search, grid, existing=existing, seed=seed)
-    done = _find_done(out, tasks)
+    task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
+    done = _find_done(out, city, task_of)
     n_todo = len(city.junctions) - len(done)
     tell(
         f"{several(len(city.junctions), 'junction', 'junctions')} of {city.n_all}; "
@@ -145,7 +138,17 @@ def run_city(
     )
     progress.kept = f"junctions that are done are kept in {out}; the same command goes on"
     if n_todo:
-        _find_missing(out, tasks, done, workers, progress, tell)
+        todo = {one.scene_name: one for one in city.junctions if one.folder not in done}
+        n_processes = min(n_workers, n_todo)
+        with start_workers(n_workers=n_processes, memory=memory, tell=tell) as started:
+            progress(SOLVE, len(done), len(city.junctions))
+            for task, answer in run_junctions(started, map(task_of, todo.values())):
+                one = todo[task.options.name]
+                # The scene first: where a front is, the scene is whole.
+                files = {**answer.files, FRONT: _json(answer.record)}
+                write_files(out / JUNCTIONS / one.folder, files)
+                done[one.folder] = answer.record.without_layouts()
+                progress(SOLVE, len(done), len(city.junctions))
     unchanged = _update_manifest(out, manifest, city, done)
     progress("choose", 0, 0)
     result = choose_for_city(out, city, values, done, wish=wish, search=search, existing=existing)
@@ -154,7 +157,7 @@ def run_city(
         _served_tasks(
             out, result, question=question, existing=existing, grid=grid, same_fronts=unchanged
         ),
-        workers.n_workers,
+        n_workers,
         progress,
     )
     progress(WRITING, 0, 0)
@@ -176,7 +179,7 @@ def _begin(out: Path, city: City) -> CityManifest:
         if out.is_dir() and any(out.iterdir()):
             expected = "a new folder, or a city's"
             raise InputError("--out", Unquoted(f"{out}, which holds other things"), expected)
-        _write_manifest(out, new)
+        write_files(out, {MANIFEST: _json(new)})
         return new
     found = load_manifest(path)
     old = {one.name for one in found.maps if one.has_roads}
@@ -194,53 +197,29 @@ def _begin(out: Path, city: City) -> CityManifest:
     return replace(new, junctions=found.junctions)
 
 
-def _write_manifest(out: Path, manifest: CityManifest) -> None:
-    text = msgspec.json.format(msgspec.json.encode(manifest), indent=1)
-    write_files(out, {MANIFEST: text + b"\n"})
+def _json(record: Record) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n"
 
 
-def _find_done(out: Path, tasks: "_Tasks") -> dict[str, CityFrontRecord]:
+_TaskOf = Callable[[CityJunction], JunctionTask]
+
+
+def _find_done(out: Path, city: City, task_of: _TaskOf) -> dict[str, CityFrontRecord]:
     """Fronts of the same question, by their junction's folder; without layouts."""
     found = {}
-    for one in tasks.city.junctions:
+    for one in city.junctions:
         record = load_front(out / JUNCTIONS / one.folder / FRONT)
         if record is None or record.schema != SCHEMA or not record.is_final:
             continue
-        if record.key == tasks.task(one).key:
+        if record.key == task_of(one).key:
             found[one.folder] = record.without_layouts()
     return found
-
-
-def _find_missing(
-    out: Path,
-    tasks: "_Tasks",
-    done: dict[str, CityFrontRecord],
-    workers: CityWorkers,
-    progress: StageProgress,
-    tell: Callable[[str], None],
-) -> None:
-    """Find the fronts that are not `done`, write each at once, and add it."""
-    todo = {one.scene_name: one for one in tasks.city.junctions if one.folder not in done}
-    n_all = len(tasks.city.junctions)
-    with start_workers(
-        n_workers=min(workers.n_workers, len(todo)),
-        memory=workers.memory,
-        tell=tell,
-    ) as started:
-        progress(SOLVE, len(done), n_all)
-        for task, answer in run_junctions(started, map(tasks.task, todo.values())):
-            one = todo[task.options.name]
-            # The scene first: where a front is, the scene is whole.
-            text = msgspec.json.format(msgspec.json.encode(answer.record), indent=1)
-            write_files(out / JUNCTIONS / one.folder, {**answer.files, FRONT: text + b"\n"})
-            done[one.folder] = answer.record.without_layouts()
-            progress(SOLVE, len(done), n_all)
 
 
 def _update_manifest(
     out: Path, manifest: CityManifest, city: City, done: dict[str, CityFrontRecord]
 ) -> set[str]:
-    """Write the manifest with the fronts that are done; folders whose fronts were there before."""
+    """Write the manifest with all fronts; folders whose fronts were there before."""
     before = {entry.folder: entry.sha256 for entry in manifest.junctions}
     entries = {
         one.folder: CityEntry(
@@ -251,68 +230,57 @@ def _update_manifest(
             sha256=sha256(out / JUNCTIONS / one.folder / FRONT),
         )
         for one in city.junctions
-        if one.folder in done
     }
     others = [entry for entry in manifest.junctions if entry.folder not in entries]
-    _write_manifest(out, replace(manifest, junctions=(*entries.values(), *others)))
-    return {
-        f"{JUNCTIONS}/{folder}"
-        for folder, entry in entries.items()
-        if before.get(folder) == entry.sha256
-    }
+    junctions = (*entries.values(), *others)
+    write_files(out, {MANIFEST: _json(replace(manifest, junctions=junctions))})
+    same = (folder for folder, entry in entries.items() if before.get(folder) == entry.sha256)
+    return {f"{JUNCTIONS}/{folder}" for folder in same}
 
 
 # ---------- tasks
 
 
-class _Tasks:
-    """Tasks for junctions, each made when it is asked for.
+def _task_maker(
+    city: City,
+    question: Question,
+    search: CitySearch,
+    grid: CandidateGrid,
+    *,
+    existing: dict[str, Layout],
+    seed: int,
+) -> _TaskOf:
+    """Function of a junction: its task, made when it is asked for.
 
     The key of each is a hash of all that the front depends on, the program's code included.
     """
+    around = {
+        source.name: Neighbourhoods([source, *city.others], radius_m=search.radius_m)
+        for source in city.roads
+    }
+    sites = Path(search.sites)
+    listed = sha256(sites) if sites.is_file() else ""
+    weighed = [sha256(path) for path in weight_files(question.weights) if path.is_file()]
+    code = [hash_of_files(package) for package in ALL_PACKAGES]
+    prints = Fingerprints()
+    same = prints.of(
+        *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid),
+        weighed,
+    )
 
-    def __init__(
-        self,
-        city: City,
-        question: Question,
-        search: CitySearch,
-        grid: CandidateGrid,
-        *,
-        existing: dict[str, Layout],
-        seed: int,
-    ) -> None:
-        self.city = city
-        self._question, self._search, self._grid = question, search, grid
-        self._existing, self._seed = existing, seed
-        self._around = {
-            source.name: Neighbourhoods([source, *city.others], radius_m=search.radius_m)
-            for source in city.roads
-        }
-        sites = Path(search.sites)
-        listed = sha256(sites) if sites.is_file() else ""
-        weighed = [sha256(path) for path in weight_files(question.weights) if path.is_file()]
-        code = [hash_of_files(package) for package in ALL_PACKAGES]
-        self._prints = Fingerprints()
-        self._same = self._prints.of(
-            *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid),
-            weighed,
-        )
-
-    def task(self, one: CityJunction) -> JunctionTask:
-        """The task of a junction."""
-        search = self._search
-        maps = self._around[one.roads.name].around(one.surveyed.junction)
+    def task_of(one: CityJunction) -> JunctionTask:
+        maps = around[one.roads.name].around(one.surveyed.junction)
         wishes = JunctionWishes(
-            grid=self._grid,
+            grid=grid,
             max_units=search.max_units,
             time_limit_s=search.max_junction_s,
-            existing=self._existing.get(one.scene_name),
+            existing=existing.get(one.scene_name),
         )
         # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
         parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
         limits = (wishes.max_units, wishes.time_limit_s, wishes.existing)
         return JunctionTask(
-            key=self._prints.of(self._same, *limits, parts),
+            key=prints.of(same, *limits, parts),
             maps=maps,
             chosen=one.surveyed,
             options=ImportOptions(
@@ -321,10 +289,12 @@ class _Tasks:
                 reading=search.reading,
                 name=one.scene_name,
             ),
-            question=self._question,
+            question=question,
             wishes=wishes,
-            seed=self._seed,
+            seed=seed,
         )
+
+    return task_of
 
 
 # ---------- the junctions that get units

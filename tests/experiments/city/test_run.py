@@ -36,14 +36,15 @@ SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
-def run(maps, out, *, question=FEW_RUNS, search=SEARCH, workers=None, told=None, **wish):
+def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
     wish = wish if "budget_units" in wish or "budget_eur" in wish else {"budget_units": 2, **wish}
     return job.run_city(
         question,
         maps=[maps] if isinstance(maps, Path) else maps,
         wish=CityWish(**wish),
         search=search,
-        workers=workers or job.CityWorkers(),
+        n_workers=1,
+        memory="1.5GiB",
         out=out,
         seed=0,
         command="place-rsus city tiny.osm",
@@ -413,8 +414,8 @@ def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path
 def tasks_of(path):
     city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
     grid = job.build_grid(Question(), is_coarse=True)
-    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, existing={}, seed=0)
-    return [tasks.task(one) for one in city.junctions]
+    task_of = job._task_maker(city, FEW_RUNS, SEARCH, grid, existing={}, seed=0)
+    return [task_of(one) for one in city.junctions]
 
 
 class Dying:
