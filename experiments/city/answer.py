@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
-from placement.city.choose import Phases, choose, city_front, plan_phases
+from placement.city.choose import Phases, Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.steering import TOLERANCE
@@ -284,13 +284,13 @@ def choose_for_city(
             units_per_year=wish.units_per_year,
             years=wish.years,
         )
-    numbers = dict(zip(solved, (choice.rows - first).tolist(), strict=True))
-    years = {} if phases is None else dict(zip(solved, phases.year.tolist(), strict=True))
+    years = np.zeros_like(first) if phases is None else phases.year
+    got = zip((choice.rows - first).tolist(), years.tolist(), strict=True)
+    got_at = dict(zip(solved, got, strict=True))
     junctions = [
-        _junction_record(out, city, values, index, record, numbers, existing)
+        _junction_record(out, city, values, index, record, got_at.get(index), existing)
         for index, record in enumerate(records)
     ]
-    junctions = [replace(one, year=years.get(index, 0)) for index, one in enumerate(junctions)]
     steps = city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
     result = CityResult(
         maps=city.records,
@@ -307,15 +307,7 @@ def choose_for_city(
         junctions=tuple(junctions),
         not_done=len(records) - len(solved),
         by="cost" if by_cost else "units",
-        front=tuple(
-            CityStepRecord(
-                junction=city.junctions[solved[step.junction]].label,
-                units=int(options.units[step.row]),
-                taken=step.taken,
-                apr=step.apr,
-            )
-            for step in steps
-        ),
+        front=tuple(_step_record(city, solved, options, step) for step in steps),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
         search=CitySearchRecord(
@@ -336,12 +328,12 @@ def _junction_record(
     values: CityValues,
     index: int,
     record: CityFrontRecord,
-    numbers: dict[int, int],
+    got: tuple[int, int] | None,
     existing: dict[str, Layout],
 ) -> CityJunctionRecord:
-    """A junction and what it gets: the point of its front that has its number, if it has a front.
+    """A junction and what it gets, if it has a front: number of a point, and the year.
 
-    Its layout is read from the folder.
+    The layout of the point is read from the folder.
     """
     one = city.junctions[index]
     head = CityJunctionRecord(
@@ -355,16 +347,17 @@ def _junction_record(
         district=", ".join(name for name, members in values.districts if index in members),
         reason=record.reason,
     )
-    if record.front is None:
+    if record.front is None or got is None:
         return head
-    point = record.front.points[numbers[index]]
+    number, year = got
+    point = record.front.points[number]
     layout: tuple[UnitRecord, ...] = ()
     if point.units or one.scene_name in existing:
         path = out / head.folder / FRONT
         found = load_front(path)
-        if found is None or numbers[index] >= len(found.layouts):
+        if found is None or number >= len(found.layouts):
             raise InputError(str(path), Unquoted("a file that has changed"), "what was written")
-        layout = found.layouts[numbers[index]]
+        layout = found.layouts[number]
     return replace(
         head,
         units=point.units,
@@ -374,6 +367,16 @@ def _junction_record(
         apr_one_failed=point.apr_one_failed,
         layout=layout,
         kept=max(len(layout) - point.units, 0),
+        year=year,
+    )
+
+
+def _step_record(city: City, solved: Sequence[int], options: Options, step: Step) -> CityStepRecord:
+    return CityStepRecord(
+        junction=city.junctions[solved[step.junction]].label,
+        units=int(options.units[step.row]),
+        taken=step.taken,
+        apr=step.apr,
     )
 
 
