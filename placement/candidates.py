@@ -29,27 +29,13 @@ if TYPE_CHECKING:  # solvers of differential equations come with it
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidatePose:
-    """A sensor that could be mounted.
+    """A sensor that could be mounted."""
 
-    Attributes
-    ----------
-    id : str
-        Unique name.
-    site_id : str
-        Site of the scene that carries it; empty for a pose that belongs to no known site.
-    pose : Pose
-        Where it is and looks. World frame.
-    sensor : CameraModel or LidarModel
-        What is mounted.
-    latency_s : float, optional
-        From its frame to the onset of braking; by default that of the braking rule. [s]
-    """
-
-    id: str
-    site_id: str
-    pose: Pose
-    sensor: Sensor
-    latency_s: float | None = None
+    id: str  #: unique name
+    site_id: str  #: site of the scene that carries it; empty for a pose at no known site
+    pose: Pose  #: where it is and looks, in the world frame
+    sensor: Sensor  #: what is mounted
+    latency_s: float | None = None  #: from its frame to braking; by default that of the rule. [s]
 
     def latency(self, rule: "AebRule") -> float:
         """Its own latency, or the rule's, in seconds."""
@@ -70,28 +56,15 @@ def above_ground(unit: CandidatePose, scene: Scene) -> CandidatePose:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidateGrid:
-    """Which poses are tried at every site.
+    """Which poses are tried at every site."""
 
-    Attributes
-    ----------
-    heights_m : (n,) float
-        Above the road; at a site with a smaller range the nearest height in its range. [m]
-    yaw_step_deg : float
-        Yaws are the multiples of this all around; it divides 360. [deg]
-    pitches_deg : (n,) float
-        Positive up. [deg]
-    sensors : tuple of CameraModel or LidarModel
-        Models to choose from.
-    ring_pitches_deg : (n,) float
-        In place of `pitches_deg`, of LiDARs that scan all round. Level by default: a ring that is
-        tilted down on one side looks into the sky on the other, which suits none but a mount at
-        the edge of everything that matters. Positive up. [deg]
-    """
-
-    heights_m: FloatArray
-    yaw_step_deg: float
-    pitches_deg: FloatArray
-    sensors: tuple[Sensor, ...]
+    heights_m: FloatArray  #: (n,): above the road; at a site the nearest height in its range. [m]
+    yaw_step_deg: float  #: yaws are the multiples of this all around; it divides 360. [deg]
+    pitches_deg: FloatArray  #: (n,): positive up. [deg]
+    sensors: tuple[Sensor, ...]  #: models to choose from
+    #: (n,): in place of `pitches_deg`, of LiDARs that scan all round. Level by default: a ring that
+    #: is tilted down on one side looks into the sky on the other, which suits none but a mount at
+    #: the edge of everything that matters. [deg]
     ring_pitches_deg: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:

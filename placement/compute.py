@@ -41,37 +41,17 @@ RAYS = ("auto", "embree", "open3d")  # as geometry.raycast has them, which loads
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compute:
-    """How a result is computed.
+    """How a result is computed; only `seed` changes it.
 
-    Only `seed` changes results; they do not depend on the number of workers, the cache, or the
-    library that casts rays.
-
-    Attributes
-    ----------
-    seed : int
-        Of all that is left to chance: points on the road users, misses, lost messages. At least 0.
-    workers : int
-        Threads, at least 1; by default one per processor.
-    cache_folder : Path, optional
-        Where detection tables, and what units detect, are cached; by default
-        nowhere.
-    progress : Progress
-        Called with the stages; by default nothing is.
-    rays : str
-        Library that casts rays: "embree", "open3d", or by default "auto", the fastest that loads.
-
-    Raises
-    ------
-    InputError
-        The seed or the number of workers is not a whole number, or too small; `rays` names no
-        library.
+    Raises InputError: the seed or the number of workers is not a whole number, or too small; `rays`
+    names no library.
     """
 
-    seed: int = 0
-    workers: int = os.cpu_count() or 1
-    cache_folder: Path | None = None
-    progress: Progress = silent
-    rays: str = "auto"
+    seed: int = 0  #: of all that is left to chance: points on the road users, misses, lost messages
+    workers: int = os.cpu_count() or 1  #: threads; by default one per processor
+    cache_folder: Path | None = None  #: of detection tables and more; by default nowhere
+    progress: Progress = silent  #: called with the stages
+    rays: str = "auto"  #: library that casts rays: "embree", "open3d", or the fastest that loads
 
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, least=0)

@@ -60,19 +60,12 @@ from .question import Question, map_options, read_cars, read_point, split_names
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radio:
-    """Radio between RSUs, VRUs and the VUT.
+    """Radio between RSUs, VRUs and the VUT."""
 
-    Attributes
-    ----------
-    packet_loss : float
-        Probability that a message - an RSU's collective perception message (CPM) of one frame, or
-        a VRU's awareness message (VAM) - is lost. 0 .. 1
-    vam_rate : float
-        Share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
-    """
-
+    #: Probability that a message is lost: an RSU's collective perception message (CPM) of one
+    #: frame, or a VRU's awareness message (VAM). 0 .. 1
     packet_loss: float = 0.0
-    vam_rate: float = 0.0
+    vam_rate: float = 0.0  #: share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
 
     def __post_init__(self) -> None:
         for name in ("packet_loss", "vam_rate"):
@@ -88,52 +81,23 @@ VUT_SENSORS = ("camera", "lidar")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Setting:
-    """The question, but for the layout.
+    """The question, but for the layout."""
 
-    Attributes
-    ----------
-    scene : Scene
-        What stands still, and the mount sites.
-    runs : tuple of Run
-        What happens there.
-    axis : FrameAxis
-        Frames and weights of `runs`.
-    rule : AebRule
-        From detected frames to braking.
-    detector : Detector
-        Of cameras, in the evaluator.
-    table_detector : PlanningDetector
-        Of cameras, in the detection table.
-    refusals : tuple of Refusal
-        What was asked for, but cannot be driven.
-    radio : Radio
-        From detections to the VUT.
-    vut_sensors : tuple of str
-        Of ``VUT_SENSORS``: what the VUT itself looks with.
-    vut_camera : CameraModel, optional
-        In place of the study's.
-    levels : Levels, optional
-        What runs count by the speed at contact; None: they count if they are avoided.
-    cars : float
-        Share of the VUTs that see, whose own sensors are one more unit in every run; the others
-        act on what roadside units tell them. 0 .. 1
-    seen_by_vut : (n_frames,) bool, optional
-        Frames of `runs` in which the VUT's own sensors detect, where that is known already; see
-        :func:`placement.evaluator.with_sight`.
-    """
-
-    scene: Scene
-    runs: tuple[Run, ...]
-    axis: FrameAxis
-    rule: AebRule
-    detector: Detector
-    table_detector: PlanningDetector
-    refusals: tuple[Refusal, ...] = ()
-    radio: Radio = field(default_factory=Radio)
-    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
-    vut_camera: CameraModel | None = None
-    levels: Levels | None = None
+    scene: Scene  #: what stands still, and the mount sites
+    runs: tuple[Run, ...]  #: what happens there
+    axis: FrameAxis  #: frames and weights of `runs`
+    rule: AebRule  #: from detected frames to braking
+    detector: Detector  #: of cameras, in the evaluator
+    table_detector: PlanningDetector  #: of cameras, in the detection table
+    refusals: tuple[Refusal, ...] = ()  #: what was asked for, but cannot be driven
+    radio: Radio = field(default_factory=Radio)  #: from detections to the VUT
+    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]  #: what the VUT itself looks with
+    vut_camera: CameraModel | None = None  #: in place of the study's
+    levels: Levels | None = None  #: what runs count by the speed at contact; None: if avoided
+    #: Share of the VUTs that see, whose own sensors are one more unit in every run. 0 .. 1
     cars: float = 0.0
+    #: (n_frames,): in which the VUT's own sensors detect, where that is known already; see
+    #: :func:`placement.evaluator.with_sight`.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
