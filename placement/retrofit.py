@@ -26,6 +26,7 @@ from .optimiser import (
     Limits,
     PlacementProblem,
     PlacementValue,
+    Solution,
     apr,
     is_better,
     placement_value,
@@ -109,15 +110,14 @@ class Labour:
     @property
     def re_aim_eur(self) -> float:
         """To turn a unit on its pole, in euros."""
-        return self._visit_eur(self.re_aim_h)
+        hours = self.travel_h + self.re_aim_h
+        return self.people * self.wage_eur_per_h * hours + self.lift_eur
 
     @property
     def remove_eur(self) -> float:
         """To take a unit down, in euros."""
-        return self._visit_eur(self.remove_h)
-
-    def _visit_eur(self, at_pole_h: float) -> float:
-        return self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h) + self.lift_eur
+        hours = self.travel_h + self.remove_h
+        return self.people * self.wage_eur_per_h * hours + self.lift_eur
 
 
 def load_labour() -> Labour:
@@ -188,29 +188,17 @@ def find_retrofit(
     """
     effort = Effort() if effort is None else effort
     standing = tuple(range(poses.n_units))
-    removals = [
-        _change(
-            problem,
-            poses,
-            [unit for unit in standing if unit != number],
-            price_eur=labour.remove_eur,
-            n_compared=poses.n_units,
-        )
-        for number in standing
-    ]
-    re_aims = []
     n_aims = sum(len(poses.aims_of(number)) for number in standing)
+    removals, re_aims = [], []
     for number in standing:
-        aims = poses.aims_of(number)
-        if not len(aims):
-            continue
         others = [unit for unit in standing if unit != number]
-        best = aims[best_joining(problem, others, aims)]
-        re_aims.append(
-            _change(
-                problem, poses, [*others, int(best)], price_eur=labour.re_aim_eur, n_compared=n_aims
-            )
-        )
+        price_eur, n = labour.remove_eur, poses.n_units
+        removals.append(_change(problem, poses, others, price_eur=price_eur, n_compared=n))
+        aims = poses.aims_of(number)
+        if len(aims):
+            after = [*others, int(aims[best_joining(problem, others, aims)])]
+            price_eur = labour.re_aim_eur
+            re_aims.append(_change(problem, poses, after, price_eur=price_eur, n_compared=n_aims))
     return Retrofit(
         before=placement_value(problem, standing),
         removals=_best_first(removals),
@@ -522,42 +510,44 @@ class Adviser:
         """
         if not units:
             raise InputError("re-aim", Unquoted("no unit"), "at least one unit")
-        layout = Layout(name="now", units=tuple(units))
-        poses = build_retrofit_poses(layout, self._grid, ())
-        may_look = self._assembly.may_look
+        n, may_look = len(units), self._assembly.may_look
+        poses = build_retrofit_poses(Layout(name="now", units=tuple(units)), self._grid, ())
         if may_look is not None:
-            n = len(units)
             aims = np.flatnonzero(may_look(poses.candidates[n:])) + n
             kept = [*range(n), *aims.tolist()]
             poses = RetrofitPoses(
                 candidates=tuple(poses.candidates[row] for row in kept),
                 unit_index=poses.unit_index[kept],
             )
-        if len(poses.candidates) == len(units):
+        if len(poses.candidates) == n:
             raise InputError("re-aim", Unquoted("units that see all round"), "one that can turn")
         self._compute.progress("look from the units", 0, 0)
-        table = self._rows(poses.candidates)
-        wishes = replace(self._one_more(units), site_capacity=len(units) + 1)
         problem = replace(
-            self._assembly, candidates=poses.candidates, wishes=wishes, known_table=table
+            self._assembly,
+            candidates=poses.candidates,
+            wishes=replace(self._one_more(units), site_capacity=n + 1),
+            known_table=self._rows(poses.candidates),
         ).problem
         limits = combined_limits(problem.limits, poses, re_aim_eur=0.0, budget_eur=0.0)
         problem = replace(problem, limits=limits)
-        solution = solve_placement(
-            problem,
-            effort=self._assembly.effort,
-            starts=[np.arange(len(units))],
-            on_stage=self._tell,
-        )
+        solution = self._solve(problem, [np.arange(n)])
         aimed = {int(poses.unit_index[row]): poses.candidates[row] for row in solution.pose_index}
         return Advice(
             units=tuple(
                 replace(aimed[index], id=unit.id, site_id=unit.site_id)
                 for index, unit in enumerate(units)
             ),
-            before=placement_value(problem, range(len(units))),
+            before=placement_value(problem, range(n)),
             after=placement_value(problem, solution.pose_index),
             certificate=solution.certificate,
+        )
+
+    def _solve(self, problem: PlacementProblem, starts: Sequence[IntArray]) -> Solution:
+        return solve_placement(
+            problem,
+            effort=self._assembly.effort,
+            starts=starts,
+            on_stage=lambda stage: self._compute.progress(f"optimise: {stage}", 0, 0),
         )
 
     def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
@@ -607,19 +597,12 @@ class Adviser:
     def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
         """The optimiser's answer, started from the mounted units where that is allowed."""
         problem = self._problem(units, wishes)
-        standing = np.arange(len(units))
         has_start = bool(len(units)) and wishes.budget_units is None
-        solution = solve_placement(
-            problem,
-            effort=self._assembly.effort,
-            starts=[standing] if has_start else (),
-            on_stage=self._tell,
-        )
-        candidates = self._candidates(units)
-        stay = [row for row in solution.pose_index if row < len(units)]
+        solution = self._solve(problem, [np.arange(len(units))] if has_start else [])
+        stay = [units[row] for row in solution.pose_index if row < len(units)]
         new = [row for row in solution.pose_index if row >= len(units)]
         return Advice(
-            units=self._named([units[row] for row in stay], candidates, new, taken=units),
+            units=self._named(stay, self._candidates(units), new, taken=units),
             before=placement_value(problem, range(len(units))) if units else None,
             after=placement_value(problem, solution.pose_index),
             certificate=solution.certificate,
@@ -666,9 +649,6 @@ class Adviser:
     def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
         names, axis = tuple(unit.id for unit in units), self._setting.axis
         return DetectionTable(pose_ids=names, axis=axis, packed=self._live.packed(units))
-
-    def _tell(self, stage: str) -> None:
-        self._compute.progress(f"optimise: {stage}", 0, 0)
 
     @staticmethod
     def _named(
