@@ -217,14 +217,12 @@ def unit_arrivals_s(evaluation: Evaluation, rule: AebRule) -> FloatArray:
     )
 
 
-def apr_of_arrivals(
-    evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray, *, cars: float | None = None
-) -> float:
+def apr_of_arrivals(evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray) -> float:
     """APR by what arrives from units, (n_frames,) in s, and from the VUT's own sensors if it sees.
 
-    `cars` is the share of the VUTs that see, by default the evaluation's.
+    A run counts as avoided where braking sets in before the last moment.
     """
-    axis, cars = evaluation.axis, evaluation.cars if cars is None else cars
+    axis, cars = evaluation.axis, evaluation.cars
 
     def share(arrival_s: FloatArray) -> float:
         return weight_share(find_onsets(arrival_s, axis, rule=rule).is_in_time, axis.weight)

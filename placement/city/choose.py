@@ -616,6 +616,7 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
 
 
 _MAX_BINARIES = 3_000
+_PHASES_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -634,7 +635,6 @@ def plan_phases(
     *,
     units_per_year: int,
     years: int | None = None,
-    time_limit_s: float = 10.0,
 ) -> Phases:
     """Spread units over years, at most so many a year: the most gain times years that it is there.
 
@@ -653,9 +653,7 @@ def plan_phases(
     year = np.zeros(len(units), dtype=np.int64)
     year[rows], bound = _in_order(units[rows], gain[rows], units_per_year, n_years)
     if 0 < len(rows) * n_years <= _MAX_BINARIES and n_years > 1:
-        found, proven = _solve(
-            units[rows], gain[rows], units_per_year, n_years, time_limit_s=time_limit_s
-        )
+        found, proven = _solve(units[rows], gain[rows], units_per_year, n_years)
         before = _gain_years(year[rows], gain[rows], n_years)
         if found is not None and _gain_years(found, gain[rows], n_years) > before:
             year[rows] = found
@@ -686,7 +684,7 @@ def _in_order(
 
 
 def _solve(
-    units: IntArray, gain: FloatArray, units_per_year: int, n_years: int, *, time_limit_s: float
+    units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
 ) -> tuple[IntArray | None, float]:
     import cvxpy as cp
 
@@ -700,7 +698,7 @@ def _solve(
     worth = np.kron(gain / unit, np.arange(n_years, 0, -1.0))
     answer = run_solver(
         cp.Problem(cp.Maximize(worth @ x), [one_each @ x == 1.0, ready @ x <= most]),
-        time_limit_s=time_limit_s,
+        time_limit_s=_PHASES_S,
     )
     if not answer.is_found:
         return None, np.inf

@@ -334,11 +334,9 @@ def _as_mounted(
 
 def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
     east, north, up = pose.position_m.tolist()
-    return Pose(
-        position_m=np.array([east, north, max(up + height_m, min(up, _LOWEST_M))]),
-        yaw_deg=pose.yaw_deg + yaw_deg,
-        pitch_deg=float(np.clip(pose.pitch_deg + pitch_deg, -90.0, 90.0)),
-    )
+    position_m = np.array([east, north, max(up + height_m, min(up, _LOWEST_M))])
+    pitch_deg = float(np.clip(pose.pitch_deg + pitch_deg, -90.0, 90.0))
+    return Pose(position_m=position_m, yaw_deg=pose.yaw_deg + yaw_deg, pitch_deg=pitch_deg)
 
 
 # ---------- road users who move otherwise than a case says
