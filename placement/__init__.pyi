@@ -32,6 +32,6 @@ from .setting import Radio as Radio
 from .setting import Setting as Setting
 from .setting import build_setting as build_setting
 from .verification.certificates import load_certificate as load_certificate
-from .verification.certificates import verify_certificate as verify_certificate
 from .verification.instances import load_problem as load_problem
+from .verification.verify import verify_certificate as verify_certificate
 from .wishes import Wishes as Wishes

@@ -30,10 +30,10 @@ from placement.verification.certificates import (
     StoredCertificate,
     cars_of,
     load_certificate,
-    verify_certificate,
 )
 from placement.verification.instances import INSTANCE_FILE, Mounts, load_stored_problem, scene_hash
 from placement.verification.recomputation import stage_values
+from placement.verification.verify import verify_certificate
 
 from ..export.csv import to_csv
 from ..export.geojson import to_geojson

@@ -31,10 +31,10 @@ from placement.verification.certificates import (
     build_certificate,
     load_certificate,
     save_certificate,
-    verify_certificate,
 )
 from placement.verification.instances import load_problem
 from placement.verification.recomputation import margins_s
+from placement.verification.verify import verify_certificate
 from placement.wishes import Wishes, build_problem
 from scenarios.runs import build_frame_axis
 from scenarios.scores import Levels, build_levels

@@ -122,7 +122,7 @@ def test_another_instance_is_told(run, results):
 
 
 def test_proofs_that_rest_on_the_solver_are_said_to(run, results, monkeypatch):
-    monkeypatch.setattr("placement.verification.certificates._MAX_LOOKS", 0)
+    monkeypatch.setattr("placement.verification.verify._MAX_LOOKS", 0)
     code, out, _ = run("verify", results, "--quiet")
     assert code == 0
     assert "that no layout is better in mean_margin_s: this rests on" in out

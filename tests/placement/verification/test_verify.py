@@ -22,16 +22,11 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.problem import Objective
-from placement.verification import certificates as verify_module
-from placement.verification.certificates import (
-    CERTIFICATE_FILE,
-    Verification,
-    load_certificate,
-    save_certificate,
-    verify_certificate,
-)
+from placement.verification import verify as verify_module
+from placement.verification.certificates import CERTIFICATE_FILE, load_certificate, save_certificate
 from placement.verification.instances import INSTANCE_FILE, load_problem
 from placement.verification.recomputation import stage_names, stage_values
+from placement.verification.verify import Verification, verify_certificate
 
 Change = Callable[[Document], object]
 
