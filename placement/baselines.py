@@ -7,10 +7,9 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.junction import Arm, Junction, Line, build_junction, lane_line
-from geometry.scene import Lane, Scene
+from geometry.scene import Scene
 
 from .candidates import CandidatePose
 from .optimiser import Limits, PlacementProblem, apr, run_margins_s
@@ -34,10 +33,6 @@ class RandomLayouts:
     # (n_worlds,): mean of all in each sampled world; one number where nothing was sampled
     mean_by_world: FloatArray
 
-    def __post_init__(self) -> None:
-        for name in ("apr", "mean_by_world"):
-            object.__setattr__(self, name, float_array(getattr(self, name), (-1,), name))
-
     @property
     def mean(self) -> float:
         """Of all."""
@@ -53,25 +48,16 @@ class RandomLayouts:
         """5 % of them prevent no less."""
         return float(np.quantile(self.apr, 0.95))
 
-    def __repr__(self) -> str:
-        return f"RandomLayouts({len(self.apr)} of {self.n_units} units, mean {self.mean:.4f})"
-
 
 def random_sets(
     limits: Limits, n_units: int, *, n: int = N_RANDOM, rng: np.random.Generator
 ) -> tuple[tuple[int, ...], ...]:
-    """Sets of poses drawn at random within the limits.
+    """Sets of `n_units` ascending rows drawn at random within the limits, forced ones among them.
 
-    Each begins with the poses that are forced. Then one pose after the other is drawn, any of those
-    that the limits still admit as likely as another. What cannot be completed is drawn anew.
-
-    There are `n` sets, each of `n_units` ascending rows, the forced ones among them; fewer where
-    the limits leave hardly any set of that size, or none. A set may be drawn twice. Raises
-    InputError for a number below 1.
+    One pose after the other is drawn, any that the limits still admit as likely as another; what
+    cannot be completed is drawn anew. There are `n`, one perhaps twice; fewer where the limits
+    leave hardly any.
     """
-    for where, number in (("n_units", n_units), ("n", n)):
-        if number < 1:
-            raise InputError(where, number, "a whole number, at least 1")
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
 
     @cache  # every set begins alike
@@ -102,8 +88,7 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
     """Corners between neighbouring arms, clockwise from the first one behind north.
 
     Named by the two arms, "north/west": midway between where their kerbs reach the junction, (2,),
-    world frame, in metres. At a junction of three arms one of them is the straight side; an arm
-    that is alone has none.
+    world frame, in metres. An arm that is alone has none.
     """
     arms = [*junction.arms.values()]
     if len(arms) < 2:
@@ -127,18 +112,13 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
     outward: Line | None = None
     for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
         for lane in lanes:
-            line = _outward(lane, is_in=is_in)
+            line, _ = lane_line(lane, is_in=is_in, length_m=_MOUTH_M)
+            line = line.turned(180.0) if is_in else line  # away from the junction
             outward = outward or line
             edges += [line.at(0.0, side * 0.5 * lane.width_m) for side in (1.0, -1.0)]
     assert outward is not None  # an arm has lanes: that is how it was found
     to_the_left = outward.coordinates(np.array(edges))[:, 1]
     return edges[int(to_the_left.argmax())], edges[int(to_the_left.argmin())]
-
-
-def _outward(lane: Lane, *, is_in: bool) -> Line:
-    """The line through a lane's mouth that leads away from the junction."""
-    line, _ = lane_line(lane, is_in=is_in, length_m=_MOUTH_M)
-    return line.turned(180.0) if is_in else line
 
 
 def middle_m(scene: Scene) -> FloatArray:
@@ -169,10 +149,8 @@ def corner_poses(
 ) -> dict[str, int]:
     """The pose at each corner of a junction that looks at a point (3,) the most directly.
 
-    Each corner has a site of its own: the nearest one, and where two corners want the same, those
-    that are the nearest in sum. Corners for which there is no site are left out. Poses and sites
-    that are forbidden do not count; of poses that look equally directly the first one does. Gives
-    rows of candidates by the names of the corners, clockwise from north.
+    Each corner has a site of its own, the nearest ones in sum; a corner without is left out, and so
+    are forbidden poses. Of equally direct poses the first counts. Rows by names of corners.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -239,7 +217,7 @@ def propose(
 ) -> Proposals:
     """Random layouts of so many units, and the poses that an expert's rule of thumb knows.
 
-    Raises InputError where a number is below 1, or the scene has no junction.
+    Raises InputError where the scene has no junction.
     """
     middle = middle_m(scene)
     direct = _most_direct(limits, candidates, middle)
@@ -265,10 +243,8 @@ class Baselines:
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
     """Worth of proposals on a detection table, whose rows are theirs.
 
-    The expert mounts what is forced, then a camera at each corner of the junction that looks at its
-    middle: the corner whose camera prevents the most by itself comes first, of equal ones the first
-    clockwise from north. Corners whose camera does not fit into the limits are passed over.
-    Targets do not matter, only what may be mounted together.
+    The expert mounts what is forced, then a camera at each corner that looks at the middle, those
+    first that prevent the most by themselves, as far as they fit into the limits.
     """
     limits, corners = problem.limits, proposals.corners
     units = np.flatnonzero(limits.is_forced)
@@ -278,23 +254,20 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
             units = np.append(units, row)
     is_complete = len(units) > 0 and is_allowed(limits, units)
     expert = tuple(sorted(units.tolist())) if is_complete else ()
-    return Baselines(
-        random=_judge_random(problem, proposals) if proposals.random else None,
-        expert=expert,
-        corners=tuple(name for name in first if corners[name] in expert),
-    )
-
-
-def _judge_random(problem: PlacementProblem, proposals: Proposals) -> RandomLayouts:
-    margins_s = np.array([run_margins_s(problem, units) for units in proposals.random])
-    is_avoided: BoolArray = margins_s > -np.inf
-    measure = problem.measure()
-    worlds = [measure.sample_index == world for world in range(len(measure.sample_weight))]
-    avoided_share = is_avoided.mean(axis=0)
-    return RandomLayouts(
-        n_units=proposals.n_units,
-        apr=measure.of(is_avoided),
-        mean_by_world=np.array(
-            [np.average(avoided_share, weights=measure.weight * mine) for mine in worlds]
-        ),
-    )
+    random = None
+    if proposals.random:
+        measure = problem.measure()
+        margins_s = np.array([run_margins_s(problem, units) for units in proposals.random])
+        is_avoided: BoolArray = margins_s > -np.inf
+        share = is_avoided.mean(axis=0)
+        by_world = [
+            np.average(share, weights=measure.weight * (measure.sample_index == world))
+            for world in range(len(measure.sample_weight))
+        ]
+        random = RandomLayouts(
+            n_units=proposals.n_units,
+            apr=measure.of(is_avoided),
+            mean_by_world=np.array(by_world),
+        )
+    corner_names = tuple(name for name in first if corners[name] in expert)
+    return Baselines(random=random, expert=expert, corners=corner_names)

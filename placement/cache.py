@@ -1,7 +1,7 @@
 """Results cached on disk for the next call, under a hash of all that they were made from.
 
-What is read is data: arrays without pickles, and values along their type hints. It is neither read
-nor written in a folder into which other users may write.
+What is read is data: arrays without pickles, values along their type hints; never in a folder
+into which other users may write.
 """
 
 import hashlib
@@ -89,7 +89,7 @@ def save_arrays(
 ) -> None:
     """Write arrays, whole or not at all; a folder that cannot be written to is only logged.
 
-    `what` is their name in messages, `kind` that of the file's format.
+    `what` is their name in messages, `kind` that of the format.
     """
     save = np.savez_compressed if is_compressed else np.savez
     content: dict[str, Any] = {
@@ -124,25 +124,32 @@ def _is_usable(folder: Path) -> bool:
 
 def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays | None:
     """Read arrays of a fingerprint; None, and logged, if the file is damaged or foreign."""
+
+    def read(file: BinaryIO) -> Arrays:
+        # Opened before: numpy does not close a file that turns out to be no archive.
+        with np.load(file, allow_pickle=False) as stored:
+            if str(stored["format"]) != kind or str(stored["fingerprint"]) != fingerprint:
+                raise ValueError("made from other inputs")
+            arrays = {name: stored[name] for name in stored.files if name not in _OWN}
+            if str(stored["content"]) != content_hash(arrays, fingerprint):
+                raise ValueError("its content is not what was written")
+        return arrays
+
+    return _read(path, read, what=what)
+
+
+def _read(path: Path, read: Callable[[BinaryIO], _T], *, what: str) -> _T | None:
+    """Content of a file; None, and logged, if it is damaged or foreign."""
     if not path.parent.is_dir() or not _is_usable(path.parent):
         return None
     try:
-        # Opened here: numpy does not close a file that turns out to be no archive.
-        with open_own(path) as file, np.load(file, allow_pickle=False) as stored:
-            if str(stored["format"]) != kind or str(stored["fingerprint"]) != fingerprint:
-                raise ValueError("made from other inputs")
-            content = str(stored["content"])
-            names = [name for name in stored.files if name not in _OWN]
-            arrays = {name: stored[name] for name in names}
-            if content != content_hash(arrays, fingerprint):
-                raise ValueError("its content is not what was written")
+        with open_own(path) as file:
+            return read(file)
     except FileNotFoundError:
         return None
     except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
         tell_unused(path, error, what=what)
         return None
-    else:
-        return arrays
 
 
 _OWN = ("format", "fingerprint", "content")
@@ -168,8 +175,8 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
 class CachedArrays:
     """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
 
-    Without a folder nothing is cached. Where two processes write at once, what one of them found
-    may be lost and made anew later. What is known, by key, is in `arrays`.
+    They are in `arrays`; without a folder nothing is cached. Where two processes write at once,
+    what one of them found may be lost.
     """
 
     def __init__(self, folder: Path | None, name: str, *, kind: str, fingerprint: str) -> None:
@@ -243,21 +250,27 @@ def cached_value(
     classes: Sequence[type] = (),
     is_worth_it: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
-    """Value of `make`, from the last call that asked for the same.
+    """Value of `make`, from the last call that asked for the same; without a folder always made.
 
-    It is cached in `folder`, or nowhere. `make` uses nothing but `made_from` (see
-    :class:`Fingerprints`) and what the `packages` hold: any change of their files makes it anew.
+    `make` uses nothing but `made_from` (see :class:`Fingerprints`) and the files of `packages`.
     `kind` is the value's type hint; `classes` are dataclasses that stand where it names a protocol.
-    Only a value that `is_worth_it` is cached, such as one that needed no more time than it was
-    given. Arrays that are read-only stay so.
+    Only a value that `is_worth_it` is cached. Arrays that are read-only stay so.
     """
     if folder is None:
         return make()
     fingerprint = Fingerprints().of(hash_of_code(packages), *made_from)
     path = folder / f"{name}-{fingerprint}.msgpack"
-    found = _load_value(path, name, kind, fingerprint, classes)
+
+    def read(file: BinaryIO) -> _T:
+        stored = file.read()
+        if _key(stored[_HASH_SIZE:], fingerprint) != stored[:_HASH_SIZE]:
+            raise ValueError("its content is not what was written")
+        return cast(_T, from_bytes(stored[_HASH_SIZE:], kind, classes=classes))
+
+    found = _read(path, read, what=name)
     if found is not None:
-        return cast(_T, found)
+        _log.info("%s (cached): read from %s", name, path)
+        return found
     value = make()
     if is_worth_it(value):
         content = to_bytes(value)
@@ -265,27 +278,6 @@ def cached_value(
         if _write(path, lambda file: file.write(key + content), what=name):
             _prune(path, most=MAX_VALUES)
     return value
-
-
-def _load_value(
-    path: Path, name: str, kind: Any, fingerprint: str, classes: Sequence[type]
-) -> object:
-    """A value from a file; None, and logged, if that is damaged or foreign."""
-    if not path.parent.is_dir() or not _is_usable(path.parent):
-        return None
-    try:
-        with open_own(path) as file:
-            stored = file.read()
-        if _key(stored[_HASH_SIZE:], fingerprint) != stored[:_HASH_SIZE]:
-            raise ValueError("its content is not what was written")
-        found: object = from_bytes(stored[_HASH_SIZE:], kind, classes=classes)
-    except FileNotFoundError:
-        return None
-    except Exception as error:  # what is damaged raises anything
-        tell_unused(path, error, what=name)
-        return None
-    _log.info("%s (cached): read from %s", name, path)
-    return found
 
 
 def _key(content: bytes, fingerprint: str) -> bytes:
@@ -322,10 +314,7 @@ _PLAIN = (bool, int, float, str, NoneType)
 
 
 def to_bytes(value: object) -> bytes:
-    """A value of dataclasses, named tuples, tuples, arrays, numbers and text as bytes.
-
-    Raises TypeError if it has a part of another kind.
-    """
+    """A value of dataclasses, tuples, arrays, numbers and text as bytes; TypeError for another."""
     writer = _Writer()
     root = writer.plain(value)
     return msgspec.msgpack.encode((writer.objects, writer.arrays, root))
@@ -334,8 +323,7 @@ def to_bytes(value: object) -> bytes:
 def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> Any:
     """A value of a type hint from bytes; dataclasses and arrays are shared as they were.
 
-    `classes` are dataclasses that stand where a hint names a protocol. Raises an exception of any
-    kind if the bytes are of something else.
+    Raises an exception of any kind if the bytes are of something else.
     """
     objects, arrays, root = msgspec.msgpack.decode(content, type=_Content)
     return _Reader(objects, arrays, {one.__name__: one for one in classes}).value(root, hint)

@@ -13,13 +13,14 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, pick, take_list, take_number
+from geometry.files import load_toml, pick
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.sensors import project_points
 from geometry.terrain import ground_height_m
 
+from .compute import check_distinct
 from .question import Question, read_number, split_names
 
 if TYPE_CHECKING:  # solvers of differential equations come with it
@@ -28,27 +29,13 @@ if TYPE_CHECKING:  # solvers of differential equations come with it
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidatePose:
-    """A sensor that could be mounted.
+    """A sensor that could be mounted."""
 
-    Attributes
-    ----------
-    id : str
-        Unique name.
-    site_id : str
-        Site of the scene that carries it; empty for a pose that belongs to no known site.
-    pose : Pose
-        Where it is and looks. World frame.
-    sensor : CameraModel or LidarModel
-        What is mounted.
-    latency_s : float, optional
-        From its frame to the onset of braking; by default that of the braking rule. [s]
-    """
-
-    id: str
-    site_id: str
-    pose: Pose
-    sensor: Sensor
-    latency_s: float | None = None
+    id: str  #: unique name
+    site_id: str  #: site of the scene that carries it; empty for a pose at no known site
+    pose: Pose  #: where it is and looks, in the world frame
+    sensor: Sensor  #: what is mounted
+    latency_s: float | None = None  #: from its frame to braking; by default that of the rule. [s]
 
     def latency(self, rule: "AebRule") -> float:
         """Its own latency, or the rule's, in seconds."""
@@ -69,28 +56,15 @@ def above_ground(unit: CandidatePose, scene: Scene) -> CandidatePose:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidateGrid:
-    """Which poses are tried at every site.
+    """Which poses are tried at every site."""
 
-    Attributes
-    ----------
-    heights_m : (n,) float
-        Above the road; at a site with a smaller range the nearest height in its range. [m]
-    yaw_step_deg : float
-        Yaws are the multiples of this all around; it divides 360. [deg]
-    pitches_deg : (n,) float
-        Positive up. [deg]
-    sensors : tuple of CameraModel or LidarModel
-        Models to choose from.
-    ring_pitches_deg : (n,) float
-        In place of `pitches_deg`, of LiDARs that scan all round. Level by default: a ring that is
-        tilted down on one side looks into the sky on the other, which suits none but a mount at
-        the edge of everything that matters. Positive up. [deg]
-    """
-
-    heights_m: FloatArray
-    yaw_step_deg: float
-    pitches_deg: FloatArray
-    sensors: tuple[Sensor, ...]
+    heights_m: FloatArray  #: (n,): above the road; at a site the nearest height in its range. [m]
+    yaw_step_deg: float  #: yaws are the multiples of this all around; it divides 360. [deg]
+    pitches_deg: FloatArray  #: (n,): positive up. [deg]
+    sensors: tuple[Sensor, ...]  #: models to choose from
+    #: (n,): in place of `pitches_deg`, of LiDARs that scan all round. Level by default: a ring that
+    #: is tilted down on one side looks into the sky on the other, which suits none but a mount at
+    #: the edge of everything that matters. [deg]
     ring_pitches_deg: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
@@ -117,11 +91,7 @@ class CandidateGrid:
         return round(360.0 / self.yaw_step_deg)
 
     def directions_deg(self, sensor: Sensor) -> list[tuple[float, float]]:
-        """Where a sensor is tried to look: yaw and pitch, each direction that differs once.
-
-        A LiDAR that scans all round sees the same however it is turned, as long as it is level:
-        then only yaw 0 is tried.
-        """
+        """Where a sensor is tried to look: yaw and pitch, each direction that differs once."""
         # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a hair.
         yaws_deg = (360.0 * np.arange(1, self.n_yaws + 1) / self.n_yaws - 180.0).round(12).tolist()
         if not is_ring(sensor):
@@ -163,26 +133,9 @@ def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
 def build_candidates(
     scene: Scene, grid: CandidateGrid | None = None, *, extra: Sequence[CandidatePose] = ()
 ) -> tuple[CandidatePose, ...]:
-    """Every site x height x sensor x direction, and some more by name.
+    """Every site x height x sensor x direction of a grid, then some `extra` poses by name.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its sites are used.
-    grid : CandidateGrid, optional
-        What is tried at each; by default :func:`load_candidate_grid`.
-    extra : sequence of CandidatePose
-        Added behind, such as the poses of an existing layout.
-
-    Returns
-    -------
-    candidates : tuple of CandidatePose
-        Ids are unique.
-
-    Raises
-    ------
-    InputError
-        There is no site, or two ids are equal.
+    Raises InputError: there is no site, or two ids are equal.
     """
     if not scene.sites:
         raise InputError(f"{scene.name}: sites", Unquoted("none"), "at least one mount site")
@@ -204,10 +157,7 @@ def build_candidates(
         for yaw_deg, pitch_deg in grid.directions_deg(sensor)
     ]
     candidates += extra
-    ids = [candidate.id for candidate in candidates]
-    if len(set(ids)) < len(ids):
-        repeated = next(name for name in ids if ids.count(name) > 1)
-        raise InputError("candidates", repeated, "every id once")
+    check_distinct("candidates", [candidate.id for candidate in candidates], "every id once")
     return tuple(candidates)
 
 
@@ -216,19 +166,8 @@ def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
     """The default grid, from ``data/candidates.toml``, or one with a ninth of its poses."""
     where = "coarse_candidates.toml" if is_coarse else "candidates.toml"
     table = load_toml(files(__package__) / "data" / where)
-    return CandidateGrid(
-        heights_m=float_array(take_list(table, "heights_m", where), (-1,), f"{where}: heights_m"),
-        yaw_step_deg=take_number(table, "yaw_step_deg", where),
-        pitches_deg=float_array(
-            take_list(table, "pitches_deg", where), (-1,), f"{where}: pitches_deg"
-        ),
-        ring_pitches_deg=float_array(
-            take_list(table, "ring_pitches_deg", where), (-1,), f"{where}: ring_pitches_deg"
-        ),
-        sensors=tuple(
-            pick_sensor(name, f"{where}: sensors") for name in take_list(table, "sensors", where)
-        ),
-    )
+    models = tuple(pick_sensor(name, f"{where}: sensors") for name in table.pop("sensors"))
+    return CandidateGrid(**table, sensors=models)
 
 
 def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:

@@ -54,8 +54,7 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
 
     The expected bound of a block is not below the best expected APR: in each block the best layout
     is at least as good as the one that is best over all. Both means have an interval of Student's t
-    with 95 %, of which one end each counts: 2.5 % on either side, 5 % together. Raises InputError
-    for less than two of either.
+    with 95 %, of which one end each counts: 2.5 % on either side, 5 % together.
 
     References
     ----------
@@ -68,9 +67,6 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
     >>> round(estimate.bias, 4), round(estimate.gap, 4)
     (0.007, 0.0185)
     """
-    for where, values in (("blocks", bounds), ("worlds", aprs)):
-        if len(values) < 2:
-            raise InputError(where, len(values), "at least 2: one alone shows no spread")
     return GapEstimate(most=estimate_mean(bounds), least=estimate_mean(aprs))
 
 
@@ -88,9 +84,9 @@ class Certified:
 def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED) -> Certified:
     """Find a layout for the mean over worlds, and limit what it lacks of the best.
 
-    Blocks have `assembly.n_samples` worlds each. No world of one block, or of the two times
-    `n_judged` to judge in, is another one's. Raises InputError for blocks of one world, fewer than
-    two blocks, or a question that is not for the highest mean APR within a budget.
+    Each of the blocks has `assembly.n_samples` worlds, which no other block, and neither of the two
+    times `n_judged` to judge in, has. Raises InputError for blocks of one world, fewer than two, or
+    a question that is not for the highest mean APR within a budget.
     """
     check_whole("blocks", n_blocks, least=2)
     check_whole("judge", n_judged, least=2)

@@ -1,8 +1,6 @@
 """Machine code for the steps to come, made in a second process while the first ones are done.
 
-On a machine that has run nothing yet, compiling takes longer than the main job, and a process
-compiles one function after the other. What the optimiser and the evaluator need can be compiled
-while runs are laid and the detection table is built: by answering a small question that is made up.
+A small made-up question is answered while runs are laid and the detection table is built.
 """
 
 import logging

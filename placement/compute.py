@@ -1,10 +1,14 @@
 """The options of a computation in one value: seed, threads, cache and progress."""
 
 import os
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
+
+from geometry.errors import InputError, check_one_of
 
 
 class Progress(Protocol):
@@ -22,9 +26,14 @@ def check_whole(where: str, value: Any, *, least: int) -> None:
     """Raise InputError unless `value` is a whole number of at least `least`."""
     is_whole = isinstance(value, int) and not isinstance(value, bool)
     if not (is_whole and value >= least):
-        from geometry.errors import InputError  # geometry loads numpy, which is rarely needed here
-
         raise InputError(where, value, f"a whole number, at least {least}")
+
+
+def check_distinct(where: str, names: Sequence[str], expected: str) -> None:
+    """Raise InputError for the first name that is there twice."""
+    for name, number in Counter(names).items():
+        if number > 1:
+            raise InputError(where, name, expected)
 
 
 RAYS = ("auto", "embree", "open3d")  # as geometry.raycast has them, which loads numpy
@@ -32,45 +41,22 @@ RAYS = ("auto", "embree", "open3d")  # as geometry.raycast has them, which loads
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compute:
-    """How a result is computed.
+    """How a result is computed; only `seed` changes it.
 
-    Only `seed` changes results; they do not depend on the number of workers, the cache, or the
-    library that casts rays.
-
-    Attributes
-    ----------
-    seed : int
-        Of all that is left to chance: points on the road users, misses, lost messages. At least 0.
-    workers : int
-        Threads, at least 1; by default one per processor.
-    cache_folder : Path, optional
-        Where detection tables, and what units detect, are cached; by default
-        nowhere.
-    progress : Progress
-        Called with the stages; by default nothing is.
-    rays : str
-        Library that casts rays: "embree", "open3d", or by default "auto", the fastest that loads.
-
-    Raises
-    ------
-    InputError
-        The seed or the number of workers is not a whole number, or too small; `rays` names no
-        library.
+    Raises InputError: the seed or the number of workers is not a whole number, or too small; `rays`
+    names no library.
     """
 
-    seed: int = 0
-    workers: int = os.cpu_count() or 1
-    cache_folder: Path | None = None
-    progress: Progress = silent
-    rays: str = "auto"
+    seed: int = 0  #: of all that is left to chance: points on the road users, misses, lost messages
+    workers: int = os.cpu_count() or 1  #: threads; by default one per processor
+    cache_folder: Path | None = None  #: of detection tables and more; by default nowhere
+    progress: Progress = silent  #: called with the stages
+    rays: str = "auto"  #: library that casts rays: "embree", "open3d", or the fastest that loads
 
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, least=0)
         check_whole("workers", self.workers, least=1)
-        if self.rays not in RAYS:
-            from geometry.errors import InputError
-
-            raise InputError("rays", self.rays, "one of " + ", ".join(RAYS))
+        check_one_of("rays", self.rays, RAYS)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Other processes report nothing: whoever waits for them does."""

@@ -133,10 +133,9 @@ def solve_covering(
     """Most rows within a budget (MCLP) or, without one, the least cost that covers enough (LSCP).
 
     x_c = 1: column c is chosen; y_r: row r is covered; y_r <= sum of the x that cover r. Only x has
-    to be whole. `target`: share of all rows in place of a budget; by default every row that can be
-    covered. When the time is up, the best answer found is given with its bound; `gap` is the
-    relative distance of both that is good enough. Raises InputError: the target or the budget is
-    out of reach, or there is no memory for the model.
+    to be whole. `target`: share of all rows; by default every row that can be covered. The best
+    answer found within the time is given with its bound, up to a relative `gap`. Raises InputError:
+    target or budget is out of reach, or there is no memory for the model.
     """
     began_s = time.perf_counter()
     n_coverable = instance.n_covered()
@@ -291,8 +290,7 @@ class _Numbers:
 def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInstance:
     """Read an instance in one of :data:`FORMATS`; by default the one that its numbers fit.
 
-    Raises InputError if the file cannot be read, or holds no instance: the message says where, and
-    what is expected there.
+    Raises InputError if the file cannot be read, or holds no instance.
     """
     where = str(path)
     if format_name is not None and format_name not in FORMATS:
@@ -332,10 +330,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
 
 
 def save_instance(path: Path, instance: CoveringInstance) -> None:
-    """Write an instance as OR-Library's sets are (orlib), whole or not at all.
-
-    Raises OSError: the file cannot be written.
-    """
+    """Write an instance as OR-Library's sets are (orlib), whole or not at all; raises OSError."""
     lines = [f"{instance.n_rows} {instance.n_columns}", " ".join(map(repr, instance.cost.tolist()))]
     by_row = sp.csr_array(instance.covers.T)
     for columns in np.split(by_row.indices + 1, by_row.indptr[1:-1]):

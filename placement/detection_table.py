@@ -6,6 +6,7 @@ weight, so that to the optimiser, its proofs and their checker it is one run mor
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +20,11 @@ from scenarios.scores import Levels
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DetectionTable:
-    """Detections of every candidate pose in every frame.
+    """Detections of every candidate pose in every frame."""
 
-    Attributes
-    ----------
-    pose_ids : tuple of str
-        Ids of the candidate poses: the rows.
-    axis : FrameAxis
-        Runs and frames: the columns.
-    packed : (n_poses, ceil(n_frames / 8)) uint8
-        Bits along the frames, lowest bit first (``numpy.packbits(..., bitorder="little")``).
-    """
-
-    pose_ids: tuple[str, ...]
-    axis: FrameAxis
+    pose_ids: tuple[str, ...]  #: ids of the candidate poses: the rows
+    axis: FrameAxis  #: runs and frames: the columns
+    #: (n_poses, ceil(n_frames / 8)): bits along the frames, lowest bit first
     packed: NDArray[np.uint8]
 
     def __post_init__(self) -> None:
@@ -77,6 +69,11 @@ _AT_ONCE_S = 1.0e-12
 def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:
     """Table with a run for every level, see :func:`level_axis`, from that of the runs."""
     axis, frames = level_axis(table.axis, levels, rule)
+    return _of_frames(table, axis, frames)
+
+
+def _of_frames(table: DetectionTable, axis: FrameAxis, frames: IntArray) -> DetectionTable:
+    """Table whose columns are some frames of another one."""
     packed = np.empty((table.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
     for row in range(0, table.n_poses, _ROWS):
         bits = table.detected(slice(row, row + _ROWS))[:, frames]
@@ -84,18 +81,26 @@ def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> Detecti
     return DetectionTable(pose_ids=table.pose_ids, axis=axis, packed=packed)
 
 
+def _of_runs(axis: FrameAxis, rows: Sequence[int], **changes: Any) -> FrameAxis:
+    """Axis whose runs are called, driven and seen as those of some rows of another one."""
+    words = {
+        name: tuple(getattr(axis, name)[row] for row in rows)
+        for name in ("cases", "approaches", "positions", "weathers")
+    }
+    return replace(axis, vut_speed_kmh=axis.vut_speed_kmh[list(rows)], **(words | changes))
+
+
 def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxis, IntArray]:
     """Axis with a run for every level of a score, and which frames of `axis` are its frames.
 
-    A level is reached if the run is avoided, or if the VUT brakes for a track that is confirmed
-    after the last moment, but before the level's own deadline. Such a track is not lost any more:
-    so the clock of a level stands still from the last moment on, all but for a picosecond a frame,
-    and ends at its deadline. What is in time there is what is in time by the level's deadline, and
-    what is alive there is what is alive at the run's last moment. Margins of levels are those to
-    the last moment, 0 for what is confirmed after it.
+    A level is reached if the run is avoided, or if the VUT brakes for a track confirmed after the
+    last moment, but before the level's deadline; such a track is not lost any more. So a level's
+    clock stands still from the last moment on, all but for a picosecond a frame, and ends at its
+    deadline: what is in time or alive there is so by the deadline. Margins are those to the last
+    moment, 0 for what is confirmed after it.
 
-    Run ids of levels that are not for avoiding end in "<10" and so on: the speed at contact that
-    they stay below, in km/h. Weights are those of the runs times the gain.
+    Ids of levels that are not for avoiding end in "<10" and so on: the speed at contact that they
+    stay below, in km/h. Weights are those of the runs times the gain.
     """
     ids, starts, frames, times, deadlines = [], [0], [], [], []
     for run, below_kmh, deadline_s in zip(
@@ -120,19 +125,16 @@ def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxi
         starts.append(starts[-1] + len(time_s))
         deadlines.append(last_s)
     index = levels.run_index.tolist()
-    return replace(
+    levelled = _of_runs(
         axis,
+        index,
         run_ids=tuple(ids),
-        cases=tuple(axis.cases[run] for run in index),
-        approaches=tuple(axis.approaches[run] for run in index),
-        weathers=tuple(axis.weathers[run] for run in index),
-        positions=tuple(axis.positions[run] for run in index),
-        vut_speed_kmh=axis.vut_speed_kmh[index],
         weight=axis.weight[index] * levels.gain,
         last_brake_time_s=np.array(deadlines),
         run_start=np.array(starts),
         time_s=np.concatenate(times),
-    ), np.concatenate(frames)
+    )
+    return levelled, np.concatenate(frames)
 
 
 def run_of_level(level_id: str) -> str:
@@ -153,18 +155,14 @@ def repeated_axis(
 ) -> FrameAxis:
     """The axis once for each ending of its runs' ids, one after the other.
 
-    Weights and last brake times are those of all repeated runs, (n_endings * n_runs,).
+    Weights and last brake times are of all repeated runs, (n_endings * n_runs,).
     """
     n = len(endings)
     starts = [axis.run_start[:-1] + index * axis.n_frames for index in range(n)]
-    return replace(
+    return _of_runs(
         axis,
+        [*range(axis.n_runs)] * n,
         run_ids=tuple(f"{run}{ending}" for ending in endings for run in axis.run_ids),
-        cases=axis.cases * n,
-        approaches=axis.approaches * n,
-        positions=axis.positions * n,
-        weathers=axis.weathers * n,
-        vut_speed_kmh=np.tile(axis.vut_speed_kmh, n),
         weight=weight,
         last_brake_time_s=last_brake_time_s,
         run_start=np.append(np.concatenate(starts), n * axis.n_frames),
@@ -180,18 +178,14 @@ def mixed_table(table: DetectionTable, share: float) -> DetectionTable:
 
     Ids of runs that are driven by a VUT that does not see end in " (blind)".
     """
-    axis, n_frames = table.axis, table.axis.n_frames
-    packed = np.empty((table.n_poses, -(-2 * n_frames // 8)), dtype=np.uint8)
-    for row in range(0, table.n_poses, _ROWS):
-        bits = table.detected(slice(row, row + _ROWS))
-        packed[row : row + _ROWS] = np.packbits(np.tile(bits, 2), axis=1, bitorder="little")
+    axis = table.axis
     twice = repeated_axis(
         axis,
         ("", _BLIND),
         weight=np.concatenate([share * axis.weight, (1.0 - share) * axis.weight]),
         last_brake_time_s=np.tile(axis.last_brake_time_s, 2),
     )
-    return DetectionTable(pose_ids=table.pose_ids, axis=twice, packed=packed)
+    return _of_frames(table, twice, np.tile(np.arange(axis.n_frames), 2))
 
 
 def is_mixed(axis: FrameAxis) -> bool:
@@ -206,10 +200,7 @@ def seeing_share(axis: FrameAxis) -> float:
 
 
 def plain_axis(axis: FrameAxis) -> FrameAxis:
-    """Axis with the first level of each run, and the weight of all of them; of runs the same.
-
-    Its last brake times and frames are those of the levels.
-    """
+    """Axis with the first level of each run, and the weight of all of them; of runs the same."""
     names = [run_of_level(name) for name in axis.run_ids]
     _, first, run = np.unique(names, return_index=True, return_inverse=True)
     if len(first) == axis.n_runs:
@@ -217,17 +208,10 @@ def plain_axis(axis: FrameAxis) -> FrameAxis:
     rows = np.sort(first)
     frames = [axis.frames_of(row) for row in rows.tolist()]
 
-    def taken(values: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(values[row] for row in rows)
-
-    return replace(
+    return _of_runs(
         axis,
+        rows.tolist(),
         run_ids=tuple(names[row] for row in rows),
-        cases=taken(axis.cases),
-        approaches=taken(axis.approaches),
-        weathers=taken(axis.weathers),
-        positions=taken(axis.positions),
-        vut_speed_kmh=axis.vut_speed_kmh[rows],
         weight=np.bincount(run, weights=axis.weight)[run[rows]].astype(np.float64),
         last_brake_time_s=axis.last_brake_time_s[rows],
         run_start=np.cumsum([0, *(part.stop - part.start for part in frames)]),

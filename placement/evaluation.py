@@ -22,33 +22,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict:
-    """Verdict on one sensing party: a unit, the VUT, or several fused.
+    """Verdict on one sensing party: a unit, the VUT, or several fused."""
 
-    Attributes
-    ----------
-    detected : (n_frames,) bool
-        Frames in which the VRU is detected, and the VUT gets to know it.
-    confirmation_time_s : (n_runs,) float
-        When the track was confirmed for which the VUT brakes, or would have to, relative to the
-        impact; infinite if none is. See :class:`scenarios.runs.Onsets`. [s]
-    onset_time_s : (n_runs,) float
-        When braking sets in after it; infinite if it never does: also where every track was lost
-        again before the last moment. [s]
-    is_avoided : (n_runs,) bool
-        Whether braking after it avoids the impact.
-    impact_speed_kmh : (n_runs,) float, optional
-        The VUT's speed when the bodies touch although it brakes then; 0 where they do not, its
-        full speed where it never brakes. None: by the table or a recording alone, without bodies.
-        [km/h]
-    closing_speed_kmh : (n_runs,) float, optional
-        The same less what the road user does along the VUT's heading. [km/h]
-    """
-
-    detected: BoolArray
+    detected: BoolArray  #: (n_frames,): the VRU is detected, and the VUT gets to know it
+    #: (n_runs,): when the track was confirmed for which the VUT brakes, or would have to, relative
+    #: to the impact; infinite if none is. See :class:`scenarios.runs.Onsets`. [s]
     confirmation_time_s: FloatArray
+    #: (n_runs,): when braking sets in after it; infinite if it never does: also where every track
+    #: was lost again before the last moment. [s]
     onset_time_s: FloatArray
-    is_avoided: BoolArray
+    is_avoided: BoolArray  #: (n_runs,): whether braking after it avoids the impact
+    #: (n_runs,): the VUT's speed when the bodies touch although it brakes then; 0 where they do
+    #: not, its full speed where it never brakes. None: by the table or a recording alone. [km/h]
     impact_speed_kmh: FloatArray | None = None
+    #: (n_runs,): the same less what the road user does along the VUT's heading. [km/h]
     closing_speed_kmh: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -59,40 +46,19 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """A layout's verdicts.
+    """A layout's verdicts."""
 
-    Attributes
-    ----------
-    layout : Layout
-        What was evaluated.
-    axis : FrameAxis
-        Runs and frames.
-    vut : Verdict
-        The VUT's own sensors alone.
-    units : mapping of str to Verdict
-        Each unit of the layout alone, by id, in the layout's order.
-    rsu_all : Verdict
-        All units fused: in each frame any of them may be the detector.
-    vut_and_rsus : Verdict
-        The same with the VUT's own sensors.
-    others : mapping of str to Verdict
-        Further parties, where asked for: "vam", VRUs that announce themselves; "all_sources", they
-        with the VUT and all units.
-    levels : Levels, optional
-        What runs count by the speed at contact; None: they count if they are avoided.
-    cars : float
-        Share of the VUTs that see: what the layout is judged by, see :attr:`headline`. 0 .. 1
-    """
-
-    layout: Layout
-    axis: FrameAxis
-    vut: Verdict
-    units: Mapping[str, Verdict]
-    rsu_all: Verdict
-    vut_and_rsus: Verdict
+    layout: Layout  #: what was evaluated
+    axis: FrameAxis  #: runs and frames
+    vut: Verdict  #: the VUT's own sensors alone
+    units: Mapping[str, Verdict]  #: each unit of the layout alone, by id, in the layout's order
+    rsu_all: Verdict  #: all units fused: in each frame any of them may be the detector
+    vut_and_rsus: Verdict  #: the same with the VUT's own sensors
+    #: Further parties, where asked for: "vam", VRUs that announce themselves; "all_sources", they
+    #: with the VUT and all units.
     others: Mapping[str, Verdict] = field(default_factory=dict)
-    levels: Levels | None = None
-    cars: float = 0.0
+    levels: Levels | None = None  #: what runs count by the speed at contact; None: if avoided
+    cars: float = 0.0  #: share of the VUTs that see, see :attr:`headline`. 0 .. 1
 
     @property
     def headline(self) -> Verdict:
@@ -138,21 +104,9 @@ class Evaluation:
 
 
 def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:
-    """Accident prevention ratio: weight of avoided runs / weight of all.
+    """Accident prevention ratio: weight of avoided runs / weight of all, 0 .. 1.
 
-    Parameters
-    ----------
-    verdict : Verdict
-        Whose.
-    axis : FrameAxis
-        Runs and their weights.
-    run_mask : (n_runs,) bool, optional
-        Count these runs only.
-
-    Returns
-    -------
-    apr : float
-        0 .. 1; NaN if the runs counted have no weight.
+    NaN if the runs counted, by default all, have no weight.
     """
     weight = axis.weight if run_mask is None else axis.weight * run_mask
     return weight_share(verdict.is_avoided, weight)
@@ -224,10 +178,9 @@ def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
 
 
 def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis) -> FloatArray:
-    """When the VUT first knows of a detection made in each frame, (n_frames,) in s.
+    """When the VUT first knows of a detection made in each frame, (n_frames,) in s; else infinite.
 
-    Each party has the (n_frames,) frames that it detects in, and how long it takes until the VUT
-    knows [s]. Infinite where nobody detects.
+    Each party has the (n_frames,) frames that it detects in, and its latency [s].
     """
     arrival = np.full(axis.n_frames, np.inf)
     for detected, latency_s in parties:
@@ -239,8 +192,7 @@ def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray
     """Smallest along the first axis, and the same without each of the rows in turn.
 
     `times_s` has a row for each party: (n, m), n at least 1 [s]. Without the only row all is
-    infinite; without one that is nowhere alone the smallest, `earliest_s` itself is given, no
-    copy.
+    infinite; without one that is nowhere alone the smallest, `earliest_s` itself is given.
     """
     earliest = times_s.min(axis=0)
     if len(times_s) == 1:
@@ -265,15 +217,12 @@ def unit_arrivals_s(evaluation: Evaluation, rule: AebRule) -> FloatArray:
     )
 
 
-def apr_of_arrivals(
-    evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray, *, cars: float | None = None
-) -> float:
+def apr_of_arrivals(evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray) -> float:
     """APR by what arrives from units, (n_frames,) in s, and from the VUT's own sensors if it sees.
 
-    A run counts as avoided where braking sets in before the last moment. `cars` is the share of the
-    VUTs that see, by default the evaluation's.
+    A run counts as avoided where braking sets in before the last moment.
     """
-    axis, cars = evaluation.axis, evaluation.cars if cars is None else cars
+    axis, cars = evaluation.axis, evaluation.cars
 
     def share(arrival_s: FloatArray) -> float:
         return weight_share(find_onsets(arrival_s, axis, rule=rule).is_in_time, axis.weight)

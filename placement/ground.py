@@ -46,8 +46,8 @@ def is_in_sight(
 ) -> BoolArray:
     """Points (n, 3) that nothing hides from a mount; False for those nearer than `near_m`, too.
 
-    The caster has the same frame as the points. Things nearer than `near_m` hide nothing, such as
-    the pole that carries the sensor, see :class:`geometry.sensors.CameraModel`.
+    The caster has the frame of the points. Things nearer than `near_m`, such as the sensor's pole,
+    hide nothing.
     """
     mount = np.asarray(mount_m, dtype=np.float64)
     ways = points_m - mount
@@ -76,21 +76,17 @@ class GroundCoverage:
         """Share of the road's cells in each band, "unseen" last; together 1."""
         road = self.density[self.is_road]
         found, above = {}, 0.0
-        for name, least in BANDS:
+        for name, least in (*BANDS, ("coarser", np.nextafter(0.0, 1.0))):
             here = float((road >= least).mean()) if len(road) else 0.0
-            found[name] = here - above
-            above = here
-        seen = float((road > 0.0).mean()) if len(road) else 0.0
-        found["coarser"] = seen - above
-        found["unseen"] = 1.0 - seen
-        return found
+            found[name], above = here - above, here
+        return found | {"unseen": 1.0 - above}
 
 
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
     """How finely cameras see the ground around a junction, where nothing drives or parks.
 
-    Cells of a square metre, up to 45 m around the junction's middle, one metre above the road.
-    Pixels per metre across the line of sight are focal length over depth. LiDARs take no pictures.
+    Cells of a square metre, up to 45 m around the middle, one metre above the road. Pixels per
+    metre across the line of sight are focal length over depth. LiDARs take no pictures.
     """
     import shapely
 
@@ -109,8 +105,8 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
             continue
         mount = unit.pose.position_m - origin
         is_open = is_in_sight(caster, mount, points - origin, near_m=camera.near_m)
-        seen = is_open * (camera.focal_length_px / _depth_in_picture(points, unit))
-        density = np.maximum(density, seen)
+        finest = camera.focal_length_px / _depth_in_picture(points, unit)
+        density = np.maximum(density, is_open * finest)
     is_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
     return GroundCoverage(
         east_m=freeze(east),
@@ -147,8 +143,8 @@ class PrivateGround:
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
 
-    A column "name" or "id" names an area. Raises InputError if the file cannot be read or has no
-    polygon, or has coordinates on earth while the scene has none.
+    A column "name" or "id" names an area. Raises InputError if the file cannot be read, has no
+    polygon, or lies on earth while the scene does not.
     """
     import shapely
 
@@ -183,18 +179,16 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
 
 
 def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
-    """Points all over areas: one for each square metre, at least one for each area.
+    """Points all over areas, shapely polygons by name: one each square metre, at least one each.
 
-    Areas are names and shapely polygons in the world frame, in metres. Raises InputError where one
-    is empty, or all together are too large.
+    Raises InputError where one is empty, or all together are too large.
     """
     import shapely
 
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
-        raise InputError(
-            "no_look", Unquoted(f"{total_m2:,.0f} square metres"), f"at most {_MAX_POINTS:,}"
-        )
+        expected = f"at most {_MAX_POINTS:,}"
+        raise InputError("no_look", Unquoted(f"{total_m2:,.0f} square metres"), expected)
     points, index = [], []
     for number, (name, shape) in enumerate(areas):
         if not shape.area > 0.0:
@@ -224,9 +218,8 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 class PrivateSight:
     """Private ground in the pictures of poses; not for several threads at once.
 
-    What lies open to a place is looked up once, so that a camera there is turned and zoomed fast.
-    What parks or drives hides nothing for long, and is left out. LiDARs take no pictures: they see
-    none.
+    What lies open to a place is looked up once. What parks or drives hides nothing for long, and is
+    left out. LiDARs see none.
     """
 
     def __init__(self, scene: Scene, ground: PrivateGround) -> None:
@@ -238,10 +231,7 @@ class PrivateSight:
         self._open: OrderedDict[tuple[float, ...], BoolArray] = OrderedDict()
 
     def seen(self, candidate: CandidatePose) -> BoolArray:
-        """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool.
-
-        However small they are there.
-        """
+        """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool."""
         place = _place(candidate)
         if place not in self._open:
             self._open[place] = is_in_sight(
@@ -269,27 +259,21 @@ class PrivateSight:
 def private_shares(
     scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
 ) -> FloatArray:
-    """How much of each private area each pose has in its picture, (n_candidates, n_areas).
-
-    As :class:`PrivateSight` has it.
-    """
+    """How much of each private area each pose has in its picture, (n_candidates, n_areas)."""
     return PrivateSight(scene, ground).shares(candidates)
 
 
 def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
     """Which candidates see at most `max_share` of each private area, (n_candidates,) bool.
 
-    `shares` is that of :func:`private_shares`. Raises InputError where no candidate is left.
+    Raises InputError where no candidate is left.
     """
     share: FloatArray = shares.max(axis=1)
     kept: BoolArray = share <= max_share
     if not kept.any():
         least = np.ceil(1000.0 * share.min()) / 1000.0
-        raise InputError(
-            "no_look_share",
-            Unquoted(f"{100.0 * max_share:.1f} %"),
-            f"at least {least:g}, the share that the pose with the least in its picture sees",
-        )
+        expected = f"at least {least:g}, the share that the pose with the least in its picture sees"
+        raise InputError("no_look_share", Unquoted(f"{100.0 * max_share:.1f} %"), expected)
     return kept
 
 

@@ -1,22 +1,24 @@
 """Latency from a frame to the onset of braking: budgets, and APR by the total latency."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, load_toml, take_list, take_number, take_text
+from geometry.files import Table, Text, load_toml, read_table, take_text
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
+from .compute import check_distinct
 from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
@@ -27,7 +29,7 @@ MAX_LATENCY_S = 10.0
 """Longer than any run: a larger number is probably in milliseconds."""
 
 _FILE = "latency.toml"
-_FIXED, _RANGE, REASONS = ("fixed_s",), ("low_s", "high_s"), ("source", "assumption")
+_RANGE = ("low_s", "high_s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,19 +43,6 @@ class LatencyPart:
     source: str  # where the numbers come from, or why they are likely
     is_assumption: bool = False  # whether they are an assumption of this project
 
-    def __post_init__(self) -> None:
-        if not (self.name.strip() and self.name.isprintable()):
-            raise InputError("name", self.name, "printable text")
-        for field in _RANGE:
-            if not 0.0 <= getattr(self, field) <= MAX_LATENCY_S:
-                raise InputError(
-                    f"{self.name}.{field}", getattr(self, field), f"0 to {MAX_LATENCY_S:g} seconds"
-                )
-        if self.low_s > self.high_s:
-            raise InputError(f"{self.name}.high_s", self.high_s, f"at least low_s, {self.low_s}")
-        if not self.source.strip():
-            raise InputError(f"{self.name}.source", self.source, "text")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyBudget:
@@ -66,10 +55,7 @@ class LatencyBudget:
         where = f"{self.name}.parts"
         if not self.parts:
             raise InputError(where, Unquoted("none"), "at least one")
-        names = [part.name for part in self.parts]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(where, Unquoted(f"{name!r} twice"), "every name once")
+        check_distinct(where, [part.name for part in self.parts], "every name once")
 
     @property
     def best_s(self) -> float:
@@ -106,8 +92,8 @@ def load_latency_budget(
 ) -> LatencyBudget:
     """Latency budget by a name of ``data/latency.toml``, or from a TOML file of that layout.
 
-    `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
-    file, a part or a field is not what it should be.
+    `where` says what named it. Raises InputError if it is unknown, or a field is not what it should
+    be.
     """
     known = load_latency_budgets()
     if name_or_path in known:
@@ -133,59 +119,64 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
     budgets = {}
     for name, table in document.items():
         where = f"{file}: {name}"
-        if not isinstance(table, dict):
-            raise InputError(where, table, "a table with parts")
-        refuse_unknown(table, ("parts",), where)
-        parts = []
-        for index, entry in enumerate(take_list(table, "parts", where)):
-            if not isinstance(entry, dict):
-                raise InputError(f"{where}.parts[{index}]", entry, "a table")
-            part_name = take_text(entry, "name", f"{where}.parts[{index}]")
-            with _errors_name(f"{where}."):
-                parts.append(_read_part(entry, part_name))
-        with _errors_name(f"{file}: "):
-            budgets[name] = LatencyBudget(name=name, parts=tuple(parts))
+        read = read_table(table, _BudgetTable, where)
+        parts = tuple(
+            _read_part(entry, where, f"{where}.parts[{i}]") for i, entry in enumerate(read.parts)
+        )
+        try:
+            budgets[name] = LatencyBudget(name=name, parts=parts)
+        except InputError as error:
+            raise InputError(f"{file}: {error.where}", error.got, error.expected) from None
     return budgets
 
 
-def _read_part(entry: Table, name: str) -> LatencyPart:
-    refuse_unknown(entry, ("name", *_FIXED, *_RANGE, *REASONS), name)
-    if not any(key in entry for key in (*_FIXED, *_RANGE)):
-        raise InputError(name, Unquoted("no time"), "fixed_s, or low_s and high_s")
-    ends = _FIXED * 2 if "fixed_s" in entry else _RANGE
-    for key in _RANGE:
-        if key in entry and key not in ends:
-            raise InputError(f"{name}.{key}", Unquoted("it beside fixed_s"), "one of them")
-    low_s, high_s = (take_number(entry, key, name) for key in ends)
-    if "fixed_s" in entry and not 0.0 <= low_s <= MAX_LATENCY_S:
-        raise InputError(f"{name}.fixed_s", low_s, f"0 to {MAX_LATENCY_S:g} seconds")
-    source, is_ours = take_reason(entry, name)
-    return LatencyPart(name=name, low_s=low_s, high_s=high_s, source=source, is_assumption=is_ours)
+_Seconds = Annotated[float, Meta(ge=0.0, le=MAX_LATENCY_S, description="0 to 10 seconds")]
 
 
-def take_reason(table: Table, where: str) -> tuple[str, bool]:
-    """Where the numbers of a table come from, and whether that is an assumption of this project."""
-    reasons = [key for key in REASONS if key in table]
+class _BudgetTable(Struct, frozen=True, forbid_unknown_fields=True):
+    parts: list[dict[str, Any]]
+
+
+class _PartTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    name: str
+    fixed_s: _Seconds | None = None
+    low_s: _Seconds | None = None
+    high_s: _Seconds | None = None
+    source: Text | None = None
+    assumption: Text | None = None
+
+
+def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
+    """A part of the budget `where`; errors name it by its name, or by its place `here`."""
+    name = take_text(entry, "name", here)
+    if not (name.strip() and name.isprintable()):
+        raise InputError(f"{where}.name", name, "printable text")
+    where = f"{where}.{name}"
+    part = read_table(entry, _PartTable, where)
+    low_s, high_s = part.low_s, part.high_s
+    if part.fixed_s is not None:
+        given = [key for key in _RANGE if key in entry]
+        if given:
+            raise InputError(f"{where}.{given[0]}", Unquoted("it beside fixed_s"), "one of them")
+        low_s = high_s = part.fixed_s
+    elif low_s is None and high_s is None:
+        raise InputError(where, Unquoted("no time"), "fixed_s, or low_s and high_s")
+    for key, value in zip(_RANGE, (low_s, high_s), strict=True):
+        if value is None:
+            raise InputError(f"{where}.{key}", Unquoted("nothing"), "a value")
+    assert low_s is not None
+    assert high_s is not None
+    if low_s > high_s:
+        raise InputError(f"{where}.high_s", high_s, f"at least low_s, {low_s}")
+    reasons = [key for key in ("source", "assumption") if key in entry]
     if len(reasons) != 1:
-        got = " and ".join(reasons) or "neither"
-        raise InputError(where, Unquoted(got), "either source or assumption")
-    return take_text(table, reasons[0], where), reasons == ["assumption"]
-
-
-def refuse_unknown(table: Table, known: tuple[str, ...], where: str) -> None:
-    """Raise InputError for a key that is not known."""
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}.{key}", Unquoted("an unknown key"), ", ".join(known))
-
-
-@contextmanager
-def _errors_name(place: str) -> Iterator[None]:
-    """Put the name of a file, or of an entry in it, before the place that an error names."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(place + error.where, error.got, error.expected) from None
+        got = Unquoted(" and ".join(reasons) or "neither")
+        raise InputError(where, got, "either source or assumption")
+    reason: str = getattr(part, reasons[0])
+    if not reason.strip():
+        raise InputError(f"{where}.{reasons[0]}", reason, "text")
+    is_ours = reasons == ["assumption"]
+    return LatencyPart(name=name, low_s=low_s, high_s=high_s, source=reason, is_assumption=is_ours)
 
 
 # ---------- APR against the total latency
@@ -201,11 +192,9 @@ def apr_by_latency(
     """APR of every sensing party by the latency from a frame to braking, each (n_latencies,).
 
     Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames do not
-    depend on the latency [s], so one evaluation is enough: what an evaluation with
-    ``replace(rule, latency_s=L)`` does by the last brake time. A unit with a latency of its own
-    keeps it at every L. The VUT's own sensors wait for no message: `vut_latency_s` [s]; by default
-    they take as long as all others, as in the study. Of an evaluation with levels it is the score
-    by the last onset of each level. Raises InputError if `vut_latency_s` is negative or not finite.
+    depend on the latency [s]: one evaluation is enough. A unit with a latency of its own keeps it;
+    so do the VUT's own sensors with `vut_latency_s` [s]. Of an evaluation with levels it is the
+    score by the last onset of each. Raises InputError if `vut_latency_s` is negative or not finite.
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")

@@ -2,17 +2,17 @@
 
 import math
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 
-from geometry.arrays import float_array
+from geometry.arrays import Point3
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
@@ -23,7 +23,7 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, parse_json, pick, read_text, take_list, take_number, take_text
+from geometry.files import Text, load_toml, parse_json, pick, read_table, read_text
 from geometry.frames import from_carla_pose
 from geometry.maps.place_lists import (
     PLACE_FIELDS,
@@ -40,6 +40,7 @@ from geometry.study_scene import load_study_scene
 from geometry.terrain import ground_height_m
 
 from .candidates import CandidatePose, above_ground, own_models
+from .compute import check_distinct
 from .question import BASELINE_NAME
 
 if TYPE_CHECKING:
@@ -53,45 +54,30 @@ RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
 _MAX_DISTANCE_M = 1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
-_NUMBERS = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:
-    """Units that are mounted together.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    units : tuple of CandidatePose
-        The units; ids are unique.
-    scene_name : str
-        Where it was made for; empty: unknown.
-    """
+    """Units that are mounted together."""
 
     name: str
-    units: tuple[CandidatePose, ...]
-    scene_name: str = ""
+    units: tuple[CandidatePose, ...]  #: ids are unique
+    scene_name: str = ""  #: where it was made for; empty: unknown
 
     def __post_init__(self) -> None:
         if not self.units:
             raise InputError(f"layout {self.name}", Unquoted("no unit"), "at least one unit")
-        ids = [unit.id for unit in self.units]
-        if len(set(ids)) < len(ids):
-            repeated = next(name for name in ids if ids.count(name) > 1)
-            raise InputError(f"layout {self.name}: id", repeated, "every id once")
-        sensors = [unit.sensor.name for unit in self.units]
-        for text in (self.name, *ids, *sensors, *(unit.site_id for unit in self.units)):
+        ids, where = [unit.id for unit in self.units], f"layout {self.name}: id"
+        check_distinct(where, ids, "every id once")
+        words = (word for unit in self.units for word in (unit.id, unit.sensor.name, unit.site_id))
+        for text in (self.name, *words):
             if not text.isprintable():  # a line break, or half of a surrogate pair
                 raise InputError("layout: name or id", text, "printable text")
         for name in ids:
             if name in RESERVED_IDS:
-                raise InputError(
-                    f"layout {self.name}: id",
-                    name,
-                    "another name: " + ", ".join(RESERVED_IDS) + " mean other sensing parties",
-                )
+                meant = ", ".join(RESERVED_IDS)
+                expected = f"another name: {meant} mean other sensing parties"
+                raise InputError(where, name, expected)
 
     def __repr__(self) -> str:
         return f"Layout({self.name!r}, {[unit.id for unit in self.units]})"
@@ -112,41 +98,21 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
-    """One of the objectives that are optimised in order, each holding those before it.
+    """One of the objectives that are optimised in order, each holding those before it."""
 
-    Attributes
-    ----------
-    name : str
-        "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s".
-    objective, bound : float
-        Value of the layout, and what no layout can exceed.
-    gap : float
-        (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal.
-    seconds : float
-        Time spent. [s]
-    """
-
-    name: str
-    objective: float
-    bound: float
-    gap: float
-    seconds: float
+    name: str  #: such as "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s"
+    objective: float  #: value of the layout
+    bound: float  #: what no layout can exceed
+    gap: float  #: (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal
+    seconds: float  #: time spent. [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """How good a layout is proven to be, on the detection table.
+    """How good a layout is proven to be, on the detection table."""
 
-    Attributes
-    ----------
-    stages : tuple of Stage
-        In order; the first is the APR.
-    solver : str
-        Name and version.
-    """
-
-    stages: tuple[Stage, ...]
-    solver: str
+    stages: tuple[Stage, ...]  #: in order
+    solver: str  #: name and version
 
     @property
     def is_proven(self) -> bool:
@@ -184,8 +150,7 @@ def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -
 def layout_records(layout: Layout) -> list[dict[str, Any]]:
     """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar.
 
-    A unit with a latency of its own has latency_s, too; one whose varifocal lens is not set as in
-    the catalogue has fov_deg.
+    And latency_s of their own, and fov_deg of a lens that is not set as in the catalogue.
     """
     return [
         {
@@ -214,65 +179,60 @@ def _lens_record(sensor: Sensor) -> dict[str, float]:
     return {"fov_deg": sensor.horizontal_fov_deg}
 
 
+class _UnitRecord(Struct, frozen=True, kw_only=True):
+    """A unit of a layout file."""
+
+    id: Text
+    camera: Text | None = None
+    lidar: Text | None = None
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_deg: float
+    pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0, description="-90 .. 90 degrees")]
+    site: str = ""
+    latency_s: Annotated[float, Meta(ge=0.0, description="seconds, at least 0")] | None = None
+    fov_deg: float | None = None
+
+
 def layout_from_records(
     name: str, records: Sequence[Any], where: str, *, sensors: Mapping[str, Sensor] | None = None
 ) -> Layout:
     """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
 
-    `sensors` are models in addition to the catalogue's; `where` is what is read, for error
-    messages. Raises InputError where a field is missing or not of its kind, an id is repeated, or
-    a sensor is unknown.
+    `sensors` are models in addition to the catalogue's. Raises InputError where a field is missing
+    or not of its kind, an id is repeated, or a sensor is unknown.
     """
     units = []
     for index, record in enumerate(records):
         here = f"{where}: layout[{index}]"
         if not isinstance(record, Mapping):
             raise InputError(here, record, "an object with the fields of a unit")
-        kinds = [kind for kind in SENSOR_KINDS if kind in record]
+        known = {key: record[key] for key in _UnitRecord.__struct_fields__ if key in record}
+        unit = read_table(known, _UnitRecord, here)
+        kinds = [kind for kind in SENSOR_KINDS if getattr(unit, kind) is not None]
         if len(kinds) > 1:
             raise InputError(here, Unquoted(" and ".join(kinds)), "one of them")
-        kind = kinds[0] if kinds else SENSOR_KINDS[0]
-        for key in ("id", kind, *_NUMBERS):
-            if key not in record:
-                raise InputError(f"{here}.{key}", Unquoted("nothing"), "a value")
-        for key in ("id", kind):
-            if not isinstance(record[key], str) or not record[key]:
-                raise InputError(f"{here}.{key}", record[key], "text")
-        latency_s = record.get("latency_s")
-        fov_deg = record.get("fov_deg")
-        for key in (*_NUMBERS, "latency_s", "fov_deg"):
-            if key not in _NUMBERS and record.get(key) is None:
-                continue
-            value = record[key]
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (is_number and abs(value) <= sys.float_info.max):
-                raise InputError(f"{here}.{key}", value, "a finite number")
-        if not -90.0 <= record["pitch_deg"] <= 90.0:
-            raise InputError(f"{here}.pitch_deg", record["pitch_deg"], "-90 .. 90 degrees")
-        if latency_s is not None and latency_s < 0.0:
-            raise InputError(f"{here}.latency_s", latency_s, "seconds, at least 0")
-        site = record.get("site", "")
-        if not isinstance(site, str):
-            raise InputError(f"{here}.site", site, "text")
-        own = (sensors or {}).get(record[kind])
-        sensor = own or pick_sensor(record[kind], f"{here}.{kind}", kind=kind)
+        if not kinds:
+            raise InputError(f"{here}.{SENSOR_KINDS[0]}", Unquoted("nothing"), "a value")
+        kind, model = kinds[0], getattr(unit, kinds[0])
+        own = (sensors or {}).get(model)
+        sensor = own or pick_sensor(model, f"{here}.{kind}", kind=kind)
         if sensor_kind(sensor) != kind:
-            raise InputError(f"{here}.{kind}", record[kind], f"a {kind}")
-        if fov_deg is not None:
+            raise InputError(f"{here}.{kind}", model, f"a {kind}")
+        if unit.fov_deg is not None:
             if not isinstance(sensor, CameraModel):
-                raise InputError(f"{here}.fov_deg", fov_deg, "nothing: only cameras have lenses")
-            sensor = with_fov(sensor, fov_deg, f"{here}.fov_deg")
+                expected = "nothing: only cameras have lenses"
+                raise InputError(f"{here}.fov_deg", unit.fov_deg, expected)
+            sensor = with_fov(sensor, unit.fov_deg, f"{here}.fov_deg")
+        position_m = np.array([unit.x_m, unit.y_m, unit.z_m])
         units.append(
             CandidatePose(
-                id=record["id"],
-                site_id=site,
-                pose=Pose(
-                    position_m=np.array([record["x_m"], record["y_m"], record["z_m"]]),
-                    yaw_deg=record["yaw_deg"],
-                    pitch_deg=record["pitch_deg"],
-                ),
+                id=unit.id,
+                site_id=unit.site,
+                pose=Pose(position_m=position_m, yaw_deg=unit.yaw_deg, pitch_deg=unit.pitch_deg),
                 sensor=sensor,
-                latency_s=latency_s,
+                latency_s=unit.latency_s,
             )
         )
     return Layout(name=name, units=tuple(units))
@@ -286,10 +246,10 @@ def load_layout(
 ) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
 
-    In a CSV, and in JSON that is written by hand, units may lie at latitudes and longitudes and
-    look along compass bearings, see :func:`placement.layout.unit_record`: that takes the
-    `scene`. `sensors` are models in addition to the catalogue's. Raises InputError if the file
-    cannot be read, is of another version, or a field is wrong.
+    In a CSV, and in JSON written by hand, units may lie at latitudes and longitudes and look along
+    compass bearings, see :func:`placement.layout.unit_record`: that takes the `scene`. `sensors`
+    are models in addition to the catalogue's. Raises InputError if the file cannot be read, is of
+    another version, or a field is wrong.
     """
     path = Path(path)
     if path.suffix.lower() == ".csv":
@@ -324,10 +284,7 @@ def read_layout(
     scene: Scene | None = None,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from the text of a layout file; see :func:`load_layout`.
-
-    `where` is what is read, for error messages; `name` is for a layout that has none.
-    """
+    """Layout from the text of a layout file, see :func:`load_layout`; `name` if it has none."""
     document = parse_json(text, where, "a layout")
     known = (SCHEMA, *RESULT_SCHEMAS)
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
@@ -358,16 +315,14 @@ def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:
 
 
 def check_layout(layout: Layout, scene: Scene) -> None:
-    """Raise InputError unless a layout is of a scene.
+    """Raise InputError unless a layout is of a scene, not of another one.
 
-    It must not be made for another one; every unit is in the open air, at a site that exists.
+    Every unit is in the open air, at a site that exists.
     """
     if layout.scene_name not in ("", scene.name):
-        raise InputError(
-            f"layout {layout.name}",
-            Unquoted(f"one made for {layout.scene_name}"),
-            f"one of {scene.name}, the scene that is looked at",
-        )
+        got = Unquoted(f"one made for {layout.scene_name}")
+        expected = f"one of {scene.name}, the scene that is looked at"
+        raise InputError(f"layout {layout.name}", got, expected)
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
@@ -407,8 +362,8 @@ def find_layout(
 ) -> Layout:
     """A layout by its name (carlancap-12, the study's) or from a file; else an InputError.
 
-    A list of units with places on earth takes the `scene`; `sensors` are models in addition to
-    those of the catalogue, as a user lists them.
+    A list of units with places on earth takes the `scene`; `sensors` are models, as a user lists
+    them, beside the catalogue's.
     """
     if str(name) == BASELINE_NAME:
         return load_carlancap_layout()
@@ -417,34 +372,32 @@ def find_layout(
     return load_layout(Path(name), scene=scene, sensors=own_models(sensors))
 
 
+class _StudyUnit(Struct, frozen=True, kw_only=True):
+    id: str
+    site: str
+    position_m: Point3
+    yaw_deg: float
+    pitch_deg: float
+
+
 @cache
 def load_carlancap_layout() -> Layout:
     """The study's 12 roadside cameras, from ``data/carla_ncap_layout.toml``."""
     where = "carla_ncap_layout.toml"
     table = load_toml(files(__package__) / "data" / where)
-    camera = pick_camera(take_text(table, "camera", where), f"{where}: camera")
-    units = []
-    for index, entry in enumerate(take_list(table, "units", where)):
-        here = f"{where}: units[{index}]"
-        units.append(
-            CandidatePose(
-                id=take_text(entry, "id", here),
-                site_id=take_text(entry, "site", here),
-                pose=from_carla_pose(
-                    position_m=float_array(
-                        take_list(entry, "position_m", here), (3,), f"{here}.position_m"
-                    ),
-                    yaw_deg=take_number(entry, "yaw_deg", here),
-                    pitch_deg=take_number(entry, "pitch_deg", here),
-                ),
-                sensor=camera,
-            )
+    camera = pick_camera(table["camera"], f"{where}: camera")
+    units = tuple(
+        CandidatePose(
+            id=unit.id,
+            site_id=unit.site,
+            pose=from_carla_pose(
+                position_m=unit.position_m, yaw_deg=unit.yaw_deg, pitch_deg=unit.pitch_deg
+            ),
+            sensor=camera,
         )
-    return Layout(
-        name=take_text(table, "name", where),
-        units=tuple(units),
-        scene_name=load_study_scene().name,
+        for unit in read_table(table["units"], list[_StudyUnit], where)
     )
+    return Layout(name=table["name"], units=units, scene_name=load_study_scene().name)
 
 
 def find_baseline(scene: Scene) -> Layout | None:
@@ -497,9 +450,8 @@ def unit_record(
 
     `values` are id; site (may be empty); lat and lon, or x and y in the scene's frame, or neither:
     at the site; height above the ground, or z; bearing clockwise from north, or yaw; tilt, positive
-    down, or pitch; model. Case and units at the end of a name do not matter. `sensors` are models
-    in addition to those of the catalogue. Raises InputError where a field is missing or not of its
-    kind, a site or a model is unknown.
+    down, or pitch; model. Case and units at the end of a name do not matter. Raises InputError
+    where a field is missing or not of its kind, a site or a model is unknown.
     """
     columns = known_columns(list(values), where, _FIELDS)
     row = {field: values[name] for name, field in columns.items()}
@@ -552,7 +504,6 @@ def _one_of(
     ]
     if len(found) != 1:
         got = "both" if found else "nothing"
-        raise InputError(
-            f"{where}: {first[0]}", Unquoted(got), f"a number, or {other[0]} in its place"
-        )
+        expected = f"a number, or {other[0]} in its place"
+        raise InputError(f"{where}: {first[0]}", Unquoted(got), expected)
     return found[0][1] + 0.0

@@ -1,9 +1,7 @@
 """Detections of units while somebody moves them: rays are cached, points projected again.
 
-A ray depends on the place of a sensor, not on where it looks: :class:`LiveTable` casts once per
-mount position, to every road user whom any direction or zoom could show, and answers every turn,
-tilt and zoom from there by the detection table's own kernels. Its rows are those of
-:func:`placement.visibility.build_detection_table`.
+Rays depend on a sensor's place, not on where it looks: they are cast once per mount position.
+Rows are those of :func:`placement.visibility.build_detection_table`.
 """
 
 from collections import OrderedDict
@@ -65,7 +63,9 @@ class LiveTable:
         for row, unit in enumerate(units):
             known = self._rows.get(_row_key(unit))
             if known is None:
-                missing.setdefault(_mount_key(unit), []).append(row)
+                sensor, place = unit.sensor, unit.pose.position_m.tolist()
+                key = (*place, sensor.near_m, isinstance(sensor, LidarModel))  # of all rays
+                missing.setdefault(key, []).append(row)
             else:
                 self._rows.move_to_end(_row_key(unit))
                 packed[row] = known
@@ -73,7 +73,10 @@ class LiveTable:
             return packed
         keys = list(missing)
         if self._world is None:
-            self._world = self._build_world()
+            setting, compute = self._setting, self._compute
+            self._world = build_world(
+                setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+            )
 
         def fill(key: _Key) -> tuple[Sensing, float]:
             alike = [units[row] for row in missing[key]]
@@ -93,12 +96,6 @@ class LiveTable:
             for row in rows:
                 _put(self._rows, _row_key(units[row]), packed[row].copy(), most=MAX_ROWS)
         return packed
-
-    def _build_world(self) -> World:
-        setting, compute = self._setting, self._compute
-        return build_world(
-            setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
-        )
 
     def _sensing(self, key: _Key, units: Sequence[CandidatePose]) -> tuple[Sensing, float]:
         """View from the mount of units in every direction, as far as they reach, and how far."""
@@ -126,11 +123,6 @@ def _put(cached: OrderedDict[_Key, _T], key: _Key, value: _T, *, most: int) -> N
         cached.popitem(last=False)
 
 
-def _mount_key(unit: CandidatePose) -> _Key:
-    """Equal for units that share all rays."""
-    return (*unit.pose.position_m.tolist(), unit.sensor.near_m, isinstance(unit.sensor, LidarModel))
-
-
 def _row_key(unit: CandidatePose) -> _Key:
     pose = unit.pose
     return (*pose.position_m.tolist(), pose.yaw_deg, pose.pitch_deg, unit.sensor)
@@ -145,10 +137,9 @@ def table_verdict(
 ) -> Verdict:
     """Verdict on all units together by the detection table, and on the VUT if asked for.
 
-    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`; what the VUT's own
-    sensors detect is the setting's, see :func:`placement.evaluator.with_sight`. The table is read
-    as by the optimiser: a run is avoided if a confirmed track is alive at the last moment. The
-    evaluator asks pixels and bodies instead.
+    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`; the VUT's is the
+    setting's. As for the optimiser, a run is avoided if a confirmed track is alive at the last
+    moment.
     """
     axis, rule = setting.axis, setting.rule
     parties = [(row, unit.latency(rule)) for unit, row in zip(units, detected, strict=True)]

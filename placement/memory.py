@@ -16,8 +16,6 @@ _LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit
 def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
     """Memory of a placement at its peak, when presolve has the whole detection table, in bytes.
 
-    A part grows with candidates x frames of all runs x sampled worlds, and one does not.
-
     Examples
     --------
     >>> round(needed_bytes(5772, 18311) / 2**30, 1)
@@ -29,10 +27,9 @@ def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
 
 
 def machine_bytes() -> int | None:
-    """Memory that this process may use: the machine's, or less where a limit is set.
+    """Memory that this process may use: the machine's, or less by a container's or a shell's limit.
 
-    Limits are those of a container (control groups) and of the shell (``ulimit -v``). None where
-    the system does not say.
+    None where the system does not say.
     """
     sizes = []
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
@@ -54,10 +51,7 @@ def machine_bytes() -> int | None:
 
 
 def available_bytes() -> int:
-    """Memory that can still be had: what the system says is free, within :func:`machine_bytes`.
-
-    Where the system does not say, as much as a size can hold.
-    """
+    """Memory that can still be had: what is free, within :func:`machine_bytes`; else huge."""
     sizes = [machine_bytes() or sys.maxsize]
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
@@ -68,10 +62,7 @@ def available_bytes() -> int:
 
 
 def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
-    """Raise InputError for a question that cannot fit into the memory of this machine.
-
-    The message says how much it needs, and what makes it smaller.
-    """
+    """Raise InputError for a question that cannot fit into the memory of this machine."""
     needed, there = needed_bytes(n_poses, n_frames, n_worlds=n_worlds), machine_bytes()
     if there is None or needed <= there:
         return
@@ -95,11 +86,8 @@ def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
     """
     free = available_bytes()
     if needed_bytes > free:
-        raise InputError(
-            where,
-            Unquoted(f"{what}, which takes about {gib(needed_bytes)} of memory"),
-            f"what fits into the {gib(free)} that are free: {remedy}",
-        )
+        got = Unquoted(f"{what}, which takes about {gib(needed_bytes)} of memory")
+        raise InputError(where, got, f"what fits into the {gib(free)} that are free: {remedy}")
 
 
 def gib(size: int) -> str:

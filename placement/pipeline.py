@@ -204,38 +204,17 @@ def assemble(
     counts_money: bool = False,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Assembly:
-    """Make of a question what every answer needs.
+    """Make of a question what every answer needs; all is checked before any ray is cast.
 
-    Names and limits are checked before any run is laid, and all of them before any ray is cast.
+    `scene` is in place of the one that the question names; `setting` has scene and runs where they
+    have been laid already. `grid` has the poses to try at each site, in place of the question's
+    grid and the study's poses; `existing` is in place of the mounted units that the question names.
+    With `counts_money`, sites without a price cost what is assumed, also where no money is asked
+    for.
 
-    Parameters
-    ----------
-    question : Question
-        What is asked.
-    scene : Scene, optional
-        The junction, in place of the one that the question names.
-    setting : Setting, optional
-        Scene and runs, where they have been laid already.
-    grid : CandidateGrid, optional
-        Poses to try at each site, in place of the question's grid and the study's poses.
-    existing : Layout, optional
-        What is mounted already, in place of the question's.
-    counts_money : bool
-        Sites without a price cost what is assumed, also where the question asks for no money.
-    compute : Compute
-        Seed, threads, cache, progress.
-
-    Returns
-    -------
-    assembly : Assembly
-        Candidates are the grid's, at the study's junction its 12 poses, and the existing units; or
-        those of `within` and the existing ones.
-
-    Raises
-    ------
-    InputError
-        A word is unknown, a layout does not fit the scene, a wish cannot be met at its sites, or no
-        run can be laid.
+    Candidates are the grid's, at the study's junction its 12 poses, and the existing units; or
+    those of `within` and the existing ones. Raises InputError: a word is unknown, a layout does not
+    fit the scene, a wish cannot be met at its sites, or no run can be laid.
     """
     _check_together(question)
     if scene is None:
@@ -439,11 +418,8 @@ class _Answer:
 def place(assembly: Assembly) -> Placement:
     """Find the best layout of an assembly.
 
-    Raises
-    ------
-    InputError
-        Nothing is asked for, or wishes cannot be met; the message says which, and how little has
-        to give way. Or the question does not fit into the memory of this machine.
+    Raises InputError: nothing is asked for, wishes cannot be met (the message says which, and how
+    little has to give way), or the question does not fit into the memory of this machine.
     """
     wishes, compute, effort = assembly.wishes, assembly.compute, assembly.effort
     if wishes.budget_units is None and wishes.budget_eur is None and wishes.target is None:

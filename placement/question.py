@@ -424,15 +424,8 @@ def _check_value(field: QuestionField, value: Any, where: str) -> Any:
 def load_question(path: str | Path) -> Question:
     """Read a question file (TOML); what it does not give has its default.
 
-    Parameters
-    ----------
-    path : str or Path
-        Its keys are the names of the options with underscores, such as ``site_cost = 500.0``.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or has an unknown key or a value that cannot be.
+    Its keys are the names of the options with underscores, such as ``site_cost = 500.0``. Raises
+    InputError: it cannot be read, or has an unknown key or a value that cannot be.
     """
     return Question(**load_question_values(Path(path)))
 
@@ -454,16 +447,15 @@ def question_text(question: Question) -> str:
 
 
 def save_question(path: str | Path, question: Question) -> None:
-    """Write a question file: every field that differs from its default, below its description."""
+    """Write a question file, see :func:`question_text`."""
     from geometry.errors import InputError, Unquoted
     from geometry.files import write_atomically
 
     try:
         write_atomically(Path(path), question_text(question))
     except OSError as error:
-        raise InputError(
-            str(path), Unquoted(error.strerror or error), "a file that can be written"
-        ) from None
+        expected = "a file that can be written"
+        raise InputError(str(path), Unquoted(error.strerror or error), expected) from None
 
 
 Question.__signature__ = Signature(  # type: ignore[attr-defined]  # without limits, to be read

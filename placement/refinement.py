@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, product, starmap
-from typing import NamedTuple
+from itertools import count, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,47 +34,34 @@ from .pipeline import Placement
 from .setting import Setting
 
 
-class StageValue(NamedTuple):
-    """One objective of a set of poses, and its value in that objective's unit."""
-
-    name: Objective
-    value: float
-
-
-def stage_values(problem: PlacementProblem, pose_index: Sequence[int]) -> tuple[StageValue, ...]:
-    """Objectives of a set of poses, rows of the problem's table, in the problem's order."""
-    return tuple(starmap(StageValue, objective_values(problem, pose_index).items()))
-
-
-def improves(values: Sequence[StageValue], others: Sequence[StageValue]) -> bool:
+def improves(values: Mapping[Objective, float], others: Mapping[Objective, float]) -> bool:
     """True if the first difference that exceeds rounding noise favours `values`.
 
     Examples
     --------
-    >>> improves([StageValue(Objective.UNITS, 2.0)], [StageValue(Objective.UNITS, 3.0)])
+    >>> improves({Objective.UNITS: 2.0}, {Objective.UNITS: 3.0})
     True
     """
-    for mine, theirs in zip(values, others, strict=True):
-        excess = mine.name.excess(mine.value, theirs.value)
-        if abs(excess) > mine.name.tolerance:
+    for objective, value in values.items():
+        excess = objective.excess(value, others[objective])
+        if abs(excess) > objective.tolerance:
             return excess > 0.0
     return False
 
 
-def certify(values: Sequence[StageValue], certificate: Certificate, solver: str) -> Certificate:
+def certify(
+    values: Mapping[Objective, float], certificate: Certificate, solver: str
+) -> Certificate:
     """The bounds of a certificate for a set of poses that is as good as its layout or better.
 
-    `values` are those of a set within the certificate's problem. A bound holds for all sets that
-    are as good in the stages before as the certificate's layout, and so for those that are as good
-    as this one. `solver` is the text about the solver that the new certificate gets.
+    A bound holds for all sets that are as good in the stages before as the certificate's layout,
+    and so for those that are as good as this one. `solver` is the new certificate's text about it.
     """
-    return Certificate(
-        stages=tuple(
-            build_stage(own.name, own.value, proven.bound, proven.seconds)
-            for own, proven in zip(values, certificate.stages, strict=True)
-        ),
-        solver=solver,
+    stages = (
+        build_stage(name, value, proven.bound, proven.seconds)
+        for (name, value), proven in zip(values.items(), certificate.stages, strict=True)
     )
+    return Certificate(stages=tuple(stages), solver=solver)
 
 
 # ---------- places, and the steps from one pose to its neighbours
@@ -131,9 +117,8 @@ def moved(
 ) -> CandidatePose | None:
     """Replacement for a row of the grid, moved and turned; None if it would be inside something.
 
-    The height is brought into the site's range, the pitch into -90 .. 90 degrees, and the field of
-    view into the range of a varifocal lens; it is that of the grid by default. The pose's id says
-    where it is mounted and how it looks.
+    Height, pitch and field of view (by default the grid's) are brought into their ranges. The
+    pose's id says where it is mounted and how it looks.
     """
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
@@ -167,7 +152,7 @@ STEPS_DEG = (128.0, 64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 0.5)
 
 
 def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
-    """Neighbours of a pose, each id once."""
+    """Neighbours of a pose in yaw, pitch and zoom, each id once."""
     sensor = unit.sensor
     has_zoom = isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None
     poses = []
@@ -177,18 +162,16 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
         pitch_deg = unit.pose.pitch_deg + tilt_sign * step_deg
         if turn_sign and is_turn_useless(sensor, pitch_deg=pitch_deg):
             continue
-        zoom = np.exp(0.01 * step_deg * zoom_sign)
         pose = moved(
             places,
             origin,
             height_m=float(unit.pose.position_m[2]),
             yaw_deg=unit.pose.yaw_deg + turn_sign * step_deg,
             pitch_deg=pitch_deg,
-            fov_deg=zoom * sensor.horizontal_fov_deg,
+            fov_deg=np.exp(0.01 * step_deg * zoom_sign) * sensor.horizontal_fov_deg,
         )
-        if pose is not None and pose.id != unit.id:
-            poses.append(pose)
-    return list({pose.id: pose for pose in poses}.values())
+        poses.append(pose)
+    return _others(poses, unit)
 
 
 LIFTS_M = (1.0, 0.5, 0.25, 0.1)
@@ -209,8 +192,11 @@ def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
         for size_m in LIFTS_M
         for lift_m in (-size_m, size_m)
     ]
-    found = {pose.id: pose for pose in poses if pose is not None and pose.id != unit.id}
-    return list(found.values())
+    return _others(poses, unit)
+
+
+def _others(poses: Iterable[CandidatePose | None], unit: CandidatePose) -> list[CandidatePose]:
+    return [*{one.id: one for one in poses if one is not None and one.id != unit.id}.values()]
 
 
 # ---------- the search
@@ -248,17 +234,15 @@ class _Search:
         self.end_s = end_s
         self.new: dict[str, _Tried] = {}  # poses that are not of the grid, by id
         self.units = [self._of_grid(row) for row in placement.pose_index]
-        self.values = stage_values(self.grid, placement.pose_index)
+        self.values = objective_values(self.grid, placement.pose_index)
 
     def turn(self) -> None:
         """Compass search over yaw, pitch and field of view, then height, unit by unit.
 
-        In the end no step of any unit alone improves the set, unless time was up.
-
-        Compass search shrinks its step where none improves (Kolda, Lewis, Torczon, "Optimization by
-        direct search", SIAM Review 45, 2003, section 3). What a set is worth is a step function
-        here - runs are avoided or not, frames come every tenth of a second -, so that a larger step
-        may improve where smaller ones change nothing: all steps are tried at once.
+        In the end no step of any unit alone improves the set, unless time was up. All steps are
+        tried at once in place of a shrinking one (Kolda, Lewis, Torczon, "Optimization by direct
+        search", SIAM Review 45, 2003, section 3): what a set is worth is a step function here, so
+        that a larger step may improve where smaller ones change nothing.
         """
         position, n_settled = 0, 0
         while n_settled < len(self.units) and now_s() < self.end_s:
@@ -284,7 +268,7 @@ class _Search:
         is_better = False
         for index, one in enumerate(tried, start=len(others)):
             rows = [*range(len(others)), index]
-            values = stage_values(problem, rows)
+            values = objective_values(problem, rows)
             if improves(values, self.values) and is_feasible(problem, rows):
                 self.units[position], self.values, is_better = one, values, True
         return is_better
@@ -319,8 +303,10 @@ class _Search:
         limits = replace(limits, is_forced=limits.is_forced & ~is_new)
         return replace(self.grid, table=table, limits=limits)
 
-    def prove(self, placement: Placement, solver: Effort, *, end_s: float) -> "_Proven | None":
-        """The best set and its bounds among the whole grid and all new poses.
+    def prove(
+        self, placement: Placement, solver: Effort, *, end_s: float
+    ) -> "tuple[Placement, tuple[CandidatePose, ...], tuple[Move, ...]] | None":
+        """The best set and its bounds among the whole grid and all new poses, and the moves there.
 
         None where nothing could be said in time of how good it is.
         """
@@ -335,7 +321,7 @@ class _Search:
             )
         except InputError:
             return None  # the set at hand meets all wishes, but time was too short to find one
-        found = stage_values(problem, solution.pose_index)
+        found = objective_values(problem, solution.pose_index)
         if improves(found, self.values) and is_feasible(problem, solution.pose_index):
             rows, self.values = list(solution.pose_index), found
         pose_index = tuple(sorted(rows))
@@ -364,15 +350,7 @@ class _Search:
             nominal_index=pose_index,
             next_unit=None,  # between the poses of the grid there are ever more
         )
-        return _Proven(placement=refined, candidates=candidates, moves=moves)
-
-
-class _Proven(NamedTuple):
-    """A refined placement, the rows of its table, and what became of each unit."""
-
-    placement: Placement
-    candidates: tuple[CandidatePose, ...]
-    moves: "tuple[Move, ...]"
+        return refined, candidates, moves
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -386,8 +364,8 @@ class Refinement:
     placement: Placement
     candidates: tuple[CandidatePose, ...]  # the rows of that table
     # before, after: in the order of the problem's stages; `after` is `before` or better
-    before: tuple[StageValue, ...]
-    after: tuple[StageValue, ...]
+    before: Mapping[Objective, float]
+    after: Mapping[Objective, float]
     moves: "tuple[Move, ...]"  # what became of each unit; empty where nothing better was found
     n_tried: int  # new poses whose detections were computed
     seconds: float  # time spent. [s]
@@ -396,9 +374,6 @@ class Refinement:
     def is_improved(self) -> bool:
         """True if a better layout was found."""
         return bool(self.moves)
-
-    def __repr__(self) -> str:
-        return f"Refinement({self.placement.layout!r}, {self.n_tried} poses tried)"
 
 
 def refine(
@@ -412,34 +387,13 @@ def refine(
 ) -> Refinement:
     """Look for a better layout between the poses of a grid.
 
-    Parameters
-    ----------
-    setting : Setting
-        What the layout was found in.
-    placement : Placement
-        The layout, and its problem: limits, floors, goal and stages stay as they are. Units that
-        are forced do not move.
-    candidates : sequence of CandidatePose
-        The grid: the rows of the placement's table.
-    time_limit_s : float
-        Six tenths of it for the steps, the rest for the proof. Results are the same again only
-        where it is not reached. [s]
-    solver : Effort, optional
-        Of the optimiser; its time limit is shortened where `time_limit_s` leaves less.
-    compute : Compute
-        Threads, progress, and the seed of the points on the VRUs: that of the table.
-
-    Returns
-    -------
-    refinement : Refinement
-        Never worse, in the order of the problem's stages. The units are turned, tilted, zoomed and
-        lifted in small steps where they are, until no step of one unit improves anything; then the
-        problem is solved again on the grid and all poses tried.
-
-    Raises
-    ------
-    InputError
-        The table is not that of the candidates, or of sampled worlds; the time is not positive.
+    Units of the placement that are not forced are turned, tilted, zoomed and lifted in small steps
+    where they are, until no step of one unit improves anything; then the problem is solved again on
+    the grid, whose `candidates` are the rows of the placement's table, and all poses tried. Six
+    tenths of `time_limit_s` are for the steps, the rest for the proof; results are the same again
+    only where it is not reached. `solver` is the optimiser's effort; `compute` has the table's
+    seed. The result is never worse. Raises InputError: the table is not that of the candidates, or
+    of sampled worlds; the time is not positive.
     """
     if not time_limit_s > 0.0:
         raise InputError("time_limit_s", time_limit_s, "seconds, more than 0")
@@ -479,9 +433,8 @@ def _check_table(
     if problem.table.pose_ids != tuple(candidate.id for candidate in candidates):
         raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")
     if problem.table.axis.run_ids != setting.axis.run_ids:
-        raise InputError(
-            "refine", Unquoted("a table of sampled worlds"), "a table of the runs as planned"
-        )
+        expected = "a table of the runs as planned"
+        raise InputError("refine", Unquoted("a table of sampled worlds"), expected)
 
 
 # ---------- moves
@@ -548,10 +501,16 @@ def pair_units(
 ) -> list[tuple[int | None, int | None]]:
     """Pairs of a unit of a layout and the pose of another one that took its place.
 
-    Every index stands in them once: the old units in their order, then what is new.
+    Those that look most alike go together. Every index stands in them once: the old units in their
+    order, then what is new.
     """
+
+    def distance_deg(one: CandidatePose, other: CandidatePose) -> float:
+        turn = float(wrap_deg(one.pose.yaw_deg - other.pose.yaw_deg))
+        return abs(turn) + abs(one.pose.pitch_deg - other.pose.pitch_deg)
+
     distances = sorted(
-        (_distance_deg(one, other), old, new)
+        (distance_deg(one, other), old, new)
         for old, one in enumerate(before)
         for new, other in enumerate(after)
         if is_same_place(one, other)
@@ -560,10 +519,8 @@ def pair_units(
     for _, old, new in distances:
         if old not in new_of and new not in new_of.values():
             new_of[old] = new
-    pairs: list[tuple[int | None, int | None]] = [
-        (old, new_of.get(old)) for old in range(len(before))
-    ]
-    return pairs + [(None, new) for new in range(len(after)) if new not in new_of.values()]
+    left = [(None, new) for new in range(len(after)) if new not in new_of.values()]
+    return [*((old, new_of.get(old)) for old in range(len(before))), *left]
 
 
 def rename(
@@ -571,9 +528,8 @@ def rename(
 ) -> tuple[Layout, tuple[Move, ...]]:
     """A layout of the poses, whose units keep their names where they stay in place, and the moves.
 
-    `before` has the names that stay. `named` are names that mean one pose and no other, such as
-    those of an existing layout: another pose gets another name. The units come in the order of the
-    old ones, new ones behind; the moves leave out units that stayed as they were.
+    Names of `named` mean one pose and no other, such as those of an existing layout. Units come in
+    the order of `before`, new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
     free = (unit_id for unit_id in (f"U{n}" for n in count(1)) if unit_id not in taken)
@@ -587,15 +543,9 @@ def rename(
         unit_id = unit.id if unit is not None and keeps_name else next(free)
         moves.append(Move(before=unit, after=replace(poses[new], id=unit_id)))
     units = tuple(move.after for move in moves if move.after is not None)
-    return Layout(name=name, units=units), tuple(m for m in moves if not _is_unchanged(m))
-
-
-def _distance_deg(one: CandidatePose, other: CandidatePose) -> float:
-    turn = float(wrap_deg(one.pose.yaw_deg - other.pose.yaw_deg))
-    return abs(turn) + abs(one.pose.pitch_deg - other.pose.pitch_deg)
-
-
-def _is_unchanged(move: Move) -> bool:
-    return move.is_same_place and not any(
-        (move.turn_deg, move.tilt_deg, move.lift_m, move.zoom_deg)
+    changed = (
+        move
+        for move in moves
+        if not move.is_same_place or any((move.turn_deg, move.tilt_deg, move.lift_m, move.zoom_deg))
     )
+    return Layout(name=name, units=units), tuple(changed)

@@ -12,27 +12,33 @@ from importlib.resources import files
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError
-from geometry.files import load_toml, pick, read_table
+from geometry.errors import InputError, Unquoted
+from geometry.files import load_toml, read_table
 from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
-from .detection_table import run_of_level
+from .compute import check_distinct
+from .detection_table import DetectionTable, run_of_level
 from .layout import Certificate, Layout
+from .live import LiveTable
 from .optimiser import (
     Effort,
     Limits,
     PlacementProblem,
     PlacementValue,
+    Solution,
+    apr,
     is_better,
     placement_value,
     run_margins_s,
     solve_placement,
 )
 from .optimiser.bitsets import SetValues
-from .optimiser.limits import are_allowed, costs_eur
+from .optimiser.limits import are_allowed, costs_eur, fitting
 from .optimiser.problem import VALUE_OBJECTIVES, Objective
 from .optimiser.steering import TOLERANCE
+from .pipeline import Assembly
+from .wishes import Wishes
 
 # ---------- poses: the units, their re-aims, and what can be added
 
@@ -64,43 +70,29 @@ def build_retrofit_poses(
 ) -> RetrofitPoses:
     """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
 
-    Of the grid only the directions are used; additions with the id of a unit are left out. Raises
-    :class:`InputError` if two ids are equal.
+    Additions with the id of a unit are left out. Raises InputError if two ids are equal.
     """
-    aims = [
-        (number, _aimed(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg))
-        for number, unit in enumerate(layout.units)
-        for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor)
-        if not _looks_there(unit, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    ]
+    aims, numbers = [], [*range(len(layout.units))]
+    for number, unit in enumerate(layout.units):
+        for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor):
+            turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
+            if is_turn_useless(unit.sensor, pitch_deg=pitch_deg):
+                turn_deg = 0.0
+            if max(abs(turn_deg), abs(unit.pose.pitch_deg - pitch_deg)) > _SAME_DEG:
+                pose = replace(unit.pose, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+                name = f"{unit.id}/aim/{yaw_deg:g}/{pitch_deg:g}"
+                aims.append(replace(unit, id=name, pose=pose))
+                numbers.append(number)
     taken = {unit.id for unit in layout.units}
     new = [candidate for candidate in additions if candidate.id not in taken]
-    candidates = (*layout.units, *(aim for _, aim in aims), *new)
+    candidates = (*layout.units, *aims, *new)
     ids = [candidate.id for candidate in candidates]
-    if len(set(ids)) < len(ids):
-        repeated = next(name for name in ids if ids.count(name) > 1)
-        raise InputError(f"layout {layout.name}: id", repeated, "ids unlike those of candidates")
-    numbers = [*range(len(layout.units)), *(number for number, _ in aims), *([-1] * len(new))]
-    return RetrofitPoses(candidates=candidates, unit_index=np.array(numbers, dtype=np.int64))
-
-
-def _aimed(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> CandidatePose:
-    pose = replace(unit.pose, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    return replace(unit, id=f"{unit.id}/aim/{yaw_deg:g}/{pitch_deg:g}", pose=pose)
-
-
-def _looks_there(unit: CandidatePose, *, yaw_deg: float, pitch_deg: float) -> bool:
-    turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
-    if is_turn_useless(unit.sensor, pitch_deg=pitch_deg):
-        turn_deg = 0.0
-    return max(abs(turn_deg), abs(unit.pose.pitch_deg - pitch_deg)) <= _SAME_DEG
+    check_distinct(f"layout {layout.name}: id", ids, "ids unlike those of candidates")
+    unit_index = np.array([*numbers, *([-1] * len(new))], dtype=np.int64)
+    return RetrofitPoses(candidates=candidates, unit_index=unit_index)
 
 
 # ---------- labour: what it costs to re-aim or to remove a unit
-
-
-_FILE = "labour.toml"
-_NUMBERS = ("people", "wage_eur_per_h", "travel_h", "lift_eur", "re_aim_h", "remove_h")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,35 +107,29 @@ class Labour:
     remove_h: float  # at the pole
     source: str  # where the numbers come from
 
-    def __post_init__(self) -> None:
-        for field in _NUMBERS:
-            if not getattr(self, field) >= 0.0:
-                raise InputError(f"labour.{field}", getattr(self, field), "at least 0")
-
     @property
     def re_aim_eur(self) -> float:
         """To turn a unit on its pole, in euros."""
-        return self._visit_eur(self.re_aim_h)
+        hours = self.travel_h + self.re_aim_h
+        return self.people * self.wage_eur_per_h * hours + self.lift_eur
 
     @property
     def remove_eur(self) -> float:
         """To take a unit down, in euros."""
-        return self._visit_eur(self.remove_h)
-
-    def _visit_eur(self, at_pole_h: float) -> float:
-        return self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h) + self.lift_eur
+        hours = self.travel_h + self.remove_h
+        return self.people * self.wage_eur_per_h * hours + self.lift_eur
 
 
-def load_labour(name: str = "default") -> Labour:
-    """Labour prices by name, from ``data/labour.toml``.
+def load_labour() -> Labour:
+    """Labour prices, from ``data/labour.toml``.
 
     Examples
     --------
     >>> load_labour().re_aim_eur
     505.0
     """
-    table = pick(load_toml(files(__package__) / "data" / _FILE), name, _FILE)
-    return read_table(table, Labour, f"{_FILE}: {name}")
+    table = load_toml(files(__package__) / "data" / "labour.toml")["default"]
+    return read_table(table, Labour, "labour.toml: default")
 
 
 # ---------- changes
@@ -196,37 +182,23 @@ def find_retrofit(
 ) -> Retrofit:
     """Find the best change of every kind: by APR, APR when one unit fails, margins, then price.
 
-    The problem is on the table of all poses. Its limits are those of units to be added, with those
-    already mounted as forced ones that cost nothing, see :func:`placement.wishes.build_limits`;
-    budgets and forced sites do not matter. `budget_eur` is for the combination; an addition must
-    not cost more, either. `effort` is for the combination, too; all other changes are tried one by
-    one.
+    The problem is on the table of all poses, with those mounted as forced ones that cost nothing;
+    its budgets and forced sites do not matter. `budget_eur` and `effort` are for the combination;
+    an addition must not cost more, either. All other changes are tried one by one.
     """
     effort = Effort() if effort is None else effort
     standing = tuple(range(poses.n_units))
-    removals = [
-        _change(
-            problem,
-            poses,
-            [unit for unit in standing if unit != number],
-            price_eur=labour.remove_eur,
-            n_compared=poses.n_units,
-        )
-        for number in standing
-    ]
-    re_aims = []
     n_aims = sum(len(poses.aims_of(number)) for number in standing)
+    removals, re_aims = [], []
     for number in standing:
-        aims = poses.aims_of(number)
-        if not len(aims):
-            continue
         others = [unit for unit in standing if unit != number]
-        best = aims[best_joining(problem, others, aims)]
-        re_aims.append(
-            _change(
-                problem, poses, [*others, int(best)], price_eur=labour.re_aim_eur, n_compared=n_aims
-            )
-        )
+        price_eur, n = labour.remove_eur, poses.n_units
+        removals.append(_change(problem, poses, others, price_eur=price_eur, n_compared=n))
+        aims = poses.aims_of(number)
+        if len(aims):
+            after = [*others, int(aims[best_joining(problem, others, aims)])]
+            price_eur = labour.re_aim_eur
+            re_aims.append(_change(problem, poses, after, price_eur=price_eur, n_compared=n_aims))
     return Retrofit(
         before=placement_value(problem, standing),
         removals=_best_first(removals),
@@ -243,9 +215,8 @@ def combined_limits(
 ) -> Limits:
     """Limits in which every unit stays or is re-aimed, and others are added within the budget.
 
-    Every unit becomes a site of its own with room for one of its poses, of which one must be
-    chosen. What room the units' real sites have left is there for new ones; rivals of units are
-    forbidden, since the units stay.
+    Every unit becomes a site of its own, on which one of its poses must be chosen. What room the
+    real sites have left is for new ones; rivals of units are forbidden.
     """
     n_units, n_sites = poses.n_units, limits.n_sites
     is_new = poses.unit_index < 0
@@ -382,7 +353,7 @@ def best_joining(
     """The pose of `each` (n_each,) that joins those `mounted` best: an index into `each`.
 
     Best by APR, then APR when one unit fails, smallest and mean margin, and price (by default
-    equal). Limits and floors of the problem do not matter.
+    equal). Limits and floors do not matter.
     """
     measure, weight = problem.measure(), problem.table.axis.weight
     margin = margins_joined_s(problem, mounted, each)
@@ -435,3 +406,277 @@ def margins_joined_s(
         confirmed = np.minimum(confirmed, alone.min(axis=0))
     onset_s = confirmed + rule.latency_s
     return np.where(np.isfinite(onset_s), axis.last_brake_time_s - onset_s, -np.inf)
+
+
+# ---------- answers to somebody who plans by hand
+
+
+LEAST_GAIN = 1.0e-9
+"""An APR that is higher by less is the same."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Advice:
+    """A layout that answers a question, and how good it is proven to be."""
+
+    # all that would be mounted then; those that stay keep their ids
+    units: tuple[CandidatePose, ...]
+    # before, after: worth of the present and the new layout on the detection table; `before`
+    # is None where nothing is mounted. Costs are of the same kind: of what is new, or of
+    # everything.
+    before: PlacementValue | None
+    after: PlacementValue
+    # of a search; None where all alternatives were tried one by one
+    certificate: Certificate | None = None
+    n_compared: int = 0  # how many were tried so; 0 of a search
+
+    @property
+    def is_proven(self) -> bool:
+        """True if nothing of its kind is better by what is asked for, the first objective."""
+        if self.certificate is None:
+            return self.n_compared > 0
+        return self.certificate.stages[0].gap == 0.0
+
+    @property
+    def is_all_proven(self) -> bool:
+        """True if nothing of its kind is better by any objective."""
+        return self.n_compared > 0 or (self.certificate is not None and self.certificate.is_proven)
+
+    @property
+    def bound(self) -> float:
+        """The APR that no answer of its kind exceeds, 0..1."""
+        if self.certificate is None:
+            return self.after.apr
+        stages = {stage.name: stage for stage in self.certificate.stages}
+        return stages["apr"].bound if "apr" in stages else 1.0
+
+
+class Adviser:
+    """Answers to questions about layouts in one setting.
+
+    The assembly has the candidates, and the wishes that always hold, without a budget; units are
+    re-aimed in the directions of the grid.
+    """
+
+    def __init__(self, assembly: Assembly, grid: CandidateGrid) -> None:
+        self._assembly, self._grid, self._compute = assembly, grid, assembly.compute
+        self._wishes, self._setting = assembly.wishes, assembly.setting
+        self._live = LiveTable(assembly.setting, compute=assembly.compute)
+
+    def best_next(self, units: Sequence[CandidatePose]) -> Advice:
+        """The unit that gains most next to the mounted ones; costs are its own and its site's.
+
+        Raises InputError if none is allowed, or none is an improvement.
+        """
+        if not units:
+            return self.complete(units, n_units=1)
+        problem, poses = self._beside(units)
+        change = find_addition(problem, poses, budget_eur=None)
+        if change is None:
+            got = Unquoted("no candidate that is an improvement")
+            raise InputError("the best next unit", got, "one")
+        return Advice(
+            units=self._named(units, poses.candidates, change.added),
+            before=placement_value(problem, range(len(units))),
+            after=change.value,
+            n_compared=change.n_compared,
+        )
+
+    def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
+        """The best layout of `n_units` that has the mounted units; costs are of what is new.
+
+        One more unit is found by trying all. Raises InputError if so many are mounted already, the
+        sites cannot carry them, or one unit more is no improvement.
+        """
+        if n_units <= len(units):
+            expected = f"more than the {len(units)} that are mounted already"
+            raise InputError("units in all", n_units, expected)
+        is_forced = self._wishes.forced_sites or any(
+            site.use == "forced" for site in self._setting.scene.sites
+        )
+        if units and n_units == len(units) + 1 and not is_forced:
+            return self.best_next(units)
+        wishes = replace(
+            self._wishes,
+            budget_units=n_units,
+            existing=tuple(unit.id for unit in units),
+        )
+        return self._search(units, wishes)
+
+    def re_aim(self, units: Sequence[CandidatePose]) -> Advice:
+        """The best directions of all units, each at its place with its sensor; nothing is bought.
+
+        Raises InputError if nothing is mounted, or no unit can look elsewhere.
+        """
+        if not units:
+            raise InputError("re-aim", Unquoted("no unit"), "at least one unit")
+        n, may_look = len(units), self._assembly.may_look
+        poses = build_retrofit_poses(Layout(name="now", units=tuple(units)), self._grid, ())
+        if may_look is not None:
+            aims = np.flatnonzero(may_look(poses.candidates[n:])) + n
+            kept = [*range(n), *aims.tolist()]
+            poses = RetrofitPoses(
+                candidates=tuple(poses.candidates[row] for row in kept),
+                unit_index=poses.unit_index[kept],
+            )
+        if len(poses.candidates) == n:
+            raise InputError("re-aim", Unquoted("units that see all round"), "one that can turn")
+        self._compute.progress("look from the units", 0, 0)
+        problem = replace(
+            self._assembly,
+            candidates=poses.candidates,
+            wishes=replace(self._one_more(units), site_capacity=n + 1),
+            known_table=self._rows(poses.candidates),
+        ).problem
+        limits = combined_limits(problem.limits, poses, re_aim_eur=0.0, budget_eur=0.0)
+        problem = replace(problem, limits=limits)
+        solution = self._solve(problem, [np.arange(n)])
+        aimed = {int(poses.unit_index[row]): poses.candidates[row] for row in solution.pose_index}
+        return Advice(
+            units=tuple(
+                replace(aimed[index], id=unit.id, site_id=unit.site_id)
+                for index, unit in enumerate(units)
+            ),
+            before=placement_value(problem, range(n)),
+            after=placement_value(problem, solution.pose_index),
+            certificate=solution.certificate,
+        )
+
+    def _solve(self, problem: PlacementProblem, starts: Sequence[IntArray]) -> Solution:
+        return solve_placement(
+            problem,
+            effort=self._assembly.effort,
+            starts=starts,
+            on_stage=lambda stage: self._compute.progress(f"optimise: {stage}", 0, 0),
+        )
+
+    def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
+        """The layout of least cost whose APR is that of the mounted one; costs are of everything.
+
+        Raises InputError if nothing is mounted, or it avoids nothing.
+        """
+        if not units:
+            raise InputError("the cheapest that keeps this", Unquoted("no unit"), "a unit")
+        share = apr(self._problem(units, self._wishes), range(len(units)))
+        if share <= 0.0:
+            raise InputError("the cheapest that keeps this", Unquoted("an APR of 0"), "more")
+        wishes = replace(self._wishes, target=share, saves="cost", forced_sites=())
+        return self._search(units, wishes)
+
+    def why_not(self, units: Sequence[CandidatePose], site_id: str) -> tuple[Advice, Advice]:
+        """Worth of a site: beside the mounted units, and in a layout of as many units.
+
+        The first has the best unit there next to all others; the second is the best layout of as
+        many units that uses the site, costs of everything. Raises InputError if nothing is
+        mounted, or nothing may be mounted at the site.
+        """
+        where = f"why not {site_id}"
+        if not units:
+            raise InputError(where, Unquoted("no unit"), "a layout to compare it with")
+        problem, poses = self._beside(units)
+        standing = np.arange(len(units))
+        free = fitting(replace(problem.limits, budget_units=None), standing)
+        here = np.array([candidate.site_id == site_id for candidate in poses.candidates])
+        rows: IntArray = np.flatnonzero(free & here)
+        rows = rows[rows >= len(units)]
+        if not len(rows):
+            expected = "a site with room, that is not forbidden"
+            raise InputError(where, Unquoted("no pose of the grid that is allowed there"), expected)
+        best = int(rows[best_joining(problem, standing.tolist(), rows)])
+        beside = Advice(
+            units=self._named(units, poses.candidates, [best]),
+            before=placement_value(problem, range(len(units))),
+            after=placement_value(problem, [*range(len(units)), best]),
+            n_compared=len(rows),
+        )
+        wishes = replace(self._wishes, budget_units=len(units), forced_sites=(site_id,))
+        return beside, self._search(units, wishes)
+
+    # ---------- problems
+
+    def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
+        """The optimiser's answer, started from the mounted units where that is allowed."""
+        problem = self._problem(units, wishes)
+        has_start = bool(len(units)) and wishes.budget_units is None
+        solution = self._solve(problem, [np.arange(len(units))] if has_start else [])
+        stay = [units[row] for row in solution.pose_index if row < len(units)]
+        new = [row for row in solution.pose_index if row >= len(units)]
+        return Advice(
+            units=self._named(stay, self._candidates(units), new, taken=units),
+            before=placement_value(problem, range(len(units))) if units else None,
+            after=placement_value(problem, solution.pose_index),
+            certificate=solution.certificate,
+        )
+
+    def _beside(self, units: Sequence[CandidatePose]) -> tuple[PlacementProblem, RetrofitPoses]:
+        """The problem of one more unit next to the mounted ones."""
+        candidates = self._candidates(units)
+        unit_index = np.full(len(candidates), -1)
+        unit_index[: len(units)] = np.arange(len(units))
+        poses = RetrofitPoses(candidates=candidates, unit_index=unit_index)
+        return self._problem(units, self._one_more(units)), poses
+
+    def _one_more(self, units: Sequence[CandidatePose]) -> Wishes:
+        """One more row than the mounted units: a further unit, or another direction of one."""
+        return replace(
+            self._wishes,
+            budget_units=len(units) + 1,
+            existing=tuple(unit.id for unit in units),
+            forced_sites=(),
+        )
+
+    def _problem(self, units: Sequence[CandidatePose], wishes: Wishes) -> PlacementProblem:
+        """The problem on the rows of the units, then those of the grid."""
+        candidates = self._candidates(units)
+        table = DetectionTable(
+            pose_ids=tuple(candidate.id for candidate in candidates),
+            axis=self._setting.axis,
+            packed=np.concatenate([self._rows(units).packed, self._assembly.table.packed]),
+        )
+        return replace(
+            self._assembly, candidates=candidates, wishes=wishes, known_table=table
+        ).problem
+
+    def _candidates(self, units: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
+        """The units, then the grid's poses, under ids that no other row has."""
+        taken = {unit.id for unit in units}
+        grid = (
+            replace(one, id=free_name(taken, f"{one.id}/")) if one.id in taken else one
+            for one in self._assembly.candidates
+        )
+        return (*units, *grid)
+
+    def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
+        names, axis = tuple(unit.id for unit in units), self._setting.axis
+        return DetectionTable(pose_ids=names, axis=axis, packed=self._live.packed(units))
+
+    @staticmethod
+    def _named(
+        stay: Sequence[CandidatePose],
+        candidates: Sequence[CandidatePose],
+        new: Sequence[int],
+        *,
+        taken: Sequence[CandidatePose] = (),
+    ) -> tuple[CandidatePose, ...]:
+        """Units that stay, then new ones under names that are free."""
+        names = {unit.id for unit in (*stay, *taken)}
+        named = list(stay)
+        for row in new:
+            name = free_name(names)
+            names.add(name)
+            named.append(replace(candidates[row], id=name))
+        return tuple(named)
+
+
+def free_name(taken: set[str], word: str = "U") -> str:
+    """The first of U1, U2, ... that is not taken.
+
+    Examples
+    --------
+    >>> free_name({"U1", "U3"})
+    'U2'
+    """
+    number = 1
+    while f"{word}{number}" in taken:
+        number += 1
+    return f"{word}{number}"

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -60,19 +60,12 @@ from .question import Question, map_options, read_cars, read_point, split_names
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radio:
-    """Radio between RSUs, VRUs and the VUT.
+    """Radio between RSUs, VRUs and the VUT."""
 
-    Attributes
-    ----------
-    packet_loss : float
-        Probability that a message - an RSU's collective perception message (CPM) of one frame, or
-        a VRU's awareness message (VAM) - is lost. 0 .. 1
-    vam_rate : float
-        Share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
-    """
-
+    #: Probability that a message is lost: an RSU's collective perception message (CPM) of one
+    #: frame, or a VRU's awareness message (VAM). 0 .. 1
     packet_loss: float = 0.0
-    vam_rate: float = 0.0
+    vam_rate: float = 0.0  #: share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
 
     def __post_init__(self) -> None:
         for name in ("packet_loss", "vam_rate"):
@@ -88,52 +81,23 @@ VUT_SENSORS = ("camera", "lidar")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Setting:
-    """The question, but for the layout.
+    """The question, but for the layout."""
 
-    Attributes
-    ----------
-    scene : Scene
-        What stands still, and the mount sites.
-    runs : tuple of Run
-        What happens there.
-    axis : FrameAxis
-        Frames and weights of `runs`.
-    rule : AebRule
-        From detected frames to braking.
-    detector : Detector
-        Of cameras, in the evaluator.
-    table_detector : PlanningDetector
-        Of cameras, in the detection table.
-    refusals : tuple of Refusal
-        What was asked for, but cannot be driven.
-    radio : Radio
-        From detections to the VUT.
-    vut_sensors : tuple of str
-        Of ``VUT_SENSORS``: what the VUT itself looks with.
-    vut_camera : CameraModel, optional
-        In place of the study's.
-    levels : Levels, optional
-        What runs count by the speed at contact; None: they count if they are avoided.
-    cars : float
-        Share of the VUTs that see, whose own sensors are one more unit in every run; the others
-        act on what roadside units tell them. 0 .. 1
-    seen_by_vut : (n_frames,) bool, optional
-        Frames of `runs` in which the VUT's own sensors detect, where that is known already; see
-        :func:`placement.evaluator.with_sight`.
-    """
-
-    scene: Scene
-    runs: tuple[Run, ...]
-    axis: FrameAxis
-    rule: AebRule
-    detector: Detector
-    table_detector: PlanningDetector
-    refusals: tuple[Refusal, ...] = ()
-    radio: Radio = field(default_factory=Radio)
-    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
-    vut_camera: CameraModel | None = None
-    levels: Levels | None = None
+    scene: Scene  #: what stands still, and the mount sites
+    runs: tuple[Run, ...]  #: what happens there
+    axis: FrameAxis  #: frames and weights of `runs`
+    rule: AebRule  #: from detected frames to braking
+    detector: Detector  #: of cameras, in the evaluator
+    table_detector: PlanningDetector  #: of cameras, in the detection table
+    refusals: tuple[Refusal, ...] = ()  #: what was asked for, but cannot be driven
+    radio: Radio = field(default_factory=Radio)  #: from detections to the VUT
+    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]  #: what the VUT itself looks with
+    vut_camera: CameraModel | None = None  #: in place of the study's
+    levels: Levels | None = None  #: what runs count by the speed at contact; None: if avoided
+    #: Share of the VUTs that see, whose own sensors are one more unit in every run. 0 .. 1
     cars: float = 0.0
+    #: (n_frames,): in which the VUT's own sensors detect, where that is known already; see
+    #: :func:`placement.evaluator.with_sight`.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
@@ -159,15 +123,20 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises InputError if the latency budget is unknown, a latency is given as well, or tracks live
+    Raises InputError if the latency budget is unknown or a latency is given as well, or tracks live
     for less than a frame.
     """
     changes = {
         name: getattr(question, name)
-        for name in ("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations")
+        for name in (
+            *("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations"),
+            "track_memory_s",
+        )
         if getattr(question, name) is not None
     }
-    changes["track_memory_s"] = _track_memory_s(question)
+    # By default tracks live for ever in the study's cases, as the study reads it.
+    study = is_study_set(question.cases)
+    changes.setdefault("track_memory_s", math.inf if study else load_track_memory_s())
     if question.latency_budget:
         if question.latency_s is not None:
             raise InputError("latency_s", Unquoted("it beside `latency_budget`"), "one of them")
@@ -182,13 +151,13 @@ def build_rule(question: Question) -> AebRule:
 def check_question(question: Question) -> None:
     """Check what can be checked of a question without a scene.
 
-    Raises InputError: a word is unknown, or a file cannot be used, wherever the question is asked.
-    MissingExtraError: what it needs is not installed.
+    Raises InputError: a word is unknown, or a file cannot be used. MissingExtraError: what it needs
+    is not installed.
     """
     _select(question)
     pick_positions(question.along_arms, question.cases)
     _words(question.approaches, "approaches", ARM_NAMES)
-    _weathers(question)
+    _words(question.weather, "weather", WEATHERS, at_least=1)
     build_rule(question)
     read_cars(question.cars)
     if question.weights:
@@ -206,25 +175,6 @@ def _select(question: Question) -> Selection:
         case_range=question.case_range,
         protect=question.protect,
     )
-
-
-def _weathers(question: Question) -> tuple[str, ...]:
-    weathers = _words(question.weather, "weather", WEATHERS)
-    if not weathers:
-        raise InputError("weather", question.weather, "one or more of " + ", ".join(WEATHERS))
-    return weathers
-
-
-def _track_memory_s(question: Question) -> float:
-    """How long tracks live: as the question says, else for ever where the study's cases are asked.
-
-    In seconds.
-    """
-    if question.track_memory_s is not None:
-        return question.track_memory_s
-    if is_study_set(question.cases):
-        return math.inf
-    return load_track_memory_s()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -246,12 +196,9 @@ def drive(
 ) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
 
-    Without a word on speeds none is driven that is above the speed limits of the scene's lanes.
-    With a `position`, every speed is driven at this one alone. In a `cache_folder` the runs are
-    cached for the next call.
-
-    Raises InputError where a word of the question is unknown, or the protocol does not drive a
-    speed.
+    Without a word on speeds none is driven above the speed limits of the scene's lanes. With a
+    `position`, every speed is driven at this one alone. In a `cache_folder` the runs are cached.
+    Raises InputError where a word is unknown, or the protocol does not drive a speed.
     """
     selection = _select(question)
     for beyond in selection.beyond:
@@ -259,7 +206,7 @@ def drive(
     positions = (position,) if position else pick_positions(question.along_arms, question.cases)
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "approaches", known) or known
-    weathers = _weathers(question)
+    weathers = _words(question.weather, "weather", WEATHERS, at_least=1)
     laid: dict[str, Any] = {
         "vut": pick_actor("vut", "vut"),
         "rule": build_rule(question),
@@ -278,17 +225,14 @@ def drive(
         made_from=(scene, selection.cases, laid),
         packages=("geometry", "scenarios"),
     )
+    no_speed = f"none of the speeds asked for ({question.speeds}) is one of this case"
+    protected = "and only vulnerable road users are protected"
     reasons: list[tuple[Case, str, LeftOut]] = [
-        (case, f"none of the speeds asked for ({question.speeds}) is one of this case", "speeds")
-        for case in selection.left_out
-    ]
-    reasons += [
-        (
-            case,
-            f"a {case.road_user} is met, and only vulnerable road users are protected",
-            "unprotected",
-        )
-        for case in selection.unprotected
+        *((case, no_speed, "speeds") for case in selection.left_out),
+        *(
+            (case, f"a {case.road_user} is met, {protected}", "unprotected")
+            for case in selection.unprotected
+        ),
     ]
     left_out = tuple(
         left_out_case(case, approach, reason, left_out)
@@ -299,10 +243,7 @@ def drive(
 
 
 def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
-    """The only run of a question at a position.
-
-    Raises InputError if it names no run, or several; or if there is no such position.
-    """
+    """The only run of a question at a position; InputError if there are none, or several."""
     where = "position"
     place = read_position(position, where)
     for case in select_cases(question.cases, force=True).cases:
@@ -311,11 +252,9 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     drives = drive(replace(question, protect="all"), scene, position=place)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
-        raise InputError(
-            f"{refusal.case.name} from the {refusal.approach}",
-            Unquoted(refusal.reason),
-            "a case that this approach carries",
-        )
+        got = Unquoted(refusal.reason)
+        expected = "a case that this approach carries"
+        raise InputError(f"{refusal.case.name} from the {refusal.approach}", got, expected)
     if len(drives.runs) != 1:
         ids = ", ".join(run.id for run in drives.runs)
         raise InputError(question.cases, Unquoted(f"{len(drives.runs)} runs ({ids})"), "one run")
@@ -331,28 +270,11 @@ def build_setting(
 ) -> Setting:
     """All that a layout is placed in and judged by.
 
-    Parameters
-    ----------
-    question : Question, optional
-        What is driven and how much it counts; by default the study's cases along the arms, each
-        case alike.
-    scene : Scene, optional
-        The junction, in place of the one that the question names.
-    weights : function of a Run, optional
-        How much a run counts, in place of the question's word; only proportions matter.
-    compute : Compute
-        Where the runs are cached for the next call.
-
-    Returns
-    -------
-    setting : Setting
-        At least one run.
-
-    Raises
-    ------
-    InputError
-        As :func:`drive`; no approach carries any of the cases, or with `strict` one of them; the
-        weights do not fit the runs.
+    `question` says what is driven and how much it counts, by default the study's cases along the
+    arms; `scene` is in place of the junction that it names, `weights` in place of its word on
+    weights: only proportions matter. `compute` has the cache of the runs, of which there is one at
+    least. Raises InputError: as :func:`drive`; no approach carries any of the cases, or with
+    `strict` one of them; the weights do not fit the runs.
     """
     question = question or Question()
     scene = scene or load_scene(question.scene, **map_options(question))
@@ -364,18 +286,31 @@ def build_setting(
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)
-    _check_classes(detector, runs)
-    weight = (
-        weigh(
+    classes = {vru_class(run.encounter.vru) for run in runs}
+    if isinstance(detector, NetworkDetector):
+        detector.check_classes(sorted(classes))
+    elif isinstance(detector, ResponseDetector) and (words := detector.assumed_words(classes)):
+        _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
+    if weights is not None:
+        weight = weight_by_function(runs, weights)
+    else:
+        weight = weigh(
             runs,
             question.weights or default_weights(question.cases),
             refused=drives.refused,
             near=_place_deg(question, scene),
             within_m=question.accidents_within_m,
         )
-        if weights is None
-        else weight_by_function(runs, weights)
-    )
+    levels = None
+    if question.score != AVOIDED:
+        levels = cached_value(
+            compute.cache_folder,
+            "levels",
+            partial(build_levels, runs, question.score, rule),
+            kind=Levels | None,
+            made_from=(runs, question.score, rule),
+            packages=("geometry", "scenarios"),
+        )
     return Setting(
         scene=scene,
         runs=runs,
@@ -386,7 +321,7 @@ def build_setting(
         refusals=(*drives.refused, *drives.left_out),
         radio=Radio(packet_loss=question.packet_loss, vam_rate=question.vam_rate),
         vut_sensors=vut_sensors,
-        levels=_levels(question.score, runs, rule, compute),
+        levels=levels,
         cars=cars,
     )
 
@@ -412,29 +347,6 @@ def _read_place_deg(text: str) -> tuple[float, float]:
     return latitude, longitude
 
 
-def _levels(score: str, runs: tuple[Run, ...], rule: AebRule, compute: Compute) -> Levels | None:
-    """Levels of runs by a score, cached for the next call."""
-    if score == AVOIDED:
-        return None
-    return cached_value(
-        compute.cache_folder,
-        "levels",
-        partial(build_levels, runs, score, rule),
-        kind=Levels | None,
-        made_from=(runs, score, rule),
-        packages=("geometry", "scenarios"),
-    )
-
-
-def _check_classes(detector: Detector, runs: Sequence[Run]) -> None:
-    """Refuse a network that knows no such road users; say what is assumed of a response table."""
-    classes = {vru_class(run.encounter.vru) for run in runs}
-    if isinstance(detector, NetworkDetector):
-        detector.check_classes(sorted(classes))
-    elif isinstance(detector, ResponseDetector) and (words := detector.assumed_words(classes)):
-        _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
-
-
 def _check_every_case(drives: Drives, scene: Scene) -> None:
     """Raise InputError for the first case that no approach carries, with all its reasons."""
     driven = {run.case.name for run in drives.runs}
@@ -448,11 +360,8 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
             f"from the {', '.join(dict.fromkeys(arms))}: {reason}"
             for reason, arms in by_reason.items()
         )
-        raise InputError(
-            "cases",
-            Unquoted(f"{case}, which no approach carries"),
-            f"a case that can be driven at {scene.name} ({why})",
-        )
+        expected = f"a case that can be driven at {scene.name} ({why})"
+        raise InputError("cases", Unquoted(f"{case}, which no approach carries"), expected)
 
 
 def _table_detector(detector: Detector) -> PlanningDetector:
@@ -470,10 +379,10 @@ def _table_detector(detector: Detector) -> PlanningDetector:
     return planner if detector.lidar is None else replace(planner, lidar=detector.lidar)  # type: ignore[type-var]
 
 
-def _words(text: str, where: str, known: tuple[str, ...]) -> tuple[str, ...]:
+def _words(text: str, where: str, known: tuple[str, ...], *, at_least: int = 0) -> tuple[str, ...]:
     """Known words with commas between; none of an empty text."""
     words = split_names(text, where)
-    for word in words:
+    for word in words if len(words) >= at_least else [text]:
         if word not in known:
             raise InputError(where, word, "one or more of " + ", ".join(known))
     return words

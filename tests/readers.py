@@ -845,9 +845,8 @@ def _certified() -> Files:
 
 
 def _read_problem(path: Path) -> Any:
-    from placement.verification.instances import instance_kind, load_problem
+    from placement.verification.instances import load_problem
 
-    instance_kind(path)
     return load_problem(path)
 
 
@@ -1156,7 +1155,6 @@ READERS: Mapping[str, Reader] = {
         covers=(
             "placement.verification.instances.load_problem",
             "placement.verification.instances.load_stored_problem",
-            "placement.verification.instances.instance_kind",
         ),
     ),
     "certificates": Reader(

@@ -8,7 +8,7 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
-from placement.city.choose import CityChoice, Phases, choose, city_front, plan_phases
+from placement.city.choose import Phases, Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.steering import TOLERANCE
@@ -31,13 +31,14 @@ from ..results.record import (
     UnitRecord,
     build_stage_records,
 )
-from .inputs import JUNCTIONS, City, CityJunction, CityMapRecord, CitySearch, CityValues, CityWish
+from .inputs import JUNCTIONS, City, CityMapRecord, CitySearch, CityValues, CityWish
 
 SCHEMA = "place-rsus/city/1"
 MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
 _CHOICE_S = 120.0
 _MAX_STEPS = 200
 
+_T = TypeVar("_T")
 Count = Annotated[int, Meta(ge=0)]
 Amount = Annotated[float, Meta(ge=0)]
 
@@ -77,9 +78,18 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
 
 def load_front(path: Path) -> CityFrontRecord | None:
     """Read ``front.json``; None if there is none, or it is damaged: then it is made anew."""
+    return _load(path, CityFrontRecord)
+
+
+def load_summary(path: Path) -> "CityResult | None":
+    """Read ``city.json``; None if there is none, or it is of another program."""
+    return _load(path, CityResult)
+
+
+def _load(path: Path, kind: type[_T]) -> _T | None:
     try:
-        return msgspec.json.decode(read_bytes(path), type=CityFrontRecord)
-    except (InputError, msgspec.DecodeError, UnicodeDecodeError):
+        return msgspec.json.decode(read_bytes(path), type=kind)
+    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
         return None
 
 
@@ -231,14 +241,6 @@ class CityResult(Record, frozen=True, kw_only=True):
     versions: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-def load_summary(path: Path) -> CityResult | None:
-    """Read ``city.json``; None if there is none, or it is of another program."""
-    try:
-        return msgspec.json.decode(read_bytes(path), type=CityResult)
-    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
-        return None
-
-
 # ---------- the choice
 
 
@@ -262,28 +264,34 @@ def choose_for_city(
     fronts = [front for record in records if (front := record.front) is not None]
     options = stack_fronts(fronts)
     asked = values.wishes(wish, solved)
-    by_cost = asked.budget_eur is not None
+    by_cost, by_units = asked.budget_eur is not None, asked.budget_units is not None
     choice = choose(
         options,
         weight,
         asked,
-        bounds=stack_bounds(
-            fronts, counts_units=asked.budget_units is not None, counts_cost=by_cost
-        ),
+        bounds=stack_bounds(fronts, counts_units=by_units, counts_cost=by_cost),
         names=[city.junctions[index].label for index in solved],
         gap=search.gap,
         time_limit_s=_CHOICE_S,
     )
     first = np.flatnonzero(np.diff(options.junction, prepend=-1))
     share = weight / weight.sum()
-    phases = _phases(options, choice, first, share, wish)
-    chosen = [int(number) for number in choice.rows - first]
-    years = [0] * len(solved) if phases is None else phases.year.tolist()
-    junctions = _without_units(city, values, records)
-    for index, front, number, year in zip(solved, fronts, chosen, years, strict=True):
-        has_layout = front.points[number].units or city.junctions[index].scene_name in existing
-        layout = _layout(out, city.junctions[index], number) if has_layout else ()
-        junctions[index] = _with_point(junctions[index], front, number, layout, year)
+    phases = None
+    if wish.units_per_year is not None:
+        phases = plan_phases(
+            options.units[choice.rows],
+            np.maximum(share * (options.apr[choice.rows] - options.apr[first]), 0.0),
+            units_per_year=wish.units_per_year,
+            years=wish.years,
+        )
+    years = np.zeros_like(first) if phases is None else phases.year
+    got = zip((choice.rows - first).tolist(), years.tolist(), strict=True)
+    got_at = dict(zip(solved, got, strict=True))
+    junctions = [
+        _junction_record(out, city, values, index, record, got_at.get(index), existing)
+        for index, record in enumerate(records)
+    ]
+    steps = city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
     result = CityResult(
         maps=city.records,
         budget_units=wish.budget_units,
@@ -299,30 +307,76 @@ def choose_for_city(
         junctions=tuple(junctions),
         not_done=len(records) - len(solved),
         by="cost" if by_cost else "units",
-        front=tuple(
-            CityStepRecord(
-                junction=city.junctions[solved[step.junction]].label,
-                units=int(options.units[step.row]),
-                taken=step.taken,
-                apr=step.apr,
-            )
-            for step in city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
-        ),
+        front=tuple(_step_record(city, solved, options, step) for step in steps),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
-        search=_search_record(search),
+        search=CitySearchRecord(
+            poses="coarse" if search.is_coarse else "fine",
+            max_units=search.max_units,
+            max_junction_seconds=search.max_junction_s,
+            radius_m=search.radius_m,
+            sites=search.sites,
+        ),
         notes=(*city.notes, *values.notes),
     )
     return replace(result, sentences=_sentences(result, wish, phases))
 
 
-def _search_record(search: CitySearch) -> CitySearchRecord:
-    return CitySearchRecord(
-        poses="coarse" if search.is_coarse else "fine",
-        max_units=search.max_units,
-        max_junction_seconds=search.max_junction_s,
-        radius_m=search.radius_m,
-        sites=search.sites,
+def _junction_record(
+    out: Path,
+    city: City,
+    values: CityValues,
+    index: int,
+    record: CityFrontRecord,
+    got: tuple[int, int] | None,
+    existing: dict[str, Layout],
+) -> CityJunctionRecord:
+    """A junction and what it gets, if it has a front: number of a point, and the year.
+
+    The layout of the point is read from the folder.
+    """
+    one = city.junctions[index]
+    head = CityJunctionRecord(
+        id=one.surveyed.junction.id,
+        name=one.surveyed.junction.name,
+        map=one.roads.name,
+        folder=f"{JUNCTIONS}/{one.folder}",
+        x=float(one.surveyed.position[0]),
+        y=float(one.surveyed.position[1]),
+        weight=float(values.weight[index] / values.weight.sum()),
+        district=", ".join(name for name, members in values.districts if index in members),
+        reason=record.reason,
+    )
+    if record.front is None or got is None:
+        return head
+    number, year = got
+    point = record.front.points[number]
+    layout: tuple[UnitRecord, ...] = ()
+    if point.units or one.scene_name in existing:
+        path = out / head.folder / FRONT
+        found = load_front(path)
+        if found is None or number >= len(found.layouts):
+            raise InputError(str(path), Unquoted("a file that has changed"), "what was written")
+        layout = found.layouts[number]
+    return replace(
+        head,
+        units=point.units,
+        cost_eur=point.cost_eur,
+        apr_before=record.front.points[0].apr,
+        apr=point.apr,
+        apr_one_failed=point.apr_one_failed,
+        layout=layout,
+        kept=max(len(layout) - point.units, 0),
+        year=year,
+    )
+
+
+def _step_record(city: City, solved: Sequence[int], options: Options, step: Step) -> CityStepRecord:
+    return CityStepRecord(
+        junction=city.junctions[solved[step.junction]].label,
+        units=int(options.units[step.row]),
+        taken=step.taken,
+        apr=step.apr,
     )
 
 
@@ -340,78 +394,9 @@ def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) 
             else "more time or memory for each: --max-junction-seconds, --worker-memory",
         )
     if not values.weight[solved].sum() > 0.0:
-        raise InputError(
-            "--junction-weights",
-            Unquoted("weights only of junctions that have no front"),
-            "a weight above 0 for one that has",
-        )
+        got = Unquoted("weights only of junctions that have no front")
+        raise InputError("--junction-weights", got, "a weight above 0 for one that has")
     return solved
-
-
-def _without_units(
-    city: City, values: CityValues, records: Sequence[CityFrontRecord]
-) -> list[CityJunctionRecord]:
-    """All junctions, as if none got anything."""
-    shares = (values.weight / values.weight.sum()).tolist()
-    return [
-        CityJunctionRecord(
-            id=one.surveyed.junction.id,
-            name=one.surveyed.junction.name,
-            map=one.roads.name,
-            folder=f"{JUNCTIONS}/{one.folder}",
-            x=float(one.surveyed.position[0]),
-            y=float(one.surveyed.position[1]),
-            weight=shares[index],
-            district=values.district_of(index),
-            reason=record.reason,
-        )
-        for index, (one, record) in enumerate(zip(city.junctions, records, strict=True))
-    ]
-
-
-def _with_point(
-    one: CityJunctionRecord,
-    front: JunctionFront,
-    number: int,
-    layout: tuple[UnitRecord, ...],
-    year: int,
-) -> CityJunctionRecord:
-    """A junction that gets a point of its front."""
-    point = front.points[number]
-    return replace(
-        one,
-        units=point.units,
-        cost_eur=point.cost_eur,
-        apr_before=front.points[0].apr,
-        apr=point.apr,
-        apr_one_failed=point.apr_one_failed,
-        layout=layout,
-        kept=max(len(layout) - point.units, 0),
-        year=year,
-    )
-
-
-def _layout(out: Path, one: CityJunction, index: int) -> tuple[UnitRecord, ...]:
-    """The layout of a point of a junction's front, as the folder has it."""
-    path = out / JUNCTIONS / one.folder / FRONT
-    record = load_front(path)
-    if record is None or index >= len(record.layouts):
-        raise InputError(str(path), Unquoted("a file that has changed"), "what was written")
-    return record.layouts[index]
-
-
-def _phases(
-    options: Options, choice: CityChoice, first: IntArray, share: FloatArray, wish: CityWish
-) -> Phases | None:
-    if wish.units_per_year is None:
-        return None
-    gain = share * (options.apr[choice.rows] - options.apr[first])
-    return plan_phases(
-        options.units[choice.rows],
-        np.maximum(gain, 0.0),
-        units_per_year=wish.units_per_year,
-        years=wish.years,
-    )
 
 
 def _cheapest(
@@ -483,13 +468,11 @@ def _proof(apr: StageRecord, of_fronts: float) -> str:
             "Proven: no other units for the same budget, at these sites and in these poses, "
             "prevent more."
         )
-    bound = percent(apr.bound)
     if of_fronts <= apr.objective + TOLERANCE:
-        return (
-            f"No choice prevents more than {bound}; among the layouts found this choice is the "
-            "best one, what is open are the fronts of the junctions."
+        rest = (
+            "; among the layouts found this choice is the best one, what is open are the fronts "
+            "of the junctions."
         )
-    return (
-        f"No choice prevents more than {bound}, none among the layouts found more than "
-        f"{percent(of_fronts)}."
-    )
+    else:
+        rest = f", none among the layouts found more than {percent(of_fronts)}."
+    return f"No choice prevents more than {percent(apr.bound)}{rest}"

@@ -1,6 +1,7 @@
 """``place-rsus city``: units for the junctions of a city under one budget."""
 
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,22 +39,25 @@ _DRIVEN = tuple(
     if name not in (*OF_SCENE, "near", "vut_sensors", "packet_loss", "vam_rate", "strict")
 )
 _MAX_LISTED = 12
-_FILE: dict[str, Any] = {
-    "type": click.Path(path_type=Path),
-    "metavar": "FILE",
-    "is_path": True,
-}
-_UNITS: dict[str, Any] = {
-    "type": click.IntRange(min=1),
-    "metavar": "N",
-    "expected": "a number of units, at least 1",
-}
-_METRES: dict[str, Any] = {
-    "type": click.FloatRange(min=0.0, min_open=True),
-    "show_default": True,
-    "metavar": "METRES",
-    "expected": "metres, more than 0",
-}
+_FILE: dict[str, Any] = {"type": click.Path(path_type=Path), "metavar": "FILE", "is_path": True}
+
+
+def _count(what: str, least: int = 1) -> dict[str, Any]:
+    return {
+        "type": click.IntRange(min=least),
+        "metavar": "N",
+        "expected": f"{what}, at least {least}",
+    }
+
+
+def _amount(metavar: str, expected: str, **limits: Any) -> dict[str, Any]:
+    kind = click.FloatRange(**{"min": 0.0, **limits})
+    return {"type": kind, "metavar": metavar, "expected": expected}
+
+
+_UNITS = _count("a number of units")
+_METRES = _amount("METRES", "metres, more than 0", min_open=True) | {"show_default": True}
+_rare = partial(option, is_common=False)
 
 
 @click.command(
@@ -72,17 +76,13 @@ Examples:
 @option(
     "--budget",
     "budget_units",
-    type=click.IntRange(min=0),
-    metavar="N",
-    expected="a whole number of units, at least 0",
+    **_count("a whole number of units", least=0),
     help="Most new units at all junctions together.",
 )
 @option(
     "--budget-eur",
     "budget_eur",
-    type=click.FloatRange(min=0.0),
-    metavar="EUR",
-    expected="euros, at least 0",
+    **_amount("EUR", "euros, at least 0"),
     help="Most money to spend on units and sites.",
 )
 @option(
@@ -92,11 +92,7 @@ Examples:
     metavar="FOLDER",
     help="New folder, or one of the same city: junctions that are done are not done again.",
 )
-@option(
-    "--within",
-    **_FILE,
-    help="Only junctions in these areas: GeoJSON, GeoPackage, Shapefile.",
-)
+@option("--within", **_FILE, help="Only junctions in these areas: GeoJSON, GeoPackage, Shapefile.")
 @option(
     "--junctions",
     default="",
@@ -107,11 +103,9 @@ Examples:
 )
 @option(
     "--min-arms",
-    type=click.IntRange(min=1),
+    **_count("a number of arms"),
     default=3,
     show_default=True,
-    metavar="N",
-    expected="a number of arms, at least 1",
     help="Of a junction that counts.",
 )
 @option("--signals-only", is_flag=True, help="Only junctions with traffic lights.")
@@ -122,70 +116,52 @@ Examples:
     help="Accidents or traffic: points (CSV with lat and lon, or x and y; GeoJSON, GeoPackage), or "
     "a CSV with a column junction. Default: every junction counts the same.",
 )
-@option(
+@_rare(
     "--weight-column",
-    is_common=False,
     default="",
     metavar="NAME",
     needs="weights_file",
     help="Of --junction-weights.",
 )
-@option(
+@_rare(
     "--snap",
     "snap_m",
-    is_common=False,
     needs="weights_file",
     default=50.0,
     **_METRES,
     help="A point counts at the nearest junction no farther away.",
 )
-@option(
-    "--districts",
-    is_common=False,
-    **_FILE,
-    help="Areas in each of which --min-district-apr is reached.",
-)
-@option(
+@_rare("--districts", **_FILE, help="Areas in each of which --min-district-apr is reached.")
+@_rare(
     "--min-district-apr",
-    is_common=False,
     needs="districts",
-    type=click.FloatRange(min=0.0, max=1.0),
+    **_amount("SHARE", "a share of the accidents, 0 to 1", max=1.0),
     default=0.0,
-    metavar="SHARE",
-    expected="a share of the accidents, 0 to 1",
     help="Of the accidents of each district, by weight.",
 )
-@option(
+@_rare(
     "--areas",
-    is_common=False,
     **_FILE,
     help="Schools and the like, with columns min_apr (each junction there reaches it) or weight "
     "(a factor on the weights there).",
 )
-@option(
+@_rare(
     "--near",
     "near_m",
-    is_common=False,
     needs="areas",
-    type=click.FloatRange(min=0.0),
+    **_amount("METRES", "metres, at least 0"),
     default=0.0,
-    metavar="METRES",
-    expected="metres, at least 0",
     help="Junctions no farther from an area of --areas count as in it.",
 )
-@option(
+@_rare(
     "--units-per-year",
-    is_common=False,
     **_UNITS,
     help="Mounted in a year at most: the result says in which year each junction is ready.",
 )
-@option(
+@_rare(
     "--years",
-    is_common=False,
     needs="units_per_year",
-    type=click.IntRange(min=1),
-    metavar="N",
-    expected="a number of years, at least 1",
+    **_count("a number of years"),
     help="With --units-per-year: no more than so many years.",
 )
 @option(
@@ -203,29 +179,24 @@ Examples:
     is_flag=True,
     help="Try a ninth of the poses: one height, every 30 degrees. Less memory, worse layouts.",
 )
-@option(
+@_rare(
     "--max-units",
-    is_common=False,
     default=6,
     show_default=True,
     **_UNITS,
     help="New units at one junction, at most.",
 )
-@option(
+@_rare(
     "--max-junction-seconds",
     "max_junction_s",
-    is_common=False,
-    type=click.FloatRange(min=0.0, min_open=True),
+    **_amount("SECONDS", "seconds, more than 0", min_open=True),
     default=300.0,
     show_default=True,
-    metavar="SECONDS",
-    expected="seconds, more than 0",
     help="For each junction, all in all; --time-limit is the optimiser's part of it.",
 )
-@option(
+@_rare(
     "--radius",
     "radius_m",
-    is_common=False,
     default=80.0,
     **_METRES,
     help="Around a junction; things farther away are left out.",
@@ -238,9 +209,8 @@ Examples:
     help="map, kerb:15, or a CSV or GeoJSON file, as in `scene import`; auto: map, but for low "
     "sign posts and poles of other junctions, and kerb:15 where none is within 25 m.",
 )
-@option(
+@_rare(
     "--worker-memory",
-    is_common=False,
     default="1.5GiB",
     show_default=True,
     metavar="SIZE",
@@ -289,7 +259,8 @@ def city(
         maps=maps,
         wish=CityWish(**_of(CityWish, given)),
         search=CitySearch(**_of(CitySearch, given), gap=question.gap),
-        workers=job.CityWorkers(n_workers=compute.workers, memory=worker_memory),
+        n_workers=compute.workers,
+        memory=worker_memory,
         out=out,
         seed=compute.seed,
         command=command_line(),
@@ -307,23 +278,23 @@ def _of(kind: Any, given: dict[str, Any]) -> dict[str, Any]:
 def city_text(result: "CityResult", out: Path) -> str:
     """A city's answer for the terminal: sentences, units by junction, junctions not done."""
     served = sorted((one for one in result.junctions if one.units), key=lambda one: -one.gain)
-    lines = sentences(*result.sentences)
-    if served:
-        rows = [
-            [one.label, str(one.units), f"{one.cost_eur:,.0f}", percent(one.apr), percent(one.gain)]
-            for one in served[:_MAX_LISTED]
-        ]
-        lines += ["", *table(["junction", "units", "EUR", "APR", "of the city"], rows)]
-        left = len(served) - len(rows)
-        lines += [f"  and {left} more: junctions.csv"] if left > 0 else []
     failed = [one for one in result.junctions if one.reason]
+    lines = sentences(*result.sentences)
+    rows = [
+        [one.label, str(one.units), f"{one.cost_eur:,.0f}", percent(one.apr), percent(one.gain)]
+        for one in served[:_MAX_LISTED]
+    ]
+    if served:
+        lines += ["", *table(["junction", "units", "EUR", "APR", "of the city"], rows)]
+        lines += _more(len(served))
     if failed:
         lines += ["", "Not done:"]
         for one in failed[:_MAX_LISTED]:
             lines += sentences(f"{one.label}: {one.reason}", indent=2, hanging=2)
-        left = len(failed) - _MAX_LISTED
-        lines += [f"  and {left} more: junctions.csv"] if left > 0 else []
-    lines += ["", *sentences(f"Weights: {result.weights}.")]
-    lines += sentences(*result.notes)
-    lines.append(f"Written to {out}: report.html, city.gpkg, poles.csv and more.")
-    return "\n".join(lines)
+        lines += _more(len(failed))
+    lines += ["", *sentences(f"Weights: {result.weights}."), *sentences(*result.notes)]
+    return "\n".join([*lines, f"Written to {out}: report.html, city.gpkg, poles.csv and more."])
+
+
+def _more(n: int) -> list[str]:
+    return [f"  and {n - _MAX_LISTED} more: junctions.csv"] if n > _MAX_LISTED else []

@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +11,6 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text
-from geometry.maps.cut import Neighbourhoods
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import (
     DEFAULT_RADIUS_M,
@@ -132,13 +131,6 @@ class City:
     bounds: tuple[float, float, float, float]
     notes: tuple[str, ...]
 
-    def neighbourhoods(self, *, radius_m: float) -> dict[str, Neighbourhoods]:
-        """Sources of surroundings, by the name of the map with the roads."""
-        return {
-            source.name: Neighbourhoods([source, *self.others], radius_m=radius_m)
-            for source in self.roads
-        }
-
     @property
     def crs(self) -> str:
         """Coordinate reference system of the first map's file."""
@@ -174,11 +166,9 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
             place = surveyed.junction.position_m
             if source.crs != roads[0].crs:
                 if not (source.crs and roads[0].crs):
-                    raise InputError(
-                        source.name,
-                        Unquoted(f"coordinates unlike those of {roads[0].name}"),
-                        "maps that all say where on earth they lie, or none of them",
-                    )
+                    got = Unquoted(f"coordinates unlike those of {roads[0].name}")
+                    expected = "maps that all say where on earth they lie, or none of them"
+                    raise InputError(source.name, got, expected)
                 place = transform(place, source.crs, roads[0].crs)
             folder = _folder_name(source.name if len(roads) > 1 else "", surveyed.junction.id)
             found.append(
@@ -188,21 +178,16 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
         raise InputError(", ".join(s.name for s in roads), Unquoted("no junction"), "some")
     _refuse_overlap(found)
     chosen, notes = _counting(found, roads[0], wish)
+    places = np.array([one.surveyed.position for one in found if one.roads.crs == roads[0].crs])
     return City(
         roads=roads,
         others=tuple(source for source in maps if not source.lanes),
         records=records,
         junctions=tuple(chosen),
         n_all=len(found),
-        bounds=_bounds([one.surveyed for one in found if one.roads.crs == roads[0].crs]),
+        bounds=(*places.min(axis=0).tolist(), *places.max(axis=0).tolist()),
         notes=tuple(notes),
     )
-
-
-def _bounds(found: Sequence[Surveyed]) -> tuple[float, float, float, float]:
-    points = np.array([one.position for one in found])
-    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
-    return float(west), float(south), float(east), float(north)
 
 
 def _folder_name(map_name: str, junction_id: str) -> str:
@@ -221,11 +206,9 @@ def _refuse_overlap(found: Sequence[CityJunction]) -> None:
     for one, other in sorted(cKDTree(places).query_pairs(_SAME_M)):
         first, second = found[one], found[other]
         if first.roads is not second.roads:
-            raise InputError(
-                f"{first.roads.name} and {second.roads.name}",
-                Unquoted(f"maps that overlap: both have a junction at {first.label}"),
-                "maps of different places",
-            )
+            got = Unquoted(f"maps that overlap: both have a junction at {first.label}")
+            expected = "maps of different places"
+            raise InputError(f"{first.roads.name} and {second.roads.name}", got, expected)
 
 
 def _counting(
@@ -239,39 +222,31 @@ def _counting(
         hits = areas_of(areas, np.array([one.position_m for one in left]))
         left = [one for one, hit in zip(left, hits, strict=True) if hit]
         if not left:
-            raise InputError(
-                "--within", str(wish.within), f"an area with some of the {len(found)} junctions"
-            )
+            expected = f"an area with some of the {len(found)} junctions"
+            raise InputError("--within", str(wish.within), expected)
         notes.append(f"{len(found) - len(left)} junctions lie outside {wish.within.name}")
     if wish.junctions:
         return _named(left, roads, wish.junctions), notes
-    few = [one for one in left if len(one.surveyed.arms) < wish.min_arms]
-    dark = [
-        one for one in left if wish.signals_only and one not in few and not one.surveyed.n_signals
-    ]
-    if few:
-        notes.append(f"{len(few)} junctions have fewer than {wish.min_arms} arms")
-    if dark:
-        notes.append(f"{len(dark)} junctions have no traffic lights")
-    out = {id(one) for one in (*few, *dark)}
-    left = [one for one in left if id(one) not in out]
-    if not left:
-        raise InputError(
-            roads.name, Unquoted("no junction that counts: " + "; ".join(notes)), "some"
-        )
-    return left, notes
+    large = [one for one in left if len(one.surveyed.arms) >= wish.min_arms]
+    lit = [one for one in large if one.surveyed.n_signals or not wish.signals_only]
+    if len(large) < len(left):
+        notes.append(f"{len(left) - len(large)} junctions have fewer than {wish.min_arms} arms")
+    if len(lit) < len(large):
+        notes.append(f"{len(large) - len(lit)} junctions have no traffic lights")
+    if not lit:
+        got = Unquoted("no junction that counts: " + "; ".join(notes))
+        raise InputError(roads.name, got, "some")
+    return lit, notes
 
 
 def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[CityJunction]:
-    path = Path(text)
+    is_file = Path(text).is_file()
     names = (
-        read_text(path, "a list of junctions").splitlines() if path.is_file() else text.split(";")
+        read_text(Path(text), "a list of junctions").splitlines() if is_file else text.split(";")
     )
     by_survey = {id(one.surveyed): one for one in found}
     chosen: dict[int, CityJunction] = {}
-    for name in (name.strip() for name in names):
-        if not name:
-            continue
+    for name in filter(None, map(str.strip, names)):
         try:
             surveyed = choose_junction(roads, [one.surveyed for one in found], name=name)
         except InputError as error:
@@ -294,10 +269,6 @@ class CityValues:
     least_apr: FloatArray  # (n,)
     districts: tuple[tuple[str, tuple[int, ...]], ...]  # names and junctions
     notes: tuple[str, ...]  # Rows and districts that were not used
-
-    def district_of(self, junction: int) -> str:
-        """Names of the districts of a junction, with commas between."""
-        return ", ".join(name for name, members in self.districts if junction in members)
 
     def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
         """The wishes for the junctions that have a front, by their indices."""
@@ -338,14 +309,13 @@ def load_values(city: City, wish: CityWish) -> CityValues:
         columns = {name for area in areas for name in area.values}
         if not columns & {"weight", "min_apr"}:
             known = ", ".join(sorted(columns)) or "none"
-            raise InputError(
-                f"{wish.areas}: columns", Unquoted(known), "weight or min_apr, or both"
-            )
+            expected = "weight or min_apr, or both"
+            raise InputError(f"{wish.areas}: columns", Unquoted(known), expected)
         for index, hits in enumerate(areas_of(areas, places, within_m=wish.near_m)):
             for hit in hits:
                 area = areas[hit]
-                weight[index] *= _number(area.values.get("weight"), area.where, "weight", 1.0)
-                floor = _number(area.values.get("min_apr"), area.where, "min_apr", 0.0, most=1.0)
+                weight[index] *= _number(area.values, area.where, "weight", 1.0)
+                floor = _number(area.values, area.where, "min_apr", 0.0)
                 least[index] = max(least[index], floor)
     districts: list[tuple[str, tuple[int, ...]]] = []
     if wish.districts is not None:
@@ -396,11 +366,9 @@ def _weights(
     nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
     is_near = nearest >= 0
     if not is_near.any():
-        raise InputError(
-            "--junction-weights",
-            Unquoted(f"{path}, whose nearest place is {distance.min():,.0f} m from a junction"),
-            f"places within {wish.snap_m:g} m (--snap) of a junction that counts",
-        )
+        got = Unquoted(f"{path}, whose nearest place is {distance.min():,.0f} m from a junction")
+        expected = f"places within {wish.snap_m:g} m (--snap) of a junction that counts"
+        raise InputError("--junction-weights", got, expected)
     np.add.at(weight, nearest[is_near].astype(np.int64), counts.values[is_near])
     source = f"{path.name}, {what}, at the nearest junction within {wish.snap_m:g} m"
     notes = []
@@ -417,9 +385,9 @@ def _weights(
     return weight, source, notes
 
 
-def _number(
-    value: object, where: str, name: str, otherwise: float, *, most: float = np.inf
-) -> float:
+def _number(values: Mapping[str, object], where: str, name: str, otherwise: float) -> float:
+    """The number of a column; a least APR is a share."""
+    value, most = values.get(name), 1.0 if name == "min_apr" else np.inf
     if value is None:
         return otherwise
     try:
@@ -438,29 +406,25 @@ def _number(
 def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:
     """Layouts of the units mounted already, by the name of the scene.
 
-    A folder is one of a city, and stands for the layouts that it chose. Raises InputError: a file
-    is no layout, two are of the same junction, or one is of none that counts.
+    A folder of a city stands for the layouts that it chose. Raises InputError: a file is no layout,
+    two are of the same junction, or one is of none that counts.
     """
-    files: list[Path] = []
-    for path in paths:
-        if path.is_dir():
-            inside = sorted((path / JUNCTIONS).glob(f"*/{LAYOUT_FILE}"))
-            if not inside:
-                raise InputError("--keep", str(path), "a folder of place-rsus city with layouts")
-            files += inside
-        else:
-            files.append(path)
     scenes = {one.scene_name for one in city.junctions}
     existing: dict[str, Layout] = {}
-    for file in files:
-        layout = load_layout(file)
-        if layout.scene_name not in scenes:
-            raise InputError(
-                f"--keep {file}: scene",
-                layout.scene_name or Unquoted("nothing"),
-                "a junction that counts, such as " + sorted(scenes)[0],
-            )
-        if layout.scene_name in existing:
-            raise InputError("--keep", str(file), f"one layout of {layout.scene_name}")
-        existing[layout.scene_name] = layout
+    for path in paths:
+        files = [path]
+        if path.is_dir():
+            files = sorted((path / JUNCTIONS).glob(f"*/{LAYOUT_FILE}"))
+            if not files:
+                expected = "a folder of place-rsus city with layouts"
+                raise InputError("--keep", str(path), expected)
+        for file in files:
+            layout = load_layout(file)
+            name = layout.scene_name
+            if name not in scenes:
+                expected = "a junction that counts, such as " + sorted(scenes)[0]
+                raise InputError(f"--keep {file}: scene", name or Unquoted("nothing"), expected)
+            if name in existing:
+                raise InputError("--keep", str(file), f"one layout of {name}")
+            existing[name] = layout
     return existing

@@ -21,6 +21,7 @@ from msgspec.structs import replace
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
+from geometry.maps.cut import Neighbourhoods
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import ImportOptions
 from geometry.maps.sites import check_sites
@@ -42,7 +43,7 @@ from ..progress import WRITING, StageProgress, follow_parent
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
 from ..results.numbers import several
-from ..results.record import to_plain
+from ..results.record import Record, to_plain
 from ..results.tables import csv_text
 from .answer import (
     FRONT,
@@ -72,9 +73,14 @@ from .inputs import (
     load_existing,
     load_values,
 )
-from .map import plot_city_front, plot_city_map
-from .pages import MAX_ROWS, render_city_report, render_junction_page
-from .workers import JunctionAnswer, JunctionTask, check_memory, run_junctions, start_workers
+from .pages import (
+    MAX_ROWS,
+    plot_city_front,
+    plot_city_map,
+    render_city_report,
+    render_junction_page,
+)
+from .workers import JunctionTask, check_memory, run_junctions, start_workers
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
 JUNCTION_TABLE, POLE_TABLE, UNITS = "junctions.csv", "poles.csv", "units"
@@ -90,21 +96,14 @@ SERVE = "junctions with units"
 _NEW_FOR_A_PROCESS = 8  # a process takes some seconds to start, a page half of one
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CityWorkers:
-    """Processes on this machine, and the most memory of each."""
-
-    n_workers: int = 1
-    memory: str = "1.5GiB"
-
-
 def run_city(
     question: Question,
     *,
     maps: Sequence[Path],
     wish: CityWish,
     search: CitySearch,
-    workers: CityWorkers,
+    n_workers: int,
+    memory: str,
     out: Path,
     seed: int,
     command: str,
@@ -114,7 +113,7 @@ def run_city(
     """Choose the units of each junction of a city, and write the answer.
 
     `question` has the runs and sensors at each junction; `maps` those with roads, and others with
-    buildings; `out` is new, empty, or of the same city; `command` makes the result again; `tell`
+    buildings; `memory` is the most of each worker; `out` is new, empty, or of the same city; `tell`
     gets the amount of work and the workers. Raises InputError: a file cannot be read, the maps
     overlap, no junction can be solved, a wish cannot be met, or the folder is of something else.
     """
@@ -122,7 +121,7 @@ def run_city(
     progress.kept = f"nothing was written to {out}"
     grid = build_grid(question, is_coarse=search.is_coarse)
     check_question(question)
-    check_memory(workers.memory)
+    check_memory(memory)
     progress("read maps", 0, 0)
     city = load_city(maps, search.reading, wish)
     for source in city.roads:
@@ -130,8 +129,8 @@ def run_city(
     values = load_values(city, wish)
     existing = load_existing(wish.keep, city)
     manifest = _begin(out, city)
-    tasks = _Tasks(city, question, search, grid, existing=existing, seed=seed)
-    done = _find_done(out, tasks)
+    task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
+    done = _find_done(out, city, task_of)
     n_todo = len(city.junctions) - len(done)
     tell(
         f"{several(len(city.junctions), 'junction', 'junctions')} of {city.n_all}; "
@@ -139,7 +138,17 @@ def run_city(
     )
     progress.kept = f"junctions that are done are kept in {out}; the same command goes on"
     if n_todo:
-        _find_missing(out, tasks, done, workers, progress, tell)
+        todo = {one.scene_name: one for one in city.junctions if one.folder not in done}
+        n_processes = min(n_workers, n_todo)
+        with start_workers(n_workers=n_processes, memory=memory, tell=tell) as started:
+            progress(SOLVE, len(done), len(city.junctions))
+            for task, answer in run_junctions(started, map(task_of, todo.values())):
+                one = todo[task.options.name]
+                # The scene first: where a front is, the scene is whole.
+                files = {**answer.files, FRONT: _json(answer.record)}
+                write_files(out / JUNCTIONS / one.folder, files)
+                done[one.folder] = answer.record.without_layouts()
+                progress(SOLVE, len(done), len(city.junctions))
     unchanged = _update_manifest(out, manifest, city, done)
     progress("choose", 0, 0)
     result = choose_for_city(out, city, values, done, wish=wish, search=search, existing=existing)
@@ -148,7 +157,7 @@ def run_city(
         _served_tasks(
             out, result, question=question, existing=existing, grid=grid, same_fronts=unchanged
         ),
-        workers.n_workers,
+        n_workers,
         progress,
     )
     progress(WRITING, 0, 0)
@@ -168,10 +177,9 @@ def _begin(out: Path, city: City) -> CityManifest:
     path = out / MANIFEST
     if not path.exists():
         if out.is_dir() and any(out.iterdir()):
-            raise InputError(
-                "--out", Unquoted(f"{out}, which holds other things"), "a new folder, or a city's"
-            )
-        _write_manifest(out, new)
+            expected = "a new folder, or a city's"
+            raise InputError("--out", Unquoted(f"{out}, which holds other things"), expected)
+        write_files(out, {MANIFEST: _json(new)})
         return new
     found = load_manifest(path)
     old = {one.name for one in found.maps if one.has_roads}
@@ -184,65 +192,34 @@ def _begin(out: Path, city: City) -> CityManifest:
         and south <= found.bounds[3]
     )
     if is_apart or not old & names:
-        raise InputError(
-            "--out",
-            Unquoted(f"{out}, the folder of another city ({', '.join(sorted(old))})"),
-            "a new folder, or that of the same maps",
-        )
+        got = Unquoted(f"{out}, the folder of another city ({', '.join(sorted(old))})")
+        raise InputError("--out", got, "a new folder, or that of the same maps")
     return replace(new, junctions=found.junctions)
 
 
-def _write_manifest(out: Path, manifest: CityManifest) -> None:
-    text = msgspec.json.format(msgspec.json.encode(manifest), indent=1)
-    write_files(out, {MANIFEST: text + b"\n"})
+def _json(record: Record) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n"
 
 
-def _find_done(out: Path, tasks: "_Tasks") -> dict[str, CityFrontRecord]:
+_TaskOf = Callable[[CityJunction], JunctionTask]
+
+
+def _find_done(out: Path, city: City, task_of: _TaskOf) -> dict[str, CityFrontRecord]:
     """Fronts of the same question, by their junction's folder; without layouts."""
     found = {}
-    for one in tasks.city.junctions:
+    for one in city.junctions:
         record = load_front(out / JUNCTIONS / one.folder / FRONT)
         if record is None or record.schema != SCHEMA or not record.is_final:
             continue
-        if record.key == tasks.task(one).key:
+        if record.key == task_of(one).key:
             found[one.folder] = record.without_layouts()
     return found
-
-
-def _find_missing(
-    out: Path,
-    tasks: "_Tasks",
-    done: dict[str, CityFrontRecord],
-    workers: CityWorkers,
-    progress: StageProgress,
-    tell: Callable[[str], None],
-) -> None:
-    """Find the fronts that are not `done`, write each at once, and add it."""
-    todo = {one.scene_name: one for one in tasks.city.junctions if one.folder not in done}
-    n_all = len(tasks.city.junctions)
-    with start_workers(
-        n_workers=min(workers.n_workers, len(todo)),
-        memory=workers.memory,
-        tell=tell,
-    ) as started:
-        progress(SOLVE, len(done), n_all)
-        for task, answer in run_junctions(started, map(tasks.task, todo.values())):
-            one = todo[task.options.name]
-            _keep(out, one, answer)
-            done[one.folder] = answer.record.without_layouts()
-            progress(SOLVE, len(done), n_all)
-
-
-def _keep(out: Path, one: CityJunction, answer: JunctionAnswer) -> None:
-    """Write a junction's scene, then its front: where a front is, the scene is whole."""
-    text = msgspec.json.format(msgspec.json.encode(answer.record), indent=1)
-    write_files(out / JUNCTIONS / one.folder, {**answer.files, FRONT: text + b"\n"})
 
 
 def _update_manifest(
     out: Path, manifest: CityManifest, city: City, done: dict[str, CityFrontRecord]
 ) -> set[str]:
-    """Write the manifest with the fronts that are done; folders whose fronts were there before."""
+    """Write the manifest with all fronts; folders whose fronts were there before."""
     before = {entry.folder: entry.sha256 for entry in manifest.junctions}
     entries = {
         one.folder: CityEntry(
@@ -253,65 +230,57 @@ def _update_manifest(
             sha256=sha256(out / JUNCTIONS / one.folder / FRONT),
         )
         for one in city.junctions
-        if one.folder in done
     }
     others = [entry for entry in manifest.junctions if entry.folder not in entries]
-    _write_manifest(out, replace(manifest, junctions=(*entries.values(), *others)))
-    return {
-        f"{JUNCTIONS}/{folder}"
-        for folder, entry in entries.items()
-        if before.get(folder) == entry.sha256
-    }
+    junctions = (*entries.values(), *others)
+    write_files(out, {MANIFEST: _json(replace(manifest, junctions=junctions))})
+    same = (folder for folder, entry in entries.items() if before.get(folder) == entry.sha256)
+    return {f"{JUNCTIONS}/{folder}" for folder in same}
 
 
 # ---------- tasks
 
 
-class _Tasks:
-    """Tasks for junctions, each made when it is asked for.
+def _task_maker(
+    city: City,
+    question: Question,
+    search: CitySearch,
+    grid: CandidateGrid,
+    *,
+    existing: dict[str, Layout],
+    seed: int,
+) -> _TaskOf:
+    """Function of a junction: its task, made when it is asked for.
 
     The key of each is a hash of all that the front depends on, the program's code included.
     """
+    around = {
+        source.name: Neighbourhoods([source, *city.others], radius_m=search.radius_m)
+        for source in city.roads
+    }
+    sites = Path(search.sites)
+    listed = sha256(sites) if sites.is_file() else ""
+    weighed = [sha256(path) for path in weight_files(question.weights) if path.is_file()]
+    code = [hash_of_files(package) for package in ALL_PACKAGES]
+    prints = Fingerprints()
+    same = prints.of(
+        *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid),
+        weighed,
+    )
 
-    def __init__(
-        self,
-        city: City,
-        question: Question,
-        search: CitySearch,
-        grid: CandidateGrid,
-        *,
-        existing: dict[str, Layout],
-        seed: int,
-    ) -> None:
-        self.city = city
-        self._question, self._search, self._grid = question, search, grid
-        self._existing, self._seed = existing, seed
-        self._around = city.neighbourhoods(radius_m=search.radius_m)
-        sites = Path(search.sites)
-        listed = sha256(sites) if sites.is_file() else ""
-        weighed = [sha256(path) for path in weight_files(question.weights) if path.is_file()]
-        code = [hash_of_files(package) for package in ALL_PACKAGES]
-        self._prints = Fingerprints()
-        self._same = self._prints.of(
-            *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid),
-            weighed,
-        )
-
-    def task(self, one: CityJunction) -> JunctionTask:
-        """The task of a junction."""
-        search = self._search
-        maps = self._around[one.roads.name].around(one.surveyed.junction)
+    def task_of(one: CityJunction) -> JunctionTask:
+        maps = around[one.roads.name].around(one.surveyed.junction)
         wishes = JunctionWishes(
-            grid=self._grid,
+            grid=grid,
             max_units=search.max_units,
             time_limit_s=search.max_junction_s,
-            existing=self._existing.get(one.scene_name),
+            existing=existing.get(one.scene_name),
         )
         # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
         parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
         limits = (wishes.max_units, wishes.time_limit_s, wishes.existing)
         return JunctionTask(
-            key=self._prints.of(self._same, *limits, parts),
+            key=prints.of(same, *limits, parts),
             maps=maps,
             chosen=one.surveyed,
             options=ImportOptions(
@@ -320,10 +289,12 @@ class _Tasks:
                 reading=search.reading,
                 name=one.scene_name,
             ),
-            question=self._question,
+            question=question,
             wishes=wishes,
-            seed=self._seed,
+            seed=seed,
         )
+
+    return task_of
 
 
 # ---------- the junctions that get units
@@ -356,7 +327,13 @@ def write_served(task: ServedTask) -> Served:
     one, question = task.one, task.question
     folder = task.out / one.folder
     scene = load_scene_folder(folder)
-    layout = _junction_layout(one, scene, {sensor.name: sensor for sensor in task.sensors})
+    layout = layout_from_records(
+        f"city-{len(one.layout)}",
+        [to_plain(unit) for unit in one.layout],
+        one.folder,
+        sensors={sensor.name: sensor for sensor in task.sensors},
+    )
+    layout = replace_field(layout, scene_name=scene.name)
     names = [unit.id for unit in layout.units]
     existing = () if task.existing is None else task.existing.units
     items: list[tuple[str, str, int, float | None]] = []
@@ -406,19 +383,6 @@ def _write_served(
     return served
 
 
-def _junction_layout(
-    one: CityJunctionRecord, scene: Scene, sensors: Mapping[str, Sensor]
-) -> Layout:
-    """The units that a junction gets, with those that are mounted already."""
-    layout = layout_from_records(
-        f"city-{len(one.layout)}",
-        [to_plain(unit) for unit in one.layout],
-        one.folder,
-        sensors=sensors,
-    )
-    return replace_field(layout, scene_name=scene.name)
-
-
 def _served_tasks(
     out: Path,
     result: CityResult,
@@ -431,7 +395,7 @@ def _served_tasks(
     """A task for each junction with units; layouts and pages of the others are removed.
 
     `same_fronts` are folders whose fronts are those of the last call: where it chose the same,
-    nothing is written again. The junctions that gain most, which the report lists, get pages.
+    nothing is written again. The junctions that gain most get pages.
     """
     sensors = {model.name: model for model in grid.sensors}
     for layout in existing.values():
@@ -446,7 +410,9 @@ def _served_tasks(
     right = {
         one.folder
         for one in served
-        if same.get(one.folder) == one and _content(out / one.folder / QUESTION) == asked
+        if same.get(one.folder) == one
+        and (out / one.folder / QUESTION).is_file()
+        and read_bytes(out / one.folder / QUESTION) == asked
     }
     for path in (out / JUNCTIONS).glob("*/" + REPORT):
         folder = path.parent.relative_to(out).as_posix()
@@ -468,13 +434,6 @@ def _served_tasks(
         )
         for one in served
     ]
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return read_bytes(path)
-    except InputError:
-        return b""
 
 
 def _purchases(served: Iterable[Served]) -> tuple[CityPurchaseRecord, ...]:
@@ -505,8 +464,7 @@ def write_city(
 ) -> CityResult:
     """Write tables, map and report; the hashes of all files come last.
 
-    `records` are without layouts, which are read again where they are needed. `finish` gives the
-    seconds of all stages, when all but the summary is written.
+    `records` are without layouts. `finish` gives the seconds of all stages.
     """
     units = [row for one in served for row in one.units]
     poles = [row for one in served for row in one.poles]
@@ -515,8 +473,8 @@ def write_city(
         for one, record in zip(result.junctions, records, strict=True)
     )
     tables = {
-        JUNCTION_TABLE: csv_text(_junction_table(result, records)).encode(),
-        POLE_TABLE: csv_text(_frame(poles, _POLE_COLUMNS)).encode(),
+        JUNCTION_TABLE: _table([*_junction_rows(result, records)], (*_GOT, *_TOOK)),
+        POLE_TABLE: _table(poles, _POLE_COLUMNS),
         FRONTS: fronts_table(fronts),
     }
     (out / GEOPACKAGE).unlink(missing_ok=True)
@@ -553,13 +511,8 @@ def _poles(
         at.setdefault(unit["site"] or unit["id"], []).append(unit)
     return [
         {
-            "junction": one.id,
-            "name": one.name,
-            "year": one.year,
-            "site": site,
-            "kind": kinds.get(site, "unknown"),
-            "units": len(units),
-            **{key: units[0][key] for key in _POLE_COLUMNS[6:] if key in units[0]},
+            **{key: units[0][key] for key in _POLE_COLUMNS if key in units[0]},
+            **{"site": site, "kind": kinds.get(site, "unknown"), "units": len(units)},
         }
         for site, units in at.items()
     ]
@@ -577,59 +530,55 @@ def _to_geopackage(
     import pandas as pd
     import pyogrio
 
-    def layer(rows: Any, x: Any, y: Any, z: Any, path: Path, name: str) -> None:
-        points = gpd.points_from_xy(x, y, z=z)
-        table = gpd.GeoDataFrame(pd.DataFrame(rows), geometry=points, crs=crs)
-        kind = "Point" if z is None else "Point Z"
-        pyogrio.write_dataframe(
-            table, path, layer=name, driver="GPKG", geometry_type=kind, append=path.exists()
-        )
-
     columns = (
         *("id", "name", "map", "weight", "district", "units", "cost_eur", "year"),
         *("apr_before", "apr", "apr_one_failed", "gain", "reason"),
     )
     rows = [{name: getattr(one, name) for name in columns} for one in junctions]
+    points = gpd.points_from_xy([one.x for one in junctions], [one.y for one in junctions])
+    layers = [(JUNCTIONS, "Point", rows, points)]
+    if units:
+        places = [
+            transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)
+            if unit["map_crs"] != crs
+            else (unit["map_x"], unit["map_y"])
+            for unit in units
+        ]
+        heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
+        points = gpd.points_from_xy(*zip(*places, strict=True), z=heights_m)
+        layers.append((UNITS, "Point Z", [dict(unit) for unit in units], points))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / GEOPACKAGE
-        layer(
-            rows, [one.x for one in junctions], [one.y for one in junctions], None, path, JUNCTIONS
-        )
-        if units:
-            places = [
-                transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)
-                if unit["map_crs"] != crs
-                else (unit["map_x"], unit["map_y"])
-                for unit in units
-            ]
-            heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
-            x, y = zip(*places, strict=True)
-            layer(units, x, y, heights_m, path, UNITS)
+        for name, kind, records, geometry in layers:
+            pyogrio.write_dataframe(
+                gpd.GeoDataFrame(pd.DataFrame(records), geometry=geometry, crs=crs),
+                *(path, name, "GPKG"),
+                geometry_type=kind,
+                append=path.exists(),
+            )
         return read_bytes(path)
 
 
-_SIZES = ("sites", "poses", "runs", "frames")
+_GOT = (
+    *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
+    *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
+)
+_TOOK = ("sites", "poses", "runs", "frames", "cpu_s", "peak_memory_mib")
 
 
-def _junction_table(result: CityResult, records: Sequence[CityFrontRecord]) -> Any:
-    """A row for each junction: what it gets, how large its question was, and what that took."""
-    columns = (
-        *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
-        *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
-    )
-    rows = [
-        {name: getattr(one, name) for name in columns}
-        | {name: getattr(record, name) for name in _SIZES}
-        | {
-            "cpu_s": round(sum(record.seconds.values()), 1),
-            "peak_memory_mib": record.peak_memory_mib,
-        }
-        for one, record in zip(result.junctions, records, strict=True)
-    ]
-    return _frame(rows, (*columns, *_SIZES, "cpu_s", "peak_memory_mib"))
-
-
-def _frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Any:
+def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> bytes:
     import pandas as pd
 
-    return pd.DataFrame(rows, columns=list(columns))
+    return csv_text(pd.DataFrame(rows, columns=list(columns))).encode()
+
+
+def _junction_rows(
+    result: CityResult, records: Sequence[CityFrontRecord]
+) -> Iterator[dict[str, Any]]:
+    """A row for each junction: what it gets, how large its question was, and what that took."""
+    for one, record in zip(result.junctions, records, strict=True):
+        yield {
+            **{name: getattr(one, name) for name in _GOT},
+            **{name: getattr(record, name) for name in _TOOK if name != "cpu_s"},
+            "cpu_s": round(sum(record.seconds.values()), 1),
+        }

@@ -9,12 +9,12 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import islice
 from multiprocessing.connection import Connection
 from multiprocessing.connection import wait as wait_for_pipes
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from geometry.errors import InputError
 from geometry.files import read_bytes
@@ -50,8 +50,7 @@ class JunctionTask:
     seed: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JunctionAnswer:
+class JunctionAnswer(NamedTuple):
     """Answer of a worker: the front, and the files of the scene."""
 
     record: CityFrontRecord
@@ -74,30 +73,15 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
     except (InputError, TimeUpError) as error:
         # Another time, the machine may be less busy, and what it compiles once is compiled.
         is_final = isinstance(error, InputError)
-        record = _failed_record(task, str(error), is_final=is_final, notes=notes)
-        return JunctionAnswer(record=record, files=files)
-    record = _record(
-        task,
-        scene=imported.scene.name,
-        front=solved.front,
-        layouts=tuple(
-            () if layout is None else build_unit_records(layout) for layout in solved.layouts
-        ),
-        sites=solved.n_sites,
-        poses=solved.n_poses,
-        runs=solved.n_runs,
-        frames=solved.n_frames,
-        seconds=solved.seconds,
-        notes=notes,
-    )
-    return JunctionAnswer(record=record, files=files)
+        return JunctionAnswer(_failed(task, str(error), is_final=is_final, notes=notes), files)
+    found = {one.name: getattr(solved, one.name) for one in fields(solved)}
+    found["layouts"] = tuple(build_unit_records(one) if one else () for one in solved.layouts)
+    return JunctionAnswer(_record(task, scene=imported.scene.name, notes=notes, **found), files)
 
 
-def _failed_record(
-    task: JunctionTask, reason: str, *, is_final: bool, notes: tuple[str, ...] = ()
-) -> CityFrontRecord:
+def _failed(task: JunctionTask, reason: str, **more: Any) -> CityFrontRecord:
     """The record of a junction that has no front."""
-    return _record(task, reason=" ".join(reason.split()), is_final=is_final, notes=notes)
+    return _record(task, reason=" ".join(reason.split()), **more)
 
 
 def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
@@ -129,8 +113,8 @@ class _Worker:
 class LocalWorkers:
     """Up to `n` processes on this machine, each ended if it takes more memory than `max_bytes`.
 
-    They are reached through pipes that nobody else can open; there is no port. Memory is watched
-    where the system has ``/proc``.
+    They are reached through pipes that nobody else can open. Memory is watched where the system has
+    ``/proc``.
     """
 
     def __init__(self, n: int, *, max_bytes: int) -> None:
@@ -258,8 +242,8 @@ def run_junctions(
 ) -> Iterator[tuple[JunctionTask, JunctionAnswer]]:
     """Run tasks on workers, in the order in which they end.
 
-    A task is taken when there is a worker for it. One that fails for no reason of its own, or whose
-    worker dies, is tried three times in all; then its record says so.
+    A task that fails for no reason of its own, or whose worker dies, is tried three times in all;
+    then its record says so.
     """
     waiting = iter(tasks)
     running: dict[Future[Any], tuple[JunctionTask, int]] = {}
@@ -281,15 +265,11 @@ def run_junctions(
                 if attempt < TRIES:
                     hand_over(task, attempt + 1)
                     continue
-                answer = _failed(error, task)
+                text = " ".join(str(error).split())[:200]  # it begins with the kind
+                reason = f"an unexpected error, {TRIES} times: {text}"
+                if isinstance(error, WorkerDiedError):
+                    cause = f" of {error}" if str(error) else ""
+                    remedy = "more --worker-memory, or fewer poses"
+                    reason = f"its worker died{cause}, {TRIES} times: {remedy}"
+                answer = JunctionAnswer(_failed(task, reason, is_final=False), {})
             yield task, answer
-
-
-def _failed(error: Exception, task: JunctionTask) -> JunctionAnswer:
-    if isinstance(error, WorkerDiedError):
-        cause = f" of {error}" if str(error) else ""
-        reason = f"its worker died{cause}, {TRIES} times: more --worker-memory, or fewer poses"
-    else:
-        text = " ".join(str(error).split())[:200]  # it begins with the kind
-        reason = f"an unexpected error, {TRIES} times: {text}"
-    return JunctionAnswer(record=_failed_record(task, reason, is_final=False), files={})

@@ -294,8 +294,8 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
     """Changes by the search between the poses of the grid."""
     return RefinementRecord(
         is_improved=refinement.is_improved,
-        before={cast(StageName, name): value for name, value in refinement.before},
-        after={cast(StageName, name): value for name, value in refinement.after},
+        before={cast(StageName, name): value for name, value in refinement.before.items()},
+        after={cast(StageName, name): value for name, value in refinement.after.items()},
         moves=tuple(_move(move) for move in refinement.moves),
         grid_candidates=refinement.unrefined.problem.table.n_poses,
         grid_is_proven=refinement.unrefined.certificate.is_proven,

@@ -19,9 +19,9 @@ from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel, with_fov
 from geometry.terrain import ground_height_m
-from placement.advice import free_name
 from placement.candidates import CandidatePose, is_ring, load_candidate_grid
 from placement.layout import Layout, check_layout, read_layout
+from placement.retrofit import free_name
 
 MAX_UNITS = 1000
 MAX_VARIANTS = 12

@@ -17,7 +17,6 @@ from msgspec import UNSET
 
 from geometry.errors import InputError, check_one_of
 from geometry.scene_files import load_scene
-from placement.advice import LEAST_GAIN, Advice, Adviser
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation
@@ -27,6 +26,7 @@ from placement.explain.unavoided import Look, find_reasons
 from placement.layout import Layout
 from placement.pipeline import assemble
 from placement.question import Question
+from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
 

@@ -1,12 +1,11 @@
 """Which junction gets what: the best sum over all junctions, objective by objective, with bounds.
 
-The objectives are those of one junction: accidents prevented, by the weights of the junctions;
-those still prevented if at each junction the unit that is needed most fails; the smallest time to
-spare of all; its mean over the accidents prevented; cost. Each stage holds those before it.
+APR by the junctions' weights; APR if at each junction the unit needed most fails; smallest time
+to spare; its mean over the accidents prevented; cost. Each stage holds those before it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,14 +13,251 @@ import scipy.sparse as sp
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError
 
 from ..layout import Certificate, Stage, relative_gap
 from ..optimiser.model import run_solver, solver_text
 from ..optimiser.problem import Objective
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
 from .fronts import Options
-from .knapsack import Knapsack, best_prices, priced_choice, solve_knapsack
+
+# ---------- the multiple-choice knapsack
+#
+# Prices on the limits give a bound (Lagrangian relaxation), and by how much each option falls
+# short of its group's best. Only options that fall short by little can be in a better choice: they
+# are the core, which HiGHS solves (D. Pisinger, "A minimal algorithm for the multiple-choice
+# knapsack problem", 1995). A small problem is all core.
+
+
+CORE_OPTIONS = 4_000
+"""Options that are handed to the solver at first; more where they can be in a better choice."""
+_MAX_CORE = 40_000
+_ROUNDING = 1.0e-9  # of sums, relative
+_MAX_CUTS = 120
+_UNIT_SUM = 1.0e5  # the solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Knapsack:
+    """A problem: the highest sum of profits of one option per group, within limits."""
+
+    group: IntArray  # (n,): ascending, 0, 1, 2
+    profit: FloatArray  # (n,): of each option
+    rows: FloatArray  # (m, n): what an option takes of each limit; negative: what it adds
+    limits: FloatArray  # (m,): what all chosen options may take together
+
+    @property
+    def starts(self) -> IntArray:
+        """First option of each group."""
+        starts: IntArray = np.flatnonzero(np.diff(self.group, prepend=-1))
+        return starts
+
+    def is_within(self, chosen: IntArray) -> bool:
+        """True if a choice, one option per group, keeps the limits but for rounding."""
+        room = _ROUNDING * np.maximum(1.0, np.abs(self.rows[:, chosen]).sum(axis=1))
+        return bool((self.rows[:, chosen].sum(axis=1) <= self.limits + room).all())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Choice:
+    """Options that were chosen."""
+
+    # (n_groups,): option of each group; None: nothing was found within the time, or `bound` is
+    # minus infinity and nothing keeps the limits
+    chosen: IntArray | None
+    # objective, bound: sum of profits, and what no choice exceeds
+    objective: float
+    bound: float
+
+
+def solve_knapsack(
+    problem: Knapsack,
+    *,
+    gap: float = 0.0,
+    time_limit_s: float = 60.0,
+    core_options: int = CORE_OPTIONS,
+) -> Choice:
+    """Choose one option of each group, up to a relative gap, within a time in seconds.
+
+    `core_options` are handed to the solver at first; bounds hold for all choices.
+    """
+    end_s = now_s() + time_limit_s
+    if len(problem.group) <= core_options:
+        chosen, bound = _solve_core(
+            problem, np.ones(len(problem.group), dtype=bool), gap=gap, end_s=end_s
+        )
+        return _choice(problem, chosen, bound)
+    prices = best_prices(problem, end_s=now_s() + 0.5 * time_limit_s)
+    best, relaxed, short = _shortfalls(problem, prices)
+    incumbent = best if problem.is_within(best) else None
+    objective = -np.inf if incumbent is None else float(problem.profit[incumbent].sum())
+    bound, size = relaxed, core_options
+    while True:
+        is_core, least_outside = _core(short, best, size)
+        left_s = end_s - now_s()
+        if objective >= bound - gap * abs(objective) - _tiny(bound) or left_s <= 0.0:
+            break
+        found, core_bound = _solve_core(problem, is_core, gap=gap, end_s=end_s)
+        if found is not None and problem.profit[found].sum() > objective:
+            incumbent, objective = found, float(problem.profit[found].sum())
+        # A choice is in the core, or has an option outside, which falls short by as much.
+        bound = min(bound, max(core_bound, relaxed - least_outside))
+        size = int((short <= relaxed - objective + _tiny(relaxed)).sum())
+        is_done = is_core.all() or least_outside > relaxed - objective
+        if is_done or is_core.sum() >= _MAX_CORE:
+            break
+        size = min(max(size, 4 * int(is_core.sum())), _MAX_CORE)
+    return _choice(problem, incumbent, bound)
+
+
+def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> Choice:
+    objective = -np.inf if chosen is None else float(problem.profit[chosen].sum())
+    if chosen is not None and bound <= objective + _tiny(objective):
+        bound = objective
+    return Choice(chosen=chosen, objective=objective, bound=bound)
+
+
+def _tiny(amount: float) -> float:
+    return _ROUNDING * max(1.0, abs(amount)) if np.isfinite(amount) else 0.0
+
+
+# ---------- prices on the limits
+
+
+def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float]:
+    """The best option of each group at some prices, the first of equals, and the bound of these."""
+    worth = problem.profit - prices @ problem.rows
+    most = np.maximum.reduceat(worth, problem.starts)
+    rows = np.flatnonzero(worth == most[problem.group])
+    best: IntArray = rows[np.flatnonzero(np.diff(problem.group[rows], prepend=-1))]
+    return best, float(most.sum() + prices @ problem.limits)
+
+
+def _shortfalls(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float, FloatArray]:
+    """As :func:`priced_choice`, and by how much each option falls short of its group's best."""
+    best, bound = priced_choice(problem, prices)
+    worth = problem.profit - prices @ problem.rows
+    return best, bound, worth[best][problem.group] - worth
+
+
+def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
+    """Prices on the limits with the lowest bound, as far as the time goes, (m,).
+
+    By cutting planes (Kelley, 1960), in units of each limit's own.
+    """
+    from scipy.optimize import linprog
+
+    scale = np.abs(problem.profit).sum() / np.maximum(np.abs(problem.rows).sum(axis=1), 1.0e-300)
+    n_rows, most = len(problem.limits), 10.0
+    cuts, heights = [], []
+    prices, lowest, best = np.zeros(n_rows), np.inf, np.zeros(n_rows)
+    for _ in range(_MAX_CUTS):
+        chosen, bound = priced_choice(problem, prices * scale)
+        if bound < lowest:
+            lowest, best = bound, prices
+        # bound(p) >= bound + slope . (p - prices)
+        slope = (problem.limits - problem.rows[:, chosen].sum(axis=1)) * scale
+        cuts.append(np.append(slope, -1.0))
+        heights.append(float(slope @ prices) - bound)
+        solved = linprog(
+            np.append(np.zeros(n_rows), 1.0),
+            A_ub=np.array(cuts),
+            b_ub=np.array(heights),
+            bounds=[(0.0, most)] * n_rows + [(None, None)],
+            method="highs",
+        )
+        if solved.x is None or now_s() > end_s:
+            break
+        prices = solved.x[:-1]
+        if lowest - solved.x[-1] <= 1.0e-9 * max(1.0, abs(lowest)):
+            if (prices < most - 1.0e-9).all() or most > 1.0e9:
+                break
+            most *= 100.0  # a limit that is hard to keep
+    at_best: FloatArray = best * scale
+    return at_best
+
+
+def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, float]:
+    """Options that fall short by least, and by how much the first one outside does.
+
+    The best option of each group whose others are in the core is there, too; groups without others
+    are settled.
+    """
+    others = np.ones(len(short), dtype=bool)
+    others[best] = False
+    rows = np.flatnonzero(others)
+    is_core = np.zeros(len(short), dtype=bool)
+    is_core[best] = True
+    if len(rows) <= size:
+        is_core[rows] = True
+        return is_core, np.inf
+    order = np.argpartition(short[rows], size)
+    is_core[rows[order[:size]]] = True
+    return is_core, float(short[rows[order[size]]])
+
+
+# ---------- the core
+
+
+def _solve_core(
+    problem: Knapsack, is_core: BoolArray, *, gap: float, end_s: float
+) -> tuple[IntArray | None, float]:
+    """Best choice among the options of the core; what none of these exceeds."""
+    import cvxpy as cp
+
+    rows = np.flatnonzero(is_core)
+    group = problem.group[rows]
+    count = np.bincount(group, minlength=int(problem.group[-1]) + 1)
+    is_open = count[group] > 1
+    settled, free = rows[~is_open], rows[is_open]
+    fixed = float(problem.profit[settled].sum())
+    limits = problem.limits - problem.rows[:, settled].sum(axis=1)
+    if not len(free):
+        is_within = problem.is_within(settled)
+        return (settled, fixed) if is_within else (None, -np.inf)
+    groups, position = np.unique(problem.group[free], return_inverse=True)
+    one_of_each = sp.csr_array(
+        (np.ones(len(free)), (position, np.arange(len(free)))), shape=(len(groups), len(free))
+    )
+    profit = problem.profit[free]
+    unit = max(float(np.abs(profit).sum()), 1.0e-300) / _UNIT_SUM
+    total = max(abs(fixed + float(np.maximum.reduceat(profit, _first(position)).sum())), 1.0e-300)
+    room = limits.copy()
+    for _ in range(3):
+        x = cp.Variable(len(free), boolean=True)
+        constraints = [one_of_each @ x == 1.0]
+        if len(room):
+            size = np.maximum(np.abs(problem.rows[:, free]).max(axis=1), 1.0e-300)
+            constraints.append((problem.rows[:, free] / size[:, None]) @ x <= room / size)
+        stated = cp.Problem(cp.Maximize((profit / unit) @ x), constraints)
+        # The solver's gap is relative to the part that is open, ours to the whole.
+        part = max(abs(total - fixed), 1.0e-9 * total)
+        answer = run_solver(
+            stated,
+            time_limit_s=max(end_s - now_s(), 0.1),
+            gap=min(gap * total / part, 1.0),
+        )
+        bound = fixed + answer.bound * unit
+        if not answer.is_found:
+            return None, bound
+        # Of each group the option that is nearest to 1: the solver's ones are nearly so.
+        best = np.lexsort((-x.value, position))[_first(position)]
+        chosen = np.sort(np.concatenate([settled, free[best]]))
+        if problem.is_within(chosen):
+            return chosen, max(bound, float(problem.profit[chosen].sum()))
+        # Within the solver's tolerance, but not within ours: leave as much room as it took.
+        over = problem.rows[:, chosen].sum(axis=1) - problem.limits
+        room -= np.maximum(over, 0.0)
+    return None, bound
+
+
+def _first(position: IntArray) -> IntArray:
+    first: IntArray = np.flatnonzero(np.diff(position, prepend=-1))
+    return first
+
+
+# ---------- the choice
+
 
 _HELD = 1.0e5  # scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
 _STAGES_SHARE = 0.5  # of the time, for the first stage and its bound
@@ -45,10 +281,6 @@ class CityWishes:
     districts: Sequence[District] = field(default_factory=tuple)  # each reaches its APR
     # (n_junctions,): APR that each junction reaches by itself; by default 0
     least_apr: FloatArray | None = None
-
-    def __post_init__(self) -> None:
-        if self.budget_units is None and self.budget_eur is None:
-            raise InputError("budget_units", Unquoted("nothing"), "`budget_units` or `budget_eur`")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,11 +308,10 @@ def choose(
 ) -> CityChoice:
     """The best choice of one option for each junction, with its certificate.
 
-    `options` are the points of the junctions' fronts, `weight` (n_junctions,) is that of each
-    junction's accidents, `bounds` are those of :func:`placement.city.fronts.stack_bounds`, by
-    default the points, which are then taken for all that there is. A stage counts as settled at a
-    relative `gap`; `time_limit_s` is for all stages. Raises InputError where a least APR cannot be
-    reached, or not within the budgets; the message says what it takes.
+    `options` are the points of the fronts, `weight` (n_junctions,) that of each junction's
+    accidents, `bounds` those of :func:`placement.city.fronts.stack_bounds`, by default the points.
+    A stage counts as settled at a relative `gap`; `time_limit_s` is for all stages. Raises
+    InputError where a least APR cannot be reached, or not within the budgets.
     """
     end_s = now_s() + time_limit_s
     share = weight / weight.sum()
@@ -102,7 +333,10 @@ def choose(
         )
         highest = max(most.bound, found.objective)
     stages = [_stage(Objective.APR, found.objective, highest, now_s() - began_s)]
-    keep = _may_be_best(problem, found.objective, highest=found.bound)
+    # Options that can be in a choice with at least this objective, by their prices.
+    _, relaxed, short = _shortfalls(problem, best_prices(problem))
+    room = max(relaxed, found.bound) - found.objective + 1.0e-7 * max(1.0, abs(relaxed))
+    keep = short <= room
     later = _Later(
         options=left.taken(np.flatnonzero(keep)),
         rows=rows[keep],
@@ -191,15 +425,6 @@ def _part(district: District, share: FloatArray) -> tuple[FloatArray, FloatArray
     return share / total if total > 0.0 else is_in / max(is_in.sum(), 1.0), is_in
 
 
-def _may_be_best(problem: Knapsack, objective: float, *, highest: float) -> BoolArray:
-    """Options that can be in a choice with at least this objective, by their prices."""
-    prices = best_prices(problem)
-    best, relaxed = priced_choice(problem, prices)
-    worth = problem.profit - prices @ problem.rows
-    short = worth[best][problem.group] - worth
-    return short <= max(relaxed, highest) - objective + 1.0e-7 * max(1.0, abs(relaxed))
-
-
 # ---------- the stages after the first
 
 
@@ -219,42 +444,31 @@ class _Later:
     def solve(self, apr: float) -> list[Stage]:
         by_weight = self.share[self.options.junction]
         self.held.append((by_weight * self.options.apr, apr))
-        stages = [self._most(Objective.APR_ONE_FAILED, by_weight * self.options.apr_one_failed)]
-        stages.append(self._smallest_margin())
-        by_weight = self.share[self.options.junction]  # fewer than before
+        one_failed = self._most(Objective.APR_ONE_FAILED, by_weight * self.options.apr_one_failed)
+        smallest = self._smallest_margin()
         # At a given APR, the sum of prevented accidents by their time to spare says the same.
-        stages.append(
-            self._most(
-                Objective.MEAN_MARGIN,
-                by_weight * self.options.apr * self.options.mean_margin_s,
-                unit=apr,
-            )
-        )
-        stages.append(self._most(Objective.COST, -self.options.cost_eur, unit=-1.0))
-        return stages
+        prevented = self.share[self.options.junction] * self.options.apr  # fewer than before
+        mean = self._most(Objective.MEAN_MARGIN, prevented * self.options.mean_margin_s, unit=apr)
+        cost = self._most(Objective.COST, -self.options.cost_eur, unit=-1.0)
+        return [one_failed, smallest, mean, cost]
 
-    def _value(self, objective: Objective) -> float:
-        return city_values(self.options, self.chosen, self.share)[objective]
-
-    def _knapsack(self, profit: FloatArray, rows: IntArray | None = None) -> Knapsack:
+    def _knapsack(self, profit: FloatArray, rows: IntArray | slice = slice(None)) -> Knapsack:
         whole = _problem(self.options, self.share, self.wishes, profit=profit)
-        held = [-_HELD * row for row, _ in self.held]
         least = [-_HELD * (value - TOLERANCE) for _, value in self.held]
-        every = np.vstack([whole.rows, *held])
-        rows = np.arange(len(profit)) if rows is None else rows
         return Knapsack(
             group=whole.group[rows],
             profit=profit[rows],
-            rows=every[:, rows],
+            rows=np.vstack([whole.rows, *(-_HELD * row for row, _ in self.held)])[:, rows],
             limits=np.append(whole.limits, least),
         )
 
-    def _left_s(self) -> float:
-        return max(0.5 * (self.end_s - now_s()), 1.0)
+    def _solve(self, problem: Knapsack, gap: float = 0.0) -> Choice:
+        time_limit_s = max(0.5 * (self.end_s - now_s()), 1.0)
+        return solve_knapsack(problem, gap=gap, time_limit_s=time_limit_s)
 
     def _most(self, objective: Objective, profit: FloatArray, *, unit: float = 1.0) -> Stage:
         began_s = now_s()
-        found = solve_knapsack(self._knapsack(profit), gap=self.gap, time_limit_s=self._left_s())
+        found = self._solve(self._knapsack(profit), self.gap)
         if found.chosen is not None and found.objective > profit[self.chosen].sum():
             self.chosen = found.chosen
         value = float(profit[self.chosen].sum())
@@ -268,9 +482,13 @@ class _Later:
     def _smallest_margin(self) -> Stage:
         """The largest smallest margin: options with less are left out, as many as can be."""
         began_s = now_s()
-        margin_s = self.options.smallest_margin_s
-        counts = self.options.apr > TOLERANCE
-        value = self._value(Objective.SMALLEST_MARGIN)
+        margin_s, counts = self.options.smallest_margin_s, self.options.apr > TOLERANCE
+
+        def reached() -> float:
+            values = city_values(self.options, self.chosen, self.share)
+            return values[Objective.SMALLEST_MARGIN]
+
+        value = reached()
         levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
         profit = np.zeros(len(self.options))
         low, high = 0, len(levels)  # levels below low can be kept, those from high on cannot
@@ -278,10 +496,9 @@ class _Later:
         while low < high and now_s() < self.end_s:
             middle = (low + high) // 2
             rows = np.flatnonzero(~counts | (margin_s >= levels[middle] - TOLERANCE))
-            has_all = len(np.unique(self.options.junction[rows])) == self.options.n_junctions
             found = None
-            if has_all:
-                answer = solve_knapsack(self._knapsack(profit, rows), time_limit_s=self._left_s())
+            if len(np.unique(self.options.junction[rows])) == self.options.n_junctions:
+                answer = self._solve(self._knapsack(profit, rows))
                 found = answer.chosen
                 if found is None and answer.bound > -np.inf:
                     break  # the time was up
@@ -291,17 +508,13 @@ class _Later:
             else:
                 self.chosen = rows[found]
                 low = middle + 1
-        value = self._value(Objective.SMALLEST_MARGIN)
+        value = reached()
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
-        self._leave_out(keep)
+        self.chosen = np.searchsorted(keep, self.chosen)  # go on with these alone
+        self.options, self.rows = self.options.taken(keep), self.rows[keep]
+        self.held = [(row[keep], least) for row, least in self.held]
         seconds = now_s() - began_s
         return _stage(Objective.SMALLEST_MARGIN, value, max(bound, value), seconds)
-
-    def _leave_out(self, keep: IntArray) -> None:
-        """Go on with some of the options alone."""
-        self.chosen = np.searchsorted(keep, self.chosen)
-        self.options, self.rows = self.options.taken(keep), self.rows[keep]
-        self.held = [(row[keep], value) for row, value in self.held]
 
 
 # ---------- what cannot be met
@@ -327,34 +540,17 @@ def _check_reach(
         part, is_in = _part(district, share)
         reach = float((part * is_in) @ most)
         if reach < district.least_apr - TOLERANCE:
-            raise InputError(
-                "min_district_apr",
-                district.least_apr,
-                f"at most {_floor(reach)}, what can be reached in {district.name}",
-            )
+            expected = f"at most {_floor(reach)}, what can be reached in {district.name}"
+            raise InputError("min_district_apr", district.least_apr, expected)
 
 
 def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputError:
     """The error of wishes that the budgets do not allow: what they take at least."""
-    free = CityWishes(
-        budget_eur=np.inf if wishes.budget_eur is not None else None,
-        budget_units=None if wishes.budget_eur is not None else 10**9,
-        districts=wishes.districts,
-        least_apr=wishes.least_apr,
-    )
-    left = options.taken(np.flatnonzero(_may_be(options, free)))
     in_money = wishes.budget_eur is not None
+    free = replace(wishes, budget_eur=None, budget_units=None)
+    left = options.taken(np.flatnonzero(_may_be(options, free)))
     taken = left.cost_eur if in_money else left.units.astype(np.float64)
-    problem = _problem(left, share, free, profit=-taken)
-    finite = np.isfinite(problem.limits)
-    found = solve_knapsack(
-        Knapsack(
-            group=problem.group,
-            profit=problem.profit,
-            rows=problem.rows[finite],
-            limits=problem.limits[finite],
-        )
-    )
+    found = solve_knapsack(_problem(left, share, free, profit=-taken))
     option = "budget_eur" if in_money else "budget_units"
     got = wishes.budget_eur if in_money else wishes.budget_units
     if found.chosen is None:
@@ -385,15 +581,9 @@ class Step:
 def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[Step]:
     """The city's front by money or units: who joins, or gets more, at each step.
 
-    Each step's choice is the best one of all for what it takes, as every choice is that is best at
-    some price [1]_; between two steps there are other choices, which the knapsack finds.
-
-    The first option of each junction takes nothing; `weight` (n_junctions,) is that of each
-    junction's accidents. Either euros or units are counted.
-
-    References
-    ----------
-    .. [1] H. Everett, "Generalized Lagrange multiplier method", 1963.
+    The first option of each junction takes nothing. Each step's choice is the best of all for what
+    it takes, as every choice that is best at some price (H. Everett, "Generalized Lagrange
+    multiplier method", 1963); between two steps there are others, which the knapsack finds.
     """
     share = weight / weight.sum()
     taken = options.cost_eur if by_cost else options.units.astype(np.float64)
@@ -426,6 +616,7 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
 
 
 _MAX_BINARIES = 3_000
+_PHASES_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -444,34 +635,25 @@ def plan_phases(
     *,
     units_per_year: int,
     years: int | None = None,
-    time_limit_s: float = 10.0,
 ) -> Phases:
-    """Spread units over years.
+    """Spread units over years, at most so many a year: the most gain times years that it is there.
 
-    At most so many units are mounted in a year. A junction counts from the year in which its last
-    unit is mounted: its units may come in two years. The order is the one with the largest sum of
-    gains over the years in which they are there: a mixed-integer model, or for thousands of
-    junctions those with the largest gain per unit first (Smith, 1956), with the bound of the order
-    in which units may be divided. `units` and `gain`, (n,), are those of each junction; there are
-    by default as many years as it takes. Raises InputError if the years do not suffice.
+    A junction counts from the year in which its last unit is mounted. Solved as a mixed-integer
+    model, or for thousands of junctions by the largest gain per unit first (Smith, 1956), with the
+    bound where units may be divided. `units` and `gain`, (n,), are those of each junction. Raises
+    InputError if the years, by default as many as it takes, do not suffice.
     """
     total = int(units.sum())
     needed = -(-total // units_per_year)
     n_years = max(needed if years is None else years, 1)
     if needed > n_years:
-        raise InputError(
-            "years",
-            years,
-            f"at least {needed}, for {total} units, at most {units_per_year} of them a year",
-        )
+        expected = f"at least {needed}, for {total} units, at most {units_per_year} of them a year"
+        raise InputError("years", years, expected)
     rows = np.flatnonzero(units > 0)
     year = np.zeros(len(units), dtype=np.int64)
-    year[rows] = _in_order(units[rows], gain[rows], units_per_year)
-    bound = _divided(units[rows], gain[rows], units_per_year, n_years)
+    year[rows], bound = _in_order(units[rows], gain[rows], units_per_year, n_years)
     if 0 < len(rows) * n_years <= _MAX_BINARIES and n_years > 1:
-        found, proven = _solve(
-            units[rows], gain[rows], units_per_year, n_years, time_limit_s=time_limit_s
-        )
+        found, proven = _solve(units[rows], gain[rows], units_per_year, n_years)
         before = _gain_years(year[rows], gain[rows], n_years)
         if found is not None and _gain_years(found, gain[rows], n_years) > before:
             year[rows] = found
@@ -486,29 +668,23 @@ def _gain_years(year: IntArray, gain: FloatArray, n_years: int) -> float:
     return float(gain @ (n_years + 1 - year)) if len(gain) else 0.0
 
 
-def _in_order(units: IntArray, gain: FloatArray, units_per_year: int) -> IntArray:
-    """Years where the junctions with the largest gain per unit come first."""
+def _in_order(
+    units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
+) -> tuple[IntArray, float]:
+    """Years where the largest gain per unit comes first; the sum if parts gained parts of it."""
     order = np.argsort(-gain / units, kind="stable")
-    year = np.empty(len(units), dtype=np.int64)
-    year[order] = -(-np.cumsum(units[order]) // units_per_year)
-    return year
-
-
-def _divided(units: IntArray, gain: FloatArray, units_per_year: int, n_years: int) -> float:
-    """The largest sum where parts of a junction would gain parts of it."""
-    order = np.argsort(-gain / units, kind="stable") if len(units) else units
     end = np.cumsum(units[order])
+    year = np.empty(len(units), dtype=np.int64)
+    year[order] = -(-end // units_per_year)
     worth = 0.0
-    for year in range(1, n_years + 1):
-        within = np.clip(
-            (year * units_per_year - (end - units[order])) / np.maximum(units[order], 1), 0.0, 1.0
-        )
-        worth += float(gain[order] @ within)
-    return worth
+    for number in range(1, n_years + 1):
+        mounted = (number * units_per_year - (end - units[order])) / units[order]
+        worth += float(gain[order] @ np.clip(mounted, 0.0, 1.0))
+    return year, worth
 
 
 def _solve(
-    units: IntArray, gain: FloatArray, units_per_year: int, n_years: int, *, time_limit_s: float
+    units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
 ) -> tuple[IntArray | None, float]:
     import cvxpy as cp
 
@@ -522,7 +698,7 @@ def _solve(
     worth = np.kron(gain / unit, np.arange(n_years, 0, -1.0))
     answer = run_solver(
         cp.Problem(cp.Maximize(worth @ x), [one_each @ x == 1.0, ready @ x <= most]),
-        time_limit_s=time_limit_s,
+        time_limit_s=_PHASES_S,
     )
     if not answer.is_found:
         return None, np.inf

@@ -7,7 +7,7 @@ from math import comb
 
 import numpy as np
 
-from geometry.arrays import FloatArray, IntArray, freeze
+from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
@@ -16,12 +16,13 @@ from ..optimiser.bitsets import BestSet, set_values, values_with_each
 from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import ReducedProblem
-from ..optimiser.problem import Objective
+from ..optimiser.problem import Objective, PlacementValue
 from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
 # ---------- one junction
 
+_WORTH = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s")
 Steps = tuple[tuple[float, float], ...]
 """From which units or euros on, up to the next step, which APR is not exceeded."""
 
@@ -47,24 +48,23 @@ class Point:
         )
 
 
-NOTHING = Point(
-    units=0,
-    cost_eur=0.0,
-    apr=0.0,
-    apr_one_failed=0.0,
-    smallest_margin_s=0.0,
-    mean_margin_s=0.0,
-)
+NOTHING = Point(units=0, cost_eur=0.0, **dict.fromkeys(_WORTH, 0.0))
 """A junction where nothing is mounted."""
 
 
 def _compare(one: Point, other: Point) -> int:
     """1 if a point is better than another, objective by objective, -1 if worse, 0 if alike."""
-    for name in ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s"):
+    for name in _WORTH:
         difference = getattr(one, name) - getattr(other, name)
         if abs(difference) > TOLERANCE:
             return 1 if difference > 0.0 else -1
     return 0
+
+
+def point_of(value: PlacementValue, *, units: int, cost_eur: float) -> Point:
+    """A point that takes so much, by what its layout is worth."""
+    worth = {name: getattr(value, name) for name in _WORTH}
+    return Point(units=units, cost_eur=cost_eur, **worth)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,19 +85,6 @@ class JunctionFront:
             if any(a[0] >= b[0] or a[1] > b[1] + TOLERANCE for a, b in pairwise(steps)):
                 raise InputError(f"front.{name}", steps, "steps that rise")
 
-    @property
-    def is_proven(self) -> bool:
-        """True if no layout has a higher APR than the points, for any number of units or euros."""
-        return all(
-            bound <= max(p.apr for p in self.points if p.units <= units) + TOLERANCE
-            for units, bound in self.by_units
-        ) and all(
-            bound
-            <= max(p.apr for p in self.points if p.cost_eur <= cost + COST_TOLERANCE_EUR)
-            + TOLERANCE
-            for cost, bound in self.by_cost
-        )
-
 
 def build_junction_front(
     points: Iterable[Point],
@@ -107,8 +94,8 @@ def build_junction_front(
 ) -> JunctionFront:
     """A front of the points that no other one beats, with steps that rise.
 
-    A point without new units is among them. `by_units` and `by_cost` are steps (from, APR) from 0
-    on, ascending, in any order of APR: a bound also holds for less.
+    A point without new units is among them; `by_units` and `by_cost` are steps (from, APR) from 0
+    on, ascending, in any order of APR.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
     kept = [
@@ -161,18 +148,6 @@ class Options:
     smallest_margin_s: FloatArray
     mean_margin_s: FloatArray
 
-    def __post_init__(self) -> None:
-        for name in ("junction", "units"):
-            object.__setattr__(self, name, freeze(np.array(getattr(self, name), dtype=np.int64)))
-        for name in _VALUES:
-            values = np.array(getattr(self, name), dtype=np.float64)
-            if values.shape != self.junction.shape or not np.isfinite(values).all():
-                raise InputError(f"options.{name}", values.shape, "a finite number for each option")
-            object.__setattr__(self, name, freeze(values))
-        steps = np.diff(self.junction, prepend=-1)
-        if not ((steps == 0) | (steps == 1)).all():
-            raise InputError("options.junction", Unquoted("gaps"), "junctions 0, 1, 2 .. in order")
-
     def __len__(self) -> int:
         return len(self.junction)
 
@@ -190,7 +165,7 @@ class Options:
         )
 
 
-_VALUES = ("cost_eur", "apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s")
+_VALUES = ("cost_eur", *_WORTH)
 
 
 def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
@@ -206,36 +181,29 @@ def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
 def stack_bounds(
     fronts: Sequence[JunctionFront], *, counts_units: bool, counts_cost: bool
 ) -> Options:
-    """Upper bounds of layouts other than the points, as options.
+    """Upper bounds of layouts other than the points, as options whose other values are 0.
 
-    Each layout of a junction takes at least as much as one of these options and has no higher APR:
-    what cannot be reached with them cannot be reached at all. With units and cost counted, an
-    option stands for a step of both. The other values are 0.
+    Each layout of a junction takes at least as much as one of them and has no higher APR. With
+    units and cost counted, an option stands for a step of both.
     """
-    junction: list[int] = []
-    units: list[float] = []
-    cost: list[float] = []
-    apr: list[float] = []
+    rows = []
     for index, front in enumerate(fronts):
         by_units = front.by_units if counts_units else ((0, front.by_units[-1][1]),)
         by_cost = front.by_cost if counts_cost else ((0.0, front.by_cost[-1][1]),)
         for row, (n_units, most) in enumerate(by_units):
             for column, (eur, bound) in enumerate(by_cost):
                 value = min(most, bound)
-                if row and min(by_units[row - 1][1], bound) == value:
-                    continue  # fewer units bound it as well
-                if column and min(most, by_cost[column - 1][1]) == value:
-                    continue
-                junction.append(index)
-                units.append(n_units)
-                cost.append(eur)
-                apr.append(value)
-    unknown = np.zeros(len(junction))
+                # Fewer units, or less money, may bound it as well.
+                is_bound = row and min(by_units[row - 1][1], bound) == value
+                if not is_bound and not (column and min(most, by_cost[column - 1][1]) == value):
+                    rows.append((index, n_units, eur, value))
+    junction, units, cost_eur, apr = np.array(rows).T
+    unknown = np.zeros(len(rows))
     return Options(
-        junction=np.array(junction),
-        units=np.array(units),
-        cost_eur=np.array(cost),
-        apr=np.array(apr),
+        junction=junction.astype(np.int64),
+        units=units.astype(np.int64),
+        cost_eur=cost_eur,
+        apr=apr,
         apr_one_failed=unknown,
         smallest_margin_s=unknown,
         mean_margin_s=unknown,
@@ -278,11 +246,10 @@ def rooms_of(limits: Limits) -> IntArray:
 def front_by_sites(
     problem: PlacementProblem, *, base_apr: float, max_units: int, effort: Callable[[], Effort]
 ) -> SiteFront:
-    """Layouts of more new units than sites, and what bounds them.
+    """Layouts of more new units than sites, and what bounds them, for up to `max_units` new units.
 
     The problem has no floors, and its prices do not count. `base_apr` is that of the existing
-    units; `effort` says what the next step may take. There are bounds up to as many sites as can
-    carry `max_units` new units; none where each unit has to confirm alone.
+    units; `effort` says what the next step may take. No bounds where each unit confirms alone.
     """
     limits = problem.limits
     room = rooms_of(limits)
@@ -320,8 +287,8 @@ def front_by_sites(
             if are_best and n_units == widest[:n_sites].sum() and parts:
                 layouts[n_sites, n_units] = parts[0]  # the best one there is
                 continue
-            fewer = [layouts.get(key) for key in _fewer(n_sites, n_units)]
-            starts = [*parts, *(layout for layout in fewer if layout is not None)]
+            fewer = ((n_sites, n_units - 1), (n_sites - 1, n_units))
+            starts = [*parts, *(layouts[key] for key in fewer if key in layouts)]
             layouts[n_sites, n_units] = _improved(at, starts, effort())
     return SiteFront(
         limits=tuple(np.maximum.accumulate([base_apr, *bounds]).tolist()),
@@ -339,12 +306,9 @@ def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
 def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]) -> Steps:
     """Upper bound of the APR by money: by the units and sites that it buys at most.
 
-    So many new units at so many sites, the dearest of which is of some tier, cost at least what the
-    cheapest ones and one site of that tier do; they do no more than what sites up to that tier can.
-
-    Of each tier: the lowest price of its sites in euros; bounds by new units, and by their sites,
-    where no site is dearer than those of the tier. The first one has all sites. The limits have
-    prices and a number of units.
+    So many new units at so many sites, the dearest of some tier, cost at least what the cheapest
+    ones and one site of that tier do, and do no more than sites up to that tier can. Of each tier,
+    all sites first: the lowest price of its sites, and bounds by new units and by their sites.
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)
@@ -464,10 +428,6 @@ def _parts_of(layout: tuple[int, ...], limits: Limits, n_units: int) -> list[tup
     if not 0 < n_new <= len(new):
         return []
     return [tuple(sorted([*existing, *part])) for part in combinations(new, n_new)]
-
-
-def _fewer(n_sites: int, n_units: int) -> tuple[tuple[int, int], ...]:
-    return (n_sites, n_units - 1), (n_sites - 1, n_units)
 
 
 def _improved(

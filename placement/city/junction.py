@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,19 +12,17 @@ from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
-from ..candidates import CandidateGrid, CandidatePose, build_candidates, load_candidate_grid
+from ..candidates import CandidateGrid, build_candidates, load_candidate_grid
 from ..compute import Compute
 from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
 from ..optimiser.front import Front, FrontPoint, cost_front, largest_values, pareto_front
-from ..optimiser.limits import Limits
 from ..optimiser.problem import Objective, PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout
 from ..question import Question
 from .fronts import (
     JunctionFront,
-    Point,
     SiteFront,
     Steps,
     bounds_by_money,
@@ -32,6 +30,7 @@ from .fronts import (
     front_by_sites,
     lowered,
     lowest,
+    point_of,
     price_tiers_eur,
     rooms_of,
 )
@@ -61,16 +60,15 @@ class JunctionWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedJunction:
-    """A junction's front with its layouts."""
+    """A junction's front with its layouts, and the sizes of its question."""
 
-    front: JunctionFront  # Points and bounds
-    # Of each point, with the existing units; None where nothing is mounted
-    layouts: tuple[Layout | None, ...]
-    n_sites: int  # Sizes of the question
-    n_poses: int
-    n_runs: int
-    n_frames: int
-    seconds: dict[str, float]  # Processor time of the thread that solved it, by stage. [s]
+    front: JunctionFront  # points and bounds
+    layouts: tuple[Layout | None, ...]  # of each point, existing units too; None: nothing mounted
+    sites: int
+    poses: int
+    runs: int
+    frames: int
+    seconds: dict[str, float]  # processor time of the thread that solved it, by stage. [s]
 
 
 def solve_junction(
@@ -118,11 +116,14 @@ def solve_junction(
         raise InputError(error.where, error.got, error.expected) from None
     return SolvedJunction(
         front=front,
-        layouts=tuple(_layout(candidates, index, existing) for index in chosen),
-        n_sites=len(scene.sites),
-        n_poses=len(candidates),
-        n_runs=len(assembly.setting.runs),
-        n_frames=assembly.setting.axis.n_frames,
+        layouts=tuple(
+            pick_layout(candidates, index, f"front-{len(index)}") if index else existing
+            for index in chosen
+        ),
+        sites=len(scene.sites),
+        poses=len(candidates),
+        runs=len(assembly.setting.runs),
+        frames=assembly.setting.axis.n_frames,
         seconds=watch.finish(),
     )
 
@@ -134,12 +135,11 @@ def find_front(
     begin: Callable[[str], None],
     first: IntArray | None = None,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
-    """Front of what units and money buy, and the layout of each point.
+    """Front of what units and money buy, and the layout of each point; the first takes nothing.
 
     The problem has a number of units, the existing ones among them, and no floors. `effort` says
-    what the next step may take, `begin` is called with each step. The front of the poses `first`,
-    (n,), the existing ones among them, is found first: no point is worse than what they can do. The
-    first point takes nothing; layouts are rows of the detection table, with the existing ones.
+    what the next step may take, `begin` is called with each step. No point is worse than what the
+    poses `first`, (n,), the existing ones among them, can do. Layouts are rows of the table.
     """
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
@@ -166,11 +166,15 @@ def find_front(
             few = [tuple(first[list(layout)].tolist()) for layout in found]
     fronts, by_cost = [fronts_of(problem, begin)], None
     tiers = price_tiers_eur(limits)
-    if _has_prices(limits):
+    free = ~limits.is_forbidden & ~limits.is_forced
+    site_eur = limits.site_cost_eur[limits.site_index]
+    # Where one unit, or one site, costs more than another, money is more than numbers.
+    if np.ptp(limits.unit_cost_eur[free]) or np.ptp(site_eur[free]):
         begin("fronts of cheap sites")
         for _, highest_eur in reversed(tiers[:-1]):
-            cheap = _without_dear_sites(problem, highest_eur)
-            fronts.append(fronts_of(cheap, lambda _: None))
+            is_dear = (site_eur > highest_eur) & ~limits.is_forced
+            cheap = replace(limits, is_forbidden=limits.is_forbidden | is_dear)
+            fronts.append(fronts_of(replace(problem, limits=cheap), lambda _: None))
         begin("front by money")
         by_cost = _cost_front(problem, effort())
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
@@ -195,20 +199,6 @@ def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int
     return most
 
 
-def _without_dear_sites(problem: PlacementProblem, highest_eur: float) -> PlacementProblem:
-    limits = problem.limits
-    is_dear = limits.site_cost_eur[limits.site_index] > highest_eur
-    is_forbidden = limits.is_forbidden | (is_dear & ~limits.is_forced)
-    return replace(problem, limits=replace(limits, is_forbidden=is_forbidden))
-
-
-def _has_prices(limits: Limits) -> bool:
-    """True if one unit, or one site, costs more than another: then money is more than numbers."""
-    free = ~limits.is_forbidden & ~limits.is_forced
-    sites = limits.site_cost_eur[np.unique(limits.site_index[free])]
-    return bool(np.ptp(limits.unit_cost_eur[free]) or np.ptp(sites))
-
-
 def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
     """The front by money; None where the poses avoid nothing."""
     try:
@@ -217,12 +207,6 @@ def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
         if error.where != "candidates":
             raise
         return None
-
-
-def _layout(
-    candidates: Sequence[CandidatePose], index: tuple[int, ...], existing: Layout | None
-) -> Layout | None:
-    return pick_layout(candidates, index, f"front-{len(index)}") if index else existing
 
 
 # ---------- one front of all
@@ -238,11 +222,11 @@ def _merge(
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """The points of all fronts that no other one beats, and the poses of each.
 
-    `tiers` are fronts with all sites, then with cheaper ones alone, and the least of their prices;
+    `tiers` are fronts with all sites, then with cheaper ones, and the least of their prices;
     `others` are more layouts.
     """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
-    poses = {_point(base, 0, 0.0): forced}
+    poses = {point_of(base, units=0, cost_eur=0.0): forced}
     layouts = [(placement_value(problem, layout), layout) for layout in others]
     layouts += [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
     for _, (by_units, by_sites) in tiers:
@@ -250,7 +234,7 @@ def _merge(
         layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]
     for value, layout in layouts:
         if n_new := len(layout) - n_existing:
-            poses.setdefault(_point(value, n_new, value.cost_eur), layout)
+            poses.setdefault(point_of(value, units=n_new, cost_eur=value.cost_eur), layout)
     bounds = [
         (eur, _bounds_by_units(by_units, base=base.apr, n_existing=n_existing), by_sites)
         for eur, (by_units, by_sites) in tiers
@@ -266,31 +250,19 @@ def _merge(
     return front, [poses[point] for point in front.points]
 
 
-def _point(value: PlacementValue, units: int, cost_eur: float) -> Point:
-    return Point(
-        units=units,
-        cost_eur=cost_eur,
-        apr=value.apr,
-        apr_one_failed=value.apr_one_failed,
-        smallest_margin_s=value.smallest_margin_s,
-        mean_margin_s=value.mean_margin_s,
-    )
+def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
+    steps = [
+        (float(point.units - n_existing), max(_apr_bound(point), base))
+        for point in front.points
+        if point.units > n_existing
+    ]
+    return lowered([(0.0, base), *steps])
 
 
 def _apr_bound(point: FrontPoint) -> float:
     stage = point.stage(Objective.APR)
     assert stage is not None  # the first of all fronts
     return stage.bound
-
-
-def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
-    steps = [(0.0, base)]
-    steps += [
-        (float(point.units - n_existing), max(_apr_bound(point), base))
-        for point in front.points
-        if point.units > n_existing
-    ]
-    return lowered(steps)
 
 
 def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> Steps:
@@ -300,23 +272,21 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
     by the step of the front, so that up to a step more is not ruled out for less money.
     """
     steps: list[tuple[float, float]] = [(0.0, base)]
+
+    def add(eur: float, bound: float) -> None:
+        before_eur, before = steps[-1]
+        if eur <= before_eur:
+            steps.pop()
+            eur = before_eur
+        steps.append((eur, max(bound, before)))
+
     points = front.points
     for index, point in enumerate(points):
-        cost = point.certificate.stages[0]
-        last = index + 1 == len(points)
-        beyond = most if last else _apr_bound(points[index + 1])
+        beyond = most if index + 1 == len(points) else _apr_bound(points[index + 1])
         here = max(_apr_bound(point), min(point.value.apr + step, beyond))
-        before, bound = steps[-1]
-        if cost.bound > before:
-            steps.append((cost.bound, max(here, bound)))
-        else:
-            steps[-1] = (before, max(here, bound))
+        add(point.certificate.stages[0].bound, here)
     if front.settled is None:
-        end = points[-1].value.cost_eur
-        if end > steps[-1][0]:
-            steps.append((end, max(most, steps[-1][1])))
-        else:
-            steps[-1] = (steps[-1][0], max(most, steps[-1][1]))
+        add(points[-1].value.cost_eur, most)
     return tuple(steps)
 
 
@@ -327,37 +297,29 @@ class _Watch:
     """Takes the time of each stage, and ends what takes too long."""
 
     def __init__(self, limit_s: float, compute: Compute) -> None:
-        self._end_s = now_s() + limit_s
-        self._limit_s = limit_s
+        self._end_s, self._limit_s = now_s() + limit_s, limit_s
         self._progress = compute.progress
-        self._clock: Callable[[], float] = time.process_time
-        self._began_s = self._clock()
-        self._stage = "begin"
+        self._stage, self._began_s = "begin", time.process_time()
         self._seconds: dict[str, float] = {}
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:
         self._progress(stage, done, total)
-        self._check()
+        if self.left_s() < 0.0 and not self._stage.startswith("front"):
+            raise TimeUpError(f"{self._limit_s:g} s were up in the stage '{self._stage}'")
 
     def begin(self, stage: str) -> None:
         self._note()
         self._stage = stage
-        self._progress(stage, 0, 0)
-        self._check()
-
-    def finish(self) -> dict[str, float]:
-        self._note()
-        self._seconds.pop("begin", None)
-        return {name: round(value, 2) for name, value in self._seconds.items()}
-
-    def left_s(self) -> float:
-        return self._end_s - now_s()
+        self(stage, 0, 0)
 
     def _note(self) -> None:
-        at_s = self._clock()
+        at_s = time.process_time()
         self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + at_s - self._began_s
         self._began_s = at_s
 
-    def _check(self) -> None:
-        if self.left_s() < 0.0 and not self._stage.startswith("front"):
-            raise TimeUpError(f"{self._limit_s:g} s were up in the stage '{self._stage}'")
+    def finish(self) -> dict[str, float]:
+        self._note()
+        return {name: round(s, 2) for name, s in self._seconds.items() if name != "begin"}
+
+    def left_s(self) -> float:
+        return self._end_s - now_s()

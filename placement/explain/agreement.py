@@ -50,10 +50,9 @@ def find_disagreements(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Disagreement, ...]:
-    """Runs on which table and evaluator disagree, for each unit alone and for all fused.
+    """Runs on which table and evaluator disagree, for each unit alone, then for all fused.
 
-    `pose_index` are the table's rows of the layout's units, in their order. Results are in the
-    order of units and runs; those of all units fused come last.
+    `pose_index` are the table's rows of the layout's units, in their order.
     """
     detected = table.detected(list(pose_index))
     folder = None if setting.detector.needs_pictures else compute.cache_folder

@@ -57,60 +57,38 @@ def find_by_runs(
 ) -> ByRuns | None:
     """The layout that avoids the most runs, within the same limits.
 
-    None where it is not asked for the highest APR, where all runs count the same anyway, and of
-    problems in sampled worlds or too large for a proof.
+    None where the highest APR is not asked for, all runs count the same anyway, worlds are sampled,
+    or the problem is too large for a proof.
     """
     axis = problem.table.axis
-    if not _is_plain(problem) or np.ptp(axis.weight) <= TOLERANCE / axis.n_runs:
+    is_best = problem.goal == "best" and problem.survive == 0
+    is_whole = problem.sample_index is None and not is_mixed(axis) and not is_large(problem)
+    if not (is_best and is_whole) or np.ptp(axis.weight) <= TOLERANCE / axis.n_runs:
         return None
     alike = replace(axis, weight=np.full(axis.n_runs, 1.0 / axis.n_runs))
     by_runs = replace(problem, table=replace(problem.table, axis=alike))
-    found = _solve("by-runs", by_runs, pose_index, effort, cache_folder, n_stages=1)
+    effort = replace(effort, time_limit_s=min(effort.time_limit_s, TIME_LIMIT_S))
+    start = np.array(sorted(pose_index), dtype=np.int64)
+    found = cached_value(
+        cache_folder,
+        "by-runs",
+        lambda: solve_placement(
+            by_runs, presolve(by_runs), effort=effort, starts=[start], n_stages=1
+        ),
+        kind=Solution,
+        made_from=(by_runs, effort, start, 1),
+        is_worth_it=lambda solution: solution.certificate.is_proven,
+    )
     here, there = (
         int(np.isfinite(run_margins_s(problem, rows)).sum())
         for rows in (pose_index, found.pose_index)
     )
     rows = found.pose_index if there > here else pose_index
     return ByRuns(
-        units=_ids(problem, rows),
+        units=tuple(problem.table.pose_ids[row] for row in rows),
         runs_avoided=max(here, there),
         runs_avoided_here=here,
         is_proven=found.certificate.is_proven,
-    )
-
-
-def _ids(problem: PlacementProblem, rows: Sequence[int]) -> tuple[str, ...]:
-    return tuple(problem.table.pose_ids[row] for row in rows)
-
-
-def _is_plain(problem: PlacementProblem) -> bool:
-    """The highest APR is asked for, each run once as planned, of a table of usual size."""
-    is_best = problem.goal == "best" and problem.survive == 0
-    is_whole = problem.sample_index is None and not is_mixed(problem.table.axis)
-    return is_best and is_whole and not is_large(problem)
-
-
-def _solve(
-    name: str,
-    problem: PlacementProblem,
-    start: Sequence[int],
-    effort: Effort,
-    cache_folder: Path | None,
-    *,
-    n_stages: int,
-) -> Solution:
-    limit_s = min(effort.time_limit_s, TIME_LIMIT_S)
-    effort = replace(effort, time_limit_s=limit_s)
-    rows = np.array(sorted(start), dtype=np.int64)
-    return cached_value(
-        cache_folder,
-        name,
-        lambda: solve_placement(
-            problem, presolve(problem), effort=effort, starts=[rows], n_stages=n_stages
-        ),
-        kind=Solution,
-        made_from=(problem, effort, rows, n_stages),
-        is_worth_it=lambda solution: solution.certificate.is_proven,
     )
 
 
@@ -163,8 +141,8 @@ def recommend(
     """Number of the front-runner to recommend, and what the first one was passed over for.
 
     In this order: APR; APR when the most needed unit fails; APR that a usual error of mounting
-    leaves, which `mounted_wrongly` gives by number, asked only for those that are equal so far.
-    Differences up to ``EQUAL_APR`` are none. Of equals the first is recommended: "order".
+    leaves, `mounted_wrongly` by number, asked only for those equal so far. Differences up to
+    ``EQUAL_APR`` are none. Of equals the first is recommended: "order".
     """
     left = list(range(len(runners)))
     keys: tuple[tuple[Deciding, Callable[[int], float]], ...] = (

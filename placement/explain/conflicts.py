@@ -85,11 +85,10 @@ class Wish:
 
     def part(self, active: Set[int]) -> PlacementProblem:
         """The problem with some of the demands only; equal limits are one object."""
-        demands = self.demands
-        survives = any(demands[number].kind == "survive" for number in active)
-        floors = tuple(
-            floor if survives else replace(floor, n_failures=0) for floor in self._floors(active)
-        )
+        demands = [self.demands[number] for number in sorted(active)]
+        floors = tuple(self.problem.floors[one.floor] for one in demands if one.floor is not None)
+        if not any(demand.kind == "survive" for demand in demands):
+            floors = tuple(replace(floor, n_failures=0) for floor in floors)
         return replace(
             self.problem, limits=self._limits_of(active), floors=floors, goal="best", survive=0
         )
@@ -97,8 +96,8 @@ class Wish:
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
         """Demands that a set of poses meets all at once, `active` ones among them if it meets them.
 
-        That floors hold when units fail counts as met where that is so for all floors that are
-        met without failures, or where it is asked for: then floors must hold so.
+        That floors hold when units fail counts as met where that is so for all floors that are met
+        without failures, or where it is asked for: then floors must hold so.
         """
         met = set()
         asks_to_survive = any(self.demands[number].kind == "survive" for number in active)
@@ -122,10 +121,6 @@ class Wish:
 
     def _holds(self, floor: Floor, poses: Sequence[int]) -> bool:
         return floor_value(self.problem, floor, poses) >= floor.share - TOLERANCE
-
-    def _floors(self, active: Set[int]) -> list[Floor]:
-        indices = [self.demands[number].floor for number in sorted(active)]
-        return [self.problem.floors[index] for index in indices if index is not None]
 
     def _limits_of(self, active: Set[int]) -> Limits:
         key = frozenset(
@@ -205,109 +200,72 @@ class Relaxation:
 def relax(
     problem: PlacementProblem, relaxation: Relaxation, separation: Separation | None = None
 ) -> PlacementProblem:
-    """The problem with one demand relaxed, all others as they were."""
+    """The problem with a demand relaxed that has no number of its own to be asked for."""
     kind, value = relaxation.demand.kind, relaxation.value
     limits, items = problem.limits, list(relaxation.given_up)
-    if kind == "floor":
-        floors = list(problem.floors)
-        index = relaxation.demand.floor
-        assert index is not None
-        floors[index] = replace(floors[index], share=min(max(value, 0.0), 1.0))
-        return replace(problem, floors=tuple(floors))
     if kind == "survive":
-        most = int(value)
-        return replace(
-            problem,
-            floors=tuple(replace(f, n_failures=min(f.n_failures, most)) for f in problem.floors),
-        )
-    if kind == "budget_units":
-        limits = replace(limits, budget_units=int(value))
-    elif kind == "budget_eur":
-        limits = replace(limits, budget_eur=value)
-    elif kind == "capacity":
+        floors = (replace(f, n_failures=min(f.n_failures, int(value))) for f in problem.floors)
+        return replace(problem, floors=tuple(floors))
+    if kind == "capacity":
         limits = replace(limits, site_capacity=np.maximum(limits.site_capacity, int(value)))
-    elif kind == "separation":
-        limits = _bring_nearer(limits, value, items, separation)
+    elif kind == "separation" and separation is None:
+        limits = replace(limits, rivals=np.delete(limits.rivals, items, axis=0))
+    elif kind == "separation" and separation is not None:
+        is_near = separation.pair_distance_m < value
+        capacity = limits.site_capacity if value > 0.0 else separation.site_capacity
+        limits = replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
     else:
-        field = {
-            "forced": "is_forced",
-            "forbidden": "is_forbidden",
-            "forced_sites": "is_forced_site",
-        }[kind]
+        names = {"forced_sites": "is_forced_site"}
+        field = names.get(kind, f"is_{kind}")
         flags = getattr(limits, field).copy()
         flags[items] = False
         limits = replace(limits, **{field: flags})
     return replace(problem, limits=limits)
 
 
-def _bring_nearer(
-    limits: Limits, distance_m: float, pairs: Sequence[int], separation: Separation | None
-) -> Limits:
-    """Limits with a smaller separation, or without some rivals where no distance is known."""
-    if separation is None:
-        return replace(limits, rivals=np.delete(limits.rivals, list(pairs), axis=0))
-    is_near = separation.pair_distance_m < distance_m
-    capacity = limits.site_capacity if distance_m > 0.0 else separation.site_capacity
-    return replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
-
-
 def find_relaxation(
     wish: Wish, oracle: Oracle, number: int, others: frozenset[int]
 ) -> Relaxation | None:
-    """The least by which a demand has to give way so that others can be met, too.
+    """The least by which a demand has to give way so that others, which can be met, are met, too.
 
-    The others can be met together. None if nothing was found in time; `suffices` is to be filled
-    in.
+    None if nothing was found in time; `suffices` is to be filled in.
     """
-    demand = wish.demands[number]
+    demand, separation = wish.demands[number], wish.separation
     with_it, without = wish.part(others | {number}), wish.part(others)
+    limits, kinds = with_it.limits, {wish.demands[other].kind for other in others}
+    answer = None
     if demand.kind == "budget_units":
-        asked = with_it.limits.budget_units or 0
-        return _of_value(demand, oracle.least_units(without, more_than=asked))
-    if demand.kind == "budget_eur":
-        asked_eur = with_it.limits.budget_eur or 0.0
-        return _of_value(demand, oracle.least_cost_eur(without, more_than_eur=asked_eur))
-    if demand.kind == "floor":
-        assert demand.floor is not None
+        answer = oracle.least_units(without, more_than=limits.budget_units or 0)
+    elif demand.kind == "budget_eur":
+        answer = oracle.least_cost_eur(without, more_than_eur=limits.budget_eur or 0.0)
+    elif demand.floor is not None:
         floor = wish.problem.floors[demand.floor]
-        survives = any(wish.demands[other].kind == "survive" for other in others)
-        answer = oracle.most(
-            without, wish.problem.floor_measure(floor), floor.n_failures if survives else 0
+        n_failures = floor.n_failures if "survive" in kinds else 0
+        answer = oracle.most(without, wish.problem.floor_measure(floor), n_failures)
+    if answer is not None:
+        if answer.pose_index is None:
+            return None
+        return Relaxation(
+            demand=demand,
+            value=answer.value,
+            is_least=answer.is_proven,
+            pose_index=answer.pose_index,
         )
-        return _of_value(demand, answer)
-    trial = _Trial(demand, with_it, oracle, _separation_among(wish, others))
+    if separation is not None and "capacity" not in kinds:  # sites may carry any number of units
+        any_number = np.full(wish.problem.limits.n_sites, wish.problem.limits.n_poses)
+        separation = replace(separation, site_capacity=any_number)
+    trial = _Trial(demand, with_it, oracle, separation)
     if demand.kind == "survive":
         most = max(floor.n_failures for floor in with_it.floors)
         return trial.first([float(n) for n in range(most - 1, -1, -1)])
     if demand.kind == "capacity":
-        limits = with_it.limits
         per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
         least = int(limits.site_capacity.min()) + 1
         return trial.first([float(n) for n in range(least, int(per_site.max()) + 1)])
-    if demand.kind == "separation" and wish.separation is not None:
-        distances = np.unique(wish.separation.pair_distance_m)
+    if demand.kind == "separation" and separation is not None:
+        distances = np.unique(separation.pair_distance_m)
         return trial.first([*distances[::-1].tolist(), 0.0])
-    return trial.fewest(_items(demand, with_it.limits), oracle.find(without))
-
-
-def _separation_among(wish: Wish, others: frozenset[int]) -> Separation | None:
-    """The demand of the separation where sites may also carry any number of units."""
-    separation = wish.separation
-    if separation is None or any(wish.demands[other].kind == "capacity" for other in others):
-        return separation
-    limits = wish.problem.limits
-    return replace(separation, site_capacity=np.full(limits.n_sites, limits.n_poses))
-
-
-def _of_value(demand: Demand, answer: Answer) -> Relaxation | None:
-    if answer.pose_index is None:
-        return None
-    return Relaxation(
-        demand=demand,
-        value=answer.value,
-        is_least=answer.is_proven,
-        pose_index=answer.pose_index,
-    )
+    return trial.fewest(_items(demand, limits), oracle.find(without))
 
 
 def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
@@ -427,15 +385,12 @@ def find_conflicts(
     time_limit_s: float = 30.0,
     max_sets: int = _MAX_SETS,
 ) -> tuple[Conflict, ...]:
-    """Why no set of poses meets limits and floors.
+    """Why no set of poses meets limits and floors: smallest conflicts, no two with a common demand.
 
     With `keeps_forced`, forced poses are no demand but a fact, such as existing units.
-    `time_limit_s` is for all questions together, presolve is finished in any case. Up to `max_sets`
-    sets are gone through one by one, more of them by models.
-
-    A smallest conflict comes first, then a smallest one among the remaining demands, and so on: no
-    two share a demand. There is none if the wish can be met, if it was not found out that it
-    cannot, or if nothing would help.
+    `time_limit_s` is for all questions together, but for presolve. Up to `max_sets` sets are gone
+    through one by one, more of them by models. None if the wish can be met, if it was not found out
+    that it cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
@@ -523,8 +478,8 @@ def find_refusal(
 ) -> InputError | None:
     """Why wishes cannot be met, in one line, to be raised.
 
-    `problem` is what :func:`placement.wishes.build_problem` makes of them, `candidates` are the
-    rows of its table. None if they can be met, or if it was not found out that they cannot.
+    `candidates` are the rows of the problem's table. None if they can be met, or if it was not
+    found out that they cannot.
     """
     separation = build_separation(problem, wishes, scene, candidates)
     conflicts = find_conflicts(
@@ -591,18 +546,15 @@ class _Words:
 
     def _demand(self, demand: Demand) -> str:
         limits, kind = self.problem.limits, demand.kind
-        if kind == "floor":
-            assert demand.floor is not None
+        if demand.floor is not None:
             floor = self.problem.floors[demand.floor]
             is_max = _field(floor.name) == "target" and self.wishes.target == np.inf
             return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
-        if kind == "forbidden":
-            return f"`forbid_site` {self._sites_of(np.flatnonzero(limits.is_forbidden).tolist())}"
-        if kind == "forced_sites":
-            sites = np.flatnonzero(limits.is_forced_site).tolist()
-            return f"`force_site` {_few([self.site_ids[site] for site in sites])}"
         if kind == "capacity" and self.wishes.site_capacity is None:
             return "what the sites can carry"
+        items = {"forbidden": limits.is_forbidden, "forced_sites": limits.is_forced_site}
+        if kind in items:
+            return self._sites(kind, np.flatnonzero(items[kind]).tolist())
         number = {
             "survive": max((floor.n_failures for floor in self.problem.floors), default=0),
             "budget_units": (limits.budget_units or 0) - self._n_kept,
@@ -610,31 +562,26 @@ class _Words:
             "capacity": self.wishes.site_capacity,
             "separation": self.wishes.separation_m,
         }[kind]
-        return f"{_FIELDS[kind]} {number:g}{self._failing if kind == 'survive' else ''}"
+        return f"`{_FIELDS[kind]}` {number:g}{self._failing if kind == 'survive' else ''}"
 
     def _way_out(self, relaxation: Relaxation) -> str:
-        demand, value = relaxation.demand, relaxation.value
-        gone = list(relaxation.given_up)
-        if demand.kind == "floor":
-            assert demand.floor is not None
+        demand, kind, value = relaxation.demand, relaxation.demand.kind, relaxation.value
+        if demand.floor is not None:
             name = self.problem.floors[demand.floor].name
             text = _inserted(name, f"{np.floor(value * 1.0e4 + 1.0e-6) / 1.0e4:g}")
-        elif demand.kind == "forbidden":
-            text = f"`forbid_site` without {self._sites_of(gone)}"
-        elif demand.kind == "forced_sites":
-            text = f"`force_site` without {_few([self.site_ids[site] for site in gone])}"
-        elif demand.kind == "separation" and not value > 0.0:
+        elif kind in ("forbidden", "forced_sites"):
+            text = self._sites(kind, list(relaxation.given_up), "without ")
+        elif kind == "separation" and not value > 0.0:
             text = "no `separation_m`"
-        elif demand.kind == "budget_units":
-            text = f"`budget` {value - self._n_kept:g}"
-        elif demand.kind == "budget_eur":
-            text = f"`budget_cost` {np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}"
-            text = text.removesuffix(".00")
-        elif demand.kind == "separation":
-            text = f"`separation_m` {np.floor(value * 100.0) / 100.0:g}"
         else:
-            failing = self._failing if demand.kind == "survive" else ""
-            text = f"{_FIELDS[demand.kind]} {value:g}{failing}"
+            number = f"{value:g}"
+            if kind == "budget_units":
+                number = f"{value - self._n_kept:g}"
+            elif kind == "budget_eur":
+                number = f"{np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}".removesuffix(".00")
+            elif kind == "separation":
+                number = f"{np.floor(value * 100.0) / 100.0:g}"
+            text = f"`{_FIELDS[kind]}` {number}{self._failing if kind == 'survive' else ''}"
         if not relaxation.suffices:
             text += " (not enough by itself)"
         return text if relaxation.is_least else f"{text} (perhaps less will do)"
@@ -649,17 +596,25 @@ class _Words:
         """Existing units, which the budget does not count."""
         return int(self.problem.limits.is_forced.sum())
 
-    def _sites_of(self, poses: Sequence[int]) -> str:
-        sites = self.problem.limits.site_index[list(poses)].tolist()
-        return _few([self.site_ids[site] for site in sites])
+    def _sites(self, kind: Kind, items: list[int], without: str = "") -> str:
+        """A demand that lists sites, or the poses at them: the first few, each once."""
+        sites = items
+        if kind == "forbidden":
+            sites = self.problem.limits.site_index[items].tolist()
+        names = list(dict.fromkeys(self.site_ids[site] for site in sites))
+        left = len(names) - _MAX_NAMES
+        more = f" and {left} more" if left > 0 else ""
+        return f"`{_FIELDS[kind]}` {without}{','.join(names[:_MAX_NAMES])}{more}"
 
 
 _FIELDS = {
-    "survive": "`survive`",
-    "budget_units": "`budget`",
-    "budget_eur": "`budget_cost`",
-    "capacity": "`site_capacity`",
-    "separation": "`separation_m`",
+    "survive": "survive",
+    "budget_units": "budget",
+    "budget_eur": "budget_cost",
+    "capacity": "site_capacity",
+    "separation": "separation_m",
+    "forbidden": "forbid_site",
+    "forced_sites": "force_site",
 }
 
 
@@ -671,10 +626,3 @@ def _inserted(name: str, number: str) -> str:
 def _field(name: str) -> str:
     """Field of a question that the name of a floor begins with."""
     return name.partition(" ")[0].strip("-`").replace("-", "_")
-
-
-def _few(names: Sequence[str]) -> str:
-    """The first few names, each once."""
-    each = list(dict.fromkeys(names))
-    left = len(each) - _MAX_NAMES
-    return ",".join(each[:_MAX_NAMES]) + (f" and {left} more" if left > 0 else "")

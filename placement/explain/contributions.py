@@ -1,7 +1,7 @@
 """Contribution of each unit to a layout: what is left without some, and what one more would add."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Annotated
@@ -120,8 +120,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     """Evaluate the failure of each unit of a layout, of each pair, and of each site.
 
     In each frame any remaining unit may be the one that detects, and the VUT where every VUT sees.
-    The worst comes first: the lowest APR (:func:`placement.evaluation.apr_one_failed` is that of
-    `one_failed`), then the smallest margin, then the layout's order.
+    The worst comes first: the lowest APR, then the smallest margin, then the layout's order.
     """
     axis, units = evaluation.axis, evaluation.layout.units
     arrivals_s = unit_arrivals_s(evaluation, rule)
@@ -147,24 +146,20 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
             site_id=site_id,
         )
 
-    def without_units(failed: tuple[int, ...]) -> FloatArray:
-        left: FloatArray = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
-        return left
+    def several(failed: tuple[int, ...], site_id: str = "") -> Failure:
+        left_s = np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
+        return failure(failed, left_s, site_id)
 
+    sites = units_by_site(evaluation.layout).items()
     return Failures(
         none_failed=failure((), earliest_s),
-        one_failed=_worst_first([failure((unit,), left) for unit, left in enumerate(without)]),
-        two_failed=_worst_first([failure(pair, without_units(pair)) for pair in pairs]),
-        site_failed=_worst_first(
-            [
-                failure(tuple(failed), without_units(tuple(failed)), site_id)
-                for site_id, failed in units_by_site(evaluation.layout).items()
-            ]
-        ),
+        one_failed=_worst_first(failure((unit,), left) for unit, left in enumerate(without)),
+        two_failed=_worst_first(several(pair) for pair in pairs),
+        site_failed=_worst_first(several(tuple(failed), site_id) for site_id, failed in sites),
     )
 
 
-def _worst_first(failures: Sequence[Failure]) -> tuple[Failure, ...]:
+def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
     def key(failure: Failure) -> tuple[float, float]:
         margin_s = failure.smallest_margin_s
         return failure.apr, -math.inf if math.isnan(margin_s) else margin_s
@@ -187,14 +182,10 @@ class NextUnit:
 def find_next_unit(
     problem: PlacementProblem, reduced: ReducedProblem, pose_index: Sequence[int]
 ) -> NextUnit | None:
-    """The pose whose APR together with a layout is the highest, as greedy choice would go on.
+    """The pose whose APR together with a layout is the highest; None where no further pose fits.
 
-    Budgets do not count: this is what one more unit buys. Sites, rivals and wishes do. Another
-    layout of as many units may be better still.
-
-    `reduced` is what presolve left of the problem: poses that fell out see no more than others that
-    are left. `pose_index` are rows of the table, all among those left. None where no further pose
-    fits.
+    Budgets do not count, sites, rivals and wishes do. `reduced` is what presolve left of the
+    problem, `pose_index` are rows of the table, all among those left.
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)

@@ -33,8 +33,7 @@ _MAX_ADDED = 12  # values with failed units take too long to compute for more
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
     """Add poses one by one, that first which leaves the floors lacking least.
 
-    These are no more poses than are needed, or all that greedy choice has found room for; what
-    comes after the floors does not matter. They may lack something, see :func:`meets`.
+    No more than are needed, or all that there is room for; see :func:`meets`.
     """
     units = forced_units(reduced)
     most = min(reduced.limits.max_units, len(units) + _MAX_ADDED)
@@ -69,30 +68,6 @@ def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
     return at_missing if missing.any() else ~at_missing
 
 
-# ---------- presolve without domination
-
-
-def presolve_undominated(problem: PlacementProblem) -> ReducedProblem:
-    """The reduced problem with every pose that detects anything that counts, dominated or not.
-
-    Where every site carries as many units as there are poses, and any number may be mounted, no
-    pose stands in another one's way: presolve drops only poses that detect nothing.
-    """
-    limits = problem.limits
-    unusable = limits.is_forbidden | (limits.site_capacity[limits.site_index] == 0)
-    free = Limits(
-        site_index=limits.site_index,
-        site_capacity=np.full(limits.n_sites, limits.n_poses),
-        unit_cost_eur=limits.unit_cost_eur,
-        site_cost_eur=limits.site_cost_eur,
-        is_forced=limits.is_forced,
-        is_forbidden=unusable,
-        is_forced_site=limits.is_forced_site,
-    )
-    reduced = presolve(replace(problem, limits=free))
-    return replace(reduced, limits=limits.of_poses(reduced.pose_index))
-
-
 # ---------- the oracle
 
 
@@ -114,25 +89,24 @@ class Answer:
 class Oracle:
     """Answers by greedy choice, enumeration or mixed-integer models, until time is up.
 
-    All questions are about one problem with other limits and floors. Sets are gone through one by
-    one if there are no more than `max_sets`.
+    All questions are about one problem with other limits and floors. Up to `max_sets` sets are gone
+    through one by one.
     """
 
     def __init__(self, problem: PlacementProblem, *, end_s: float, max_sets: int) -> None:
         self.end_s, self.max_sets = end_s, max_sets
         limits = problem.limits
-        # Every pose has its place in it: one presolve for whatever limits come up.
-        self._shared = presolve_undominated(
-            replace(
-                problem,
-                limits=replace(
-                    limits,
-                    site_capacity=np.maximum(limits.site_capacity, 1),
-                    is_forbidden=np.zeros_like(limits.is_forbidden),
-                ),
-                **_NO_OBJECTIVE,
-            )
+        # One presolve for whatever limits come up: where every site carries any number of units, no
+        # pose stands in another one's way, and only those that detect nothing that counts drop out.
+        free = Limits(
+            site_index=limits.site_index,
+            site_capacity=np.full(limits.n_sites, limits.n_poses),
+            unit_cost_eur=limits.unit_cost_eur,
+            site_cost_eur=limits.site_cost_eur,
+            is_forced=limits.is_forced,
+            is_forced_site=limits.is_forced_site,
         )
+        self._shared = presolve(replace(problem, limits=free, **_NO_OBJECTIVE))
         self._presolved: dict[int, tuple[Limits, ReducedProblem]] = {}
 
     def left_s(self) -> float:
@@ -146,18 +120,18 @@ class Oracle:
         shared = self._ask_of(self._shared, problem)
         quick = choose_greedily(shared)
         if meets(shared, quick):
-            return _found(shared, quick)
+            return Answer(pose_index=to_full(shared, quick), is_proven=True)
         reduced = self._ask_of(self._presolve(problem), problem)
         units, is_complete = best_of_few(reduced, max_sets=self.max_sets)
         if not is_complete:
             # What comes after limits and floors is worth no exchange.
-            search = self._search(replace(reduced, objectives=(Objective.UNITS,)))
-            if not _has_set(search):
-                bound = search.look_for(None, ())
-                if not _has_set(search):
-                    return Answer(pose_index=None, is_proven=bound == -np.inf)
-            units = search.units
-        return _NONE if units is None or not meets(reduced, units) else _found(reduced, units)
+            found = self._search(replace(reduced, objectives=(Objective.UNITS,)))
+            if isinstance(found, Answer):
+                return found
+            units = found.units
+        if units is None or not meets(reduced, units):
+            return _NONE
+        return Answer(pose_index=to_full(reduced, units), is_proven=True)
 
     def least_units(self, problem: PlacementProblem, *, more_than: int) -> Answer:
         """The fewest units that meet limits and floors; it is known how many do not suffice."""
@@ -165,7 +139,9 @@ class Oracle:
         for n_units in range(more_than + 1, problem.limits.max_units + 1):
             if self.left_s() <= 0.0:
                 break
-            answer = self.find(_with(problem, budget_units=n_units))
+            answer = self.find(
+                replace(problem, limits=replace(problem.limits, budget_units=n_units))
+            )
             if answer.pose_index is not None:
                 return replace(answer, value=float(n_units), is_proven=is_proven)
             is_proven &= answer.is_proven
@@ -187,7 +163,7 @@ class Oracle:
             middle = step_eur * np.floor((0.5 * (low + value)) / step_eur + 1.0e-9)
             if middle <= low + COST_TOLERANCE_EUR:
                 middle = step_eur * np.floor(value / step_eur - 1.0 + 1.0e-9)
-            answer = self.find(_with(problem, budget_eur=float(middle)))
+            answer = self.find(replace(problem, limits=replace(limits, budget_eur=float(middle))))
             if answer.pose_index is not None:
                 best, value = answer, cost_eur(limits, answer.pose_index)
             else:
@@ -212,17 +188,15 @@ class Oracle:
         is_proven = True
         if not is_complete:
             everything = Requirement(measure=measure, least=measure.limit, n_failures=n_failures)
-            search = self._search(reduced, everything)
-            if not _has_set(search):
-                bound = search.look_for(None, ())
-                if not _has_set(search):
-                    return Answer(pose_index=None, is_proven=bound == -np.inf)
-            is_proven = _raise_ratio(search, n_failures)
-            units = search.units
+            found = self._search(reduced, everything)
+            if isinstance(found, Answer):
+                return found
+            is_proven, units = _raise_ratio(found, n_failures), found.units
         if units is None or not meets(reduced, units):
             return _NONE
-        value = _left(reduced, units, n_failures)
-        return replace(_found(reduced, units), is_proven=is_proven, value=value)
+        left = left_after_failures(reduced, measure, n_failures, units[None, :])
+        poses = to_full(reduced, units)
+        return Answer(pose_index=poses, is_proven=is_proven, value=float(left[0]))
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:
         """True if limits contradict each other, or all poses together reach too little."""
@@ -263,8 +237,11 @@ class Oracle:
             reduced, limits=problem.limits.of_poses(reduced.pose_index), floors=floors
         ).with_goal("fewest")
 
-    def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search:
-        """A search that begins with a set found quickly, of the time left a part."""
+    def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search | Answer:
+        """A search that has a set within limits and floors; else the answer that there is none.
+
+        It begins with a set found quickly, and takes a part of the time left.
+        """
         deadline = Deadline(now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0))
         search = Search(reduced, deadline=deadline)
         floors = reduced.floors if aim is None else (*reduced.floors, aim)
@@ -273,46 +250,36 @@ class Oracle:
             search.keep(units)
             if len(units) <= _FEW_UNITS:  # exchanges take long for more
                 search.keep(improve(reduced, units, search.limit, deadline=deadline))
-        return search
+
+        def has_set() -> bool:
+            return search.units is not None and search.shortfall == 0.0
+
+        bound = np.nan if has_set() else search.look_for(None, ())
+        return search if has_set() else Answer(pose_index=None, is_proven=bound == -np.inf)
 
 
 _NONE = Answer(pose_index=None, is_proven=True)
 
 
-def _found(reduced: ReducedProblem, units: IntArray) -> Answer:
-    return Answer(pose_index=to_full(reduced, units), is_proven=True)
-
-
-def _has_set(search: Search) -> bool:
-    """True if a set that meets limits and floors has been found."""
-    return search.units is not None and search.shortfall == 0.0
-
-
-def _with(problem: PlacementProblem, **limits: Any) -> PlacementProblem:
-    """The problem with some of its limits set anew."""
-    return replace(problem, limits=replace(problem.limits, **limits))
-
-
-def _left(reduced: ReducedProblem, units: IntArray, n_failures: int) -> float:
-    left = left_after_failures(reduced, reduced.measure, n_failures, units[None, :])
-    return float(left[0])
-
-
 def _raise_ratio(search: Search, n_failures: int) -> bool:
     """Raise the ratio of the best set when units fail; True if it is proven to be the highest."""
-    reduced = search.reduced
-    while True:
+    measure = search.reduced.measure
+
+    def left() -> float:
         assert search.units is not None
-        before = _left(reduced, search.units, n_failures)
-        if before >= reduced.measure.limit - TOLERANCE:
+        sets = search.units[None, :]
+        return float(left_after_failures(search.reduced, measure, n_failures, sets)[0])
+
+    while True:
+        before = left()
+        if before >= measure.limit - TOLERANCE:
             return True
         if n_failures == 0:
             bound = search.look_for(Objective.APR, ())
-            return bound <= _left(reduced, search.units, 0) + 1.0e-6
-        more = Requirement(
-            measure=reduced.measure, least=before + 2.0 * TOLERANCE, n_failures=n_failures
-        )
+            return bound <= left() + 1.0e-6
+        least = before + 2.0 * TOLERANCE
+        more = Requirement(measure=measure, least=least, n_failures=n_failures)
         if search.look_for(None, [more]) == -np.inf:
             return True
-        if _left(reduced, search.units, n_failures) <= before + TOLERANCE:
+        if left() <= before + TOLERANCE:
             return False  # time is up

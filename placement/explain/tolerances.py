@@ -8,7 +8,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.files import says
-from geometry.poses import Pose, wrap_deg
+from geometry.poses import wrap_deg
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
@@ -56,18 +56,13 @@ class Tolerance:
 
 
 def find_tolerances(
-    setting: Setting,
-    units: Sequence[CandidatePose],
-    *,
-    fusion: Fusion = "any",
-    compute: Compute = DEFAULT_COMPUTE,
+    setting: Setting, units: Sequence[CandidatePose], *, compute: Compute = DEFAULT_COMPUTE
 ) -> tuple[Tolerance, ...]:
-    """By how much each unit of a layout may be off; `compute` has the seed of the layout's table.
+    """By how much each unit of a layout may be off, one thing at a time.
 
-    One thing is off at a time: a unit that is turned and too low at once may lose a run within both
-    tolerances.
+    `compute` has the seed of the layout's table.
     """
-    return _find_errors(setting, units, STEPS, fusion=fusion, compute=compute).tolerances()
+    return _find_errors(setting, units, STEPS, fusion="any", compute=compute).tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,16 +132,14 @@ class _Errors:
     avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]
 
     def error(self, number: int, kind: ErrorKind, step: float) -> MountingError:
-        axis, cars = self.setting.axis, self.setting.cars
-        blind, seeing = (
-            weight_share(part, axis.weight) for part in self.avoided[number, kind, step]
-        )
+        axis, avoided = self.setting.axis, self.avoided[number, kind, step]
+        blind, seeing = (weight_share(part, axis.weight) for part in avoided)
         lost = self._lost(number, kind, step)
         return MountingError(
             unit_id=self.units[number].id,
             kind=kind,
             step=step,
-            apr=mix(blind, seeing, cars),
+            apr=mix(blind, seeing, self.setting.cars),
             lost_run_ids=tuple(axis.run_ids[run] for run in lost),
         )
 
@@ -234,13 +227,12 @@ _LOWEST_M = 0.1
 
 def _off_by(unit: CandidatePose, kind: ErrorKind, step: float) -> CandidatePose:
     """The unit, off by one error, at no site; never below the road."""
-    position_m, yaw_deg, pitch_deg = (unit.pose.position_m, unit.pose.yaw_deg, unit.pose.pitch_deg)
+    pose = unit.pose
     if kind == "height":
-        east, north, up = position_m
-        position_m = np.array([east, north, max(up + step, _LOWEST_M)])
+        east, north, up = pose.position_m
+        pose = replace(pose, position_m=np.array([east, north, max(up + step, _LOWEST_M)]))
     elif kind == "yaw":
-        yaw_deg = float(wrap_deg(yaw_deg + step))
+        pose = replace(pose, yaw_deg=float(wrap_deg(pose.yaw_deg + step)))
     else:
-        pitch_deg = float(np.clip(pitch_deg + step, -90.0, 90.0))
-    pose = Pose(position_m=position_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+        pose = replace(pose, pitch_deg=float(np.clip(pose.pitch_deg + step, -90.0, 90.0)))
     return replace(unit, site_id="", pose=pose)

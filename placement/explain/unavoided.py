@@ -3,13 +3,13 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
 from geometry.files import says
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
@@ -46,24 +46,20 @@ class Look:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reason:
-    """Reason why the road user is not detected in some frames."""
+    """Reason why the road user is not detected in some frames.
 
-    cause: Annotated[
-        Cause,
-        says(
-            '"hidden": detected if nothing stood in the way; "out of view", "cut '
-            'off": not in the image, or only a part of it; "too dark": light and air '
-            'leave too little contrast; "too far": too small, or too few points; '
-            '"otherwise": none of these, but the table has no detection.'
-        ),
-    ]
-    thing: Annotated[
-        str,
-        says(
-            "What hides it, by name: most of the blocked rays end there. Empty for all "
-            "other causes."
-        ),
-    ]
+    Attributes
+    ----------
+    cause : str
+        "hidden": detected if nothing stood in the way; "out of view", "cut off": not in the image,
+        or only a part of it; "too dark": light and air leave too little contrast; "too far": too
+        small, or too few points; "otherwise": none of these, but the table has no detection.
+    thing : str
+        What hides it, by name: most of the blocked rays end there. Empty for all other causes.
+    """
+
+    cause: Cause
+    thing: str
     frames: Annotated[int, says("In how many frames.")]
 
 
@@ -79,20 +75,18 @@ def find_reasons(
     world = build_world(setting.scene, runs, n_points=N_POINTS, seed=compute.seed)
     names = _names(setting.scene, runs)
     reasons: list[tuple[Reason, ...]] = [()] * len(looks)
-    units = {id(look.unit): look.unit for look in looks}
-    for key, unit in units.items():
-        mine = [number for number, look in enumerate(looks) if id(look.unit) == key]
+    for unit in {id(look.unit): look.unit for look in looks}.values():
+        mine = [number for number, look in enumerate(looks) if look.unit is unit]
         frames = [
             ends[run_index.index(looks[number].run_index)] + looks[number].frame_index
             for number in mine
         ]
-        causes = _causes(setting, world, names, unit, np.concatenate(frames))
-        parts = np.split(np.arange(len(causes)), np.cumsum([len(part) for part in frames])[:-1])
-        for number, part in zip(mine, parts, strict=True):
-            tally = Counter(causes[frame] for frame in part)
+        causes = iter(_causes(setting, world, names, unit, np.concatenate(frames)))
+        for number, part in zip(mine, frames, strict=True):
+            tally = Counter(islice(causes, len(part)))
             reasons[number] = tuple(
-                Reason(cause=cause, thing=thing, frames=frames)
-                for (cause, thing), frames in tally.most_common()
+                Reason(cause=cause, thing=thing, frames=count)
+                for (cause, thing), count in tally.most_common()
             )
     return reasons
 
@@ -106,24 +100,22 @@ def _causes(
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
-    standing = replace(world.standing, casters=(nothing,) * len(world.standing.casters))
-    vehicles = replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters))
-    shared = replace(
-        world.shared,
-        caster=nothing,
-        triangles_m=world.shared.triangles_m[:0],
-        hidden_by_scene=None,
+    no_triangles = world.shared.triangles_m[:0]
+    empty = replace(
+        world,
+        shared=replace(
+            world.shared, caster=nothing, triangles_m=no_triangles, hidden_by_scene=None
+        ),
+        standing=replace(world.standing, casters=(nothing,) * len(world.standing.casters)),
+        vehicles=replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters)),
     )
-    empty = replace(world, shared=shared, standing=standing, vehicles=vehicles)
-    position_m, near_m = unit.pose.position_m, unit.sensor.near_m
+    position_m, near_m, views = unit.pose.position_m, unit.sensor.near_m, world.views
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
     sensing = build_sensing(empty, open_sight, position_m, setting.table_detector)
-    entries = open_sight.entry_of_frame[frames]
-    weathers = world.views.weather_of_frame[frames]
-    in_the_open = sensing.detected([unit])[0, weathers, entries]
     bright = replace(sensing, contrast=np.ones_like(sensing.contrast))
-    in_full_light = bright.detected([unit])[0, weathers, entries]
-    views = world.views
+    shown = (0, views.weather_of_frame[frames], open_sight.entry_of_frame[frames])
+    in_the_open = sensing.detected([unit])[shown]
+    in_full_light = bright.detected([unit])[shown]
     points = views.points_m[views.view_of_frame[frames]].astype(np.float64) + world.origin_m
     inside = is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(axis=1)
     things = iter(_things_between(world, names, unit, frames[in_the_open], open_sight))
@@ -192,7 +184,7 @@ def _names(scene: Scene, runs: Sequence[Run]) -> Names:
         bodies = [body.actor.name for body in parked]
         of_standing.append(
             [
-                name if bodies.count(name) == 1 else f"{name} ({bodies[: number + 1].count(name)})"
+                name if bodies.count(name) == 1 else f"{name} ({bodies[:number].count(name) + 1})"
                 for number, name in enumerate(bodies)
             ]
         )
@@ -218,47 +210,36 @@ class Rescue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unavoided:
-    """A run with weight that is not avoided in the world as planned, on the detection table."""
+    """A run with weight that is not avoided in the world as planned, on the detection table.
+
+    Attributes
+    ----------
+    outcome : str
+        "hopeless": no frame comes early enough, whoever looks; else the units' achievement. "lost
+        again": they confirm early enough, but the track is not alive at the last moment, and none
+        is confirmed after it.
+    late_s : float, optional
+        By how much braking sets in too late, in seconds; None: never, also where the track was lost
+        again.
+    unit : str
+        Id of the unit nearest to the road user in the last of these frames, preferably among those
+        that have it in view in one of them; empty if hopeless.
+    reasons : tuple of Reason
+        Why that unit does not detect the road user in some of these frames, the most frequent one
+        first.
+    rescue : Rescue, optional
+        Nearest candidate that would save the run as a further unit; None: none, or nobody looked,
+        as where worlds are sampled.
+    """
 
     run: Annotated[str, says("Name of the run, as in runs.parquet.")]
-    outcome: Annotated[
-        Outcome,
-        says(
-            '"hopeless": no frame comes early enough, whoever looks; else the units\' '
-            'achievement. "lost again": they confirm early enough, but the track is not '
-            "alive at the last moment, and none is confirmed after it."
-        ),
-    ]
-    late_s: Annotated[
-        float | None,
-        says(
-            "By how much braking sets in too late, in seconds; None: never, also where the "
-            "track was lost again."
-        ),
-    ]
+    outcome: Outcome
+    late_s: float | None
     frames_in_time: Annotated[int, says("Frames from which braking in time could follow.")]
     frames_seen: Annotated[int, says("Of these, those in which a unit detects the road user.")]
-    unit: Annotated[
-        str,
-        says(
-            "Id of the unit nearest to the road user in the last of these frames, "
-            "preferably among those that have it in view in one of them; empty if hopeless."
-        ),
-    ]
-    reasons: Annotated[
-        tuple[Reason, ...],
-        says(
-            "Why that unit does not detect the road user in some of these frames, the most "
-            "frequent one first."
-        ),
-    ]
-    rescue: Annotated[
-        Rescue | None,
-        says(
-            "Nearest candidate that would save the run as a further unit; None: none, or "
-            "nobody looked, as where worlds are sampled."
-        ),
-    ]
+    unit: str
+    reasons: tuple[Reason, ...]
+    rescue: Rescue | None
 
 
 def find_unavoided(
@@ -272,19 +253,10 @@ def find_unavoided(
     """Runs that a set of poses does not avoid on the detection table, and why.
 
     `candidates` are the rows of the problem's table; at least one is mounted (`pose_index`);
-    `compute` has the table's seed. Runs of weight 0, which no ratio counts, are left out. A
-    candidate that would save a run is not forbidden, finds room at its site and is not too near to
-    another unit; what it costs does not matter. Raises InputError if the table does not belong to
-    runs and candidates.
+    `compute` has the table's seed. Runs of weight 0 are left out. A candidate that would save a run
+    is allowed beside the others, whatever it costs.
     """
-    axis, chosen = problem.table.axis, list(pose_index)
-    if axis.run_ids != setting.axis.run_ids or axis.n_frames != setting.axis.n_frames:
-        raise InputError("table", Unquoted(f"{axis.n_runs} other runs"), "the setting's runs")
-    if tuple(candidate.id for candidate in candidates) != problem.table.pose_ids:
-        raise InputError("candidates", Unquoted("others"), "the rows of the table")
-    if not chosen:
-        raise InputError("pose_index", chosen, "at least one pose")
-    scene, seed = setting.scene, compute.seed
+    scene, seed, chosen = setting.scene, compute.seed, list(pose_index)
     seen = ""
     if compute.cache_folder is not None:
         seen = table_fingerprint(scene, candidates, setting.runs, setting.table_detector, seed=seed)
@@ -308,25 +280,21 @@ def _find_unavoided(
     compute: Compute,
 ) -> tuple[Unavoided, ...]:
     """Runs that are not avoided, without the cache."""
-    axis = problem.table.axis
     is_missed = run_margins_s(problem, chosen) == -np.inf
     misses = [
         _find_miss(setting, problem, candidates, chosen, run)
-        for run in np.flatnonzero(is_missed & (axis.weight > 0.0)).tolist()
+        for run in np.flatnonzero(is_missed & (problem.table.axis.weight > 0.0)).tolist()
     ]
     looks = [look for _, look in misses if look is not None]
     reasons = iter(find_reasons(setting, looks, compute=compute))
     joining = _find_joining(problem, candidates, chosen)
-    return tuple(
-        miss
-        if look is None
-        else replace(
-            miss,
-            reasons=next(reasons),
-            rescue=_nearest_rescue(problem, candidates, chosen, joining, look.run_index),
-        )
-        for miss, look in misses
-    )
+    found = []
+    for miss, look in misses:
+        if look is not None:
+            rescue = _nearest_rescue(problem, candidates, chosen, joining, look.run_index)
+            miss = replace(miss, reasons=next(reasons), rescue=rescue)
+        found.append(miss)
+    return tuple(found)
 
 
 def _find_miss(
@@ -347,28 +315,24 @@ def _find_miss(
     together = seen if problem.fusion == "any" else parties
     confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
     braking_s = np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf) + rule.latency_s
-    outcome: Outcome = "too late"
+    is_hopeless = int(counts.sum()) < rule.n_confirmations
+    outcomes: tuple[tuple[Outcome, bool], ...] = (
+        ("hopeless", is_hopeless),
+        ("never seen", not seen.any()),
+        ("never confirmed", not confirmed.any()),
+        ("lost again", not np.isfinite(braking_s)),
+        ("too late", True),
+    )
     look = None
-    if int(counts.sum()) < rule.n_confirmations:
-        outcome = "hopeless"
-    else:
-        if not seen.any():
-            outcome = "never seen"
-        elif not confirmed.any():
-            outcome = "never confirmed"
-        elif not np.isfinite(braking_s):
-            outcome = "lost again"
+    if not is_hopeless:
         units = [candidates[pose] for pose in chosen]
         nearest = _who_should_see(setting.runs[run], units, np.flatnonzero(counts))
-        look = Look(
-            unit=units[nearest],
-            run_index=run,
-            frame_index=np.flatnonzero(counts & ~detected[nearest]),
-        )
+        missed = np.flatnonzero(counts & ~detected[nearest])
+        look = Look(unit=units[nearest], run_index=run, frame_index=missed)
     late_s = float(braking_s - last_brake_s) if np.isfinite(last_brake_s) else np.inf
     miss = Unavoided(
         run=axis.run_ids[run],
-        outcome=outcome,
+        outcome=next(outcome for outcome, is_so in outcomes if is_so),
         late_s=late_s if np.isfinite(late_s) else None,
         frames_in_time=int(counts.sum()),
         frames_seen=int((counts & seen).sum()),

@@ -155,12 +155,8 @@ def lose_frames(
     """Take a share of the frames out of bits (n_bytes,), with counters `run` + `place`.
 
     Whether a frame is lost is drawn anew with the probability `again`, and is else as in the frame
-    before: a chain of two states, with the same share of lost frames whatever `again` is.
-
-    References
-    ----------
-    .. [1] E. N. Gilbert, "Capacity of a burst-noise channel", Bell System Technical Journal 39
-       (1960).
+    before: a chain of two states (E. N. Gilbert, "Capacity of a burst-noise channel", Bell System
+    Technical Journal 39, 1960), with the same share of lost frames whatever `again` is.
     """
     for frame in range(len(run_of_frame)):
         bit = np.uint8(1 << (frame & 7))

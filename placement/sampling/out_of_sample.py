@@ -27,43 +27,28 @@ from .worlds import draw_samples, pose_key
 # ---------- statistics of many worlds
 
 
-CONFIDENCE = 0.95
 _NO_SPREAD = 1.0e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanEstimate:
-    """A mean that is estimated from samples.
-
-    Attributes
-    ----------
-    mean : float
-        Of the samples.
-    standard_error : float
-        Of the mean: standard deviation / sqrt(n); NaN for a single sample.
-    low, high : float
-        Confidence interval of the true mean.
-    method : str
-        How the interval was found, in words.
-    """
+    """A mean that is estimated from samples."""
 
     mean: float
-    standard_error: float
+    standard_error: float  # of the mean; NaN for a single sample
+    # low, high: confidence interval of the true mean
     low: float
     high: float
-    method: str
+    method: str  # how the interval was found, in words
 
 
-def estimate_mean(
-    values: ArrayLike, *, confidence: float = CONFIDENCE, bounds: tuple[float, float] = (0.0, 1.0)
-) -> MeanEstimate:
+def estimate_mean(values: ArrayLike, *, bounds: tuple[float, float] = (0.0, 1.0)) -> MeanEstimate:
     """Mean of independent samples within `bounds`, and between which limits the true mean lies.
 
-    The interval is Student's t, cut off at the bounds. Where all samples are equal, or there is but
-    one, they show no spread to go by: then at most a share q of all worlds differs, since n draws
-    in a row would show none of a larger share with a probability below (1 - q)^n = 1 - confidence,
-    and these may be as bad or as good as can be. Raises InputError for no sample, or one out of
-    bounds.
+    The interval has 95 % confidence: Student's t [1]_, cut off at the bounds. Where samples show no
+    spread, at most a share q of all worlds differs, since n draws in a row would show none of a
+    larger share with a probability below (1 - q)^n = 0.05, and these may be as bad or as good as
+    can be [2]_. Raises InputError for no sample, or one out of bounds.
 
     References
     ----------
@@ -77,10 +62,7 @@ def estimate_mean(
     >>> round(estimate.low, 3), estimate.high
     (0.95, 1.0)
     """
-    samples = float_array(values, (-1,), "samples")
-    if not 0.0 < confidence < 1.0:
-        raise InputError("confidence", confidence, "more than 0, less than 1")
-    lowest, highest = bounds
+    samples, (lowest, highest) = float_array(values, (-1,), "samples"), bounds
     if len(samples) == 0:
         raise InputError("samples", Unquoted("none"), "at least one")
     if samples.min() < lowest - _NO_SPREAD or samples.max() > highest + _NO_SPREAD:
@@ -89,29 +71,23 @@ def estimate_mean(
     mean = min(max(math.fsum(samples) / n, lowest), highest)
     error = float(samples.std(ddof=1)) / math.sqrt(n) if n > 1 else math.nan
     if np.ptp(samples) <= _NO_SPREAD:
-        share = 1.0 - (1.0 - confidence) ** (1.0 / n)
+        share = 1.0 - (1.0 - 0.95) ** (1.0 / n)
         low, high = mean + share * (lowest - mean), mean + share * (highest - mean)
-        method = f"{100.0 * confidence:g} % interval: no spread in {n} samples, rule of three"
+        method = f"95 % interval: no spread in {n} samples, rule of three"
     else:
         from scipy.special import stdtrit
 
-        reach = float(stdtrit(n - 1, 0.5 + 0.5 * confidence)) * error
+        reach = float(stdtrit(n - 1, 0.5 + 0.5 * 0.95)) * error
         low, high = max(lowest, mean - reach), min(highest, mean + reach)
-        method = f"{100.0 * confidence:g} % interval: Student's t, {n} samples"
+        method = f"95 % interval: Student's t, {n} samples"
     return MeanEstimate(mean=mean, standard_error=error, low=low, high=high, method=method)
 
 
 def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     """Conditional value at risk: the mean over the worst share of equally likely worlds.
 
-    max over t of t - mean(max(0, t - apr)) / tail. A tail of 1 is the expectation; up to 1 /
-    n_samples, 0 among them, it is the worst world alone. Where the share ends within a world, that
-    one counts in part. Raises InputError if there is no sample, or the tail is no share.
-
-    References
-    ----------
-    .. [1] R. T. Rockafellar, S. Uryasev, "Optimization of conditional value-at-risk", Journal of
-       Risk 2 (2000).
+    max over t of t - mean(max(0, t - apr)) / tail (R. T. Rockafellar, S. Uryasev, "Optimization of
+    conditional value-at-risk", Journal of Risk 2, 2000); up to 1 / n_samples it is the worst world.
 
     Examples
     --------
@@ -119,11 +95,6 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     0.6
     """
     samples: FloatArray = np.sort(float_array(apr_by_sample, (-1,), "samples"))
-    if len(samples) == 0:
-        raise InputError("samples", Unquoted("none"), "at least one")
-    is_number = isinstance(tail, int | float) and not isinstance(tail, bool)
-    if not (is_number and 0.0 <= tail <= 1.0):
-        raise InputError("tail", tail, "a share of the samples, 0 to 1")
     n_counted = max(1.0, tail * len(samples))
     counts = np.clip(n_counted - np.arange(len(samples)), 0.0, 1.0)
     return math.fsum(counts * samples) / n_counted
@@ -135,13 +106,8 @@ _N_RESAMPLED = 1000
 def resampled_cvar(apr_by_sample: ArrayLike, tail: float, *, seed: int = 0) -> FloatArray:
     """CVaR of several layouts, (n_layouts, n_samples), in worlds drawn with repetition.
 
-    (n_layouts, 1000): the bootstrap's distribution. In each draw all layouts have the same worlds,
-    so that differences have a distribution, too.
-
-    References
-    ----------
-    .. [1] B. Efron, "Bootstrap methods: another look at the jackknife", Annals of Statistics 7
-       (1979).
+    (n_layouts, 1000): the bootstrap's distribution (B. Efron, "Bootstrap methods: another look at
+    the jackknife", Annals of Statistics 7, 1979). All layouts have the same worlds in each draw.
     """
     samples = float_array(apr_by_sample, (-1, -1), "samples")
     rng = np.random.default_rng(seed)
@@ -154,35 +120,18 @@ def resampled_cvar(apr_by_sample: ArrayLike, tail: float, *, seed: int = 0) -> F
 
 STAGE = "out of sample"
 N_DRAWS = 4  # of a world: a draw costs a sixth of a world
-FUSIONS = ("any", "single")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledApr:
-    """Accident prevention ratio of a layout, world by world.
-
-    Attributes
-    ----------
-    layout : Layout
-        Whose.
-    axis : FrameAxis
-        Runs as planned.
-    apr_by_sample : (n_samples,) float
-        In each world. 0 .. 1
-    avoided_share : (n_runs,) float
-        Of all worlds, those in which each run is avoided. 0 .. 1
-    driving : TrafficCount
-        Vehicles that drove by in these worlds.
-    alone : float
-        Mean accident prevention ratio of the VUT without units; 0 where cars are blind. 0 .. 1
-    """
+    """Accident prevention ratio of a layout, world by world."""
 
     layout: Layout
-    axis: FrameAxis
-    apr_by_sample: FloatArray
-    avoided_share: FloatArray
-    driving: TrafficCount = NO_TRAFFIC
-    alone: float = 0.0
+    axis: FrameAxis  # runs as planned
+    apr_by_sample: FloatArray  # (n_samples,): 0 .. 1
+    avoided_share: FloatArray  # (n_runs,): of all worlds, in which each run is avoided. 0 .. 1
+    driving: TrafficCount = NO_TRAFFIC  # vehicles that drove by in these worlds
+    alone: float = 0.0  # mean APR of the VUT without units; 0 where cars are blind. 0 .. 1
 
     def __post_init__(self) -> None:
         for name, shape in (("apr_by_sample", (-1,)), ("avoided_share", (self.axis.n_runs,))):
@@ -230,9 +179,8 @@ def out_of_sample_layouts(
 ) -> list[SampledApr]:
     """Evaluate layouts by detection tables in new sampled worlds, all in the same ones.
 
-    Units at the same pose in several layouts are looked from once. No draw is shared with the
-    worlds that :func:`placement.sampling.tables.sampled_table` chooses in, also not for the same
-    seed. Nothing is cached; progress counts the worlds.
+    No draw is shared with the worlds of :func:`placement.sampling.tables.sampled_table`, also not
+    for the same seed. Nothing is cached; progress counts the worlds.
     """
     worlds = look_at_fresh_worlds(
         *(setting, layouts, uncertainty),
@@ -258,8 +206,6 @@ def look_at_fresh_worlds(
 
     In each world, detections and lost messages are drawn ``N_DRAWS`` times, if chance decides them.
     """
-    if fusion not in FUSIONS:
-        raise InputError("fusion", fusion, "one of " + ", ".join(FUSIONS))
     units = {_key(unit): unit for layout in layouts for unit in layout.units}
     row = {key: index for index, key in enumerate(units)}
     # Two layouts may call different units the same.

@@ -6,16 +6,16 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.lidar import LidarModel
+from geometry.weather import pick_weather
 
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, Progress, silent
@@ -29,9 +29,8 @@ from ..visibility.build import N_POINTS
 from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
-from .silence import blinded_frames, silence
-from .uncertainty import Uncertainty
-from .worlds import RandomStreams, Sample, draw_samples, link_frames, pose_key
+from .uncertainty import Blinding, Uncertainty
+from .worlds import RandomStreams, Sample, draw_samples, link_frames, mount_key, pose_key, unit_key
 
 # ---------- misses
 
@@ -46,11 +45,10 @@ def build_drawn_tables(
 ) -> tuple[DetectionTable, ...]:
     """Detection tables of a sampled world in which chance decides every frame of a camera.
 
-    The random numbers of a pose do not depend on the other poses, but for those of the person, and
-    are the same in all weathers; from frame to frame they are linked as in the evaluator. Boxes are
-    not drawn: they are near enough to match. A LiDAR counts the points that it may expect.
-    `lasting` is what this world shares with others, if there are some. A table for each of
-    `n_draws`: what can be seen is the same in all, and who is hard to see; chance decides anew.
+    Random numbers of a pose do not depend on the other poses, but for those of the person, and are
+    the same in all weathers; frames are linked as in the evaluator. Boxes are not drawn; a LiDAR
+    counts the points that it may expect. `lasting` is what this world shares with others. A table
+    for each of `n_draws`: what can be seen, and who is hard to see, is the same in all.
     """
     setting = sample.setting
     world = build_world(
@@ -114,8 +112,7 @@ def build_drawn_tables(
 def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
     """Frames in which the VUT's own sensors detect in a sampled world, if cars see, (n_frames,).
 
-    It is looked at by the evaluator's routine, as in the plan; where detections are drawn, with
-    random numbers of this world. Its own messages are never lost.
+    By the evaluator's routine; drawn detections have random numbers of this world.
     """
     compute = replace(compute, progress=silent)
     if sample.drawn_detector is not None:
@@ -129,8 +126,7 @@ def _limits(
 ) -> tuple[FloatArray, IntArray]:
     """Limits below which a standard normal number is a detection, for one mount position.
 
-    Of each candidate, weather and entry, (n, n_weathers, n_entries), and the entry that each frame
-    shows; -1 where nothing is seen.
+    (n, n_weathers, n_entries), and the entry that each frame shows; -1 where nothing is seen.
     """
     from scipy.special import ndtri
 
@@ -175,18 +171,6 @@ class SampledTable:
     n_samples: int
     seen_by_vut: BoolArray | None = None  # (n_frames,): of `table`, where cars see
 
-    def __post_init__(self) -> None:
-        index = np.array(self.sample_index, dtype=np.int64)
-        n_runs = self.table.axis.n_runs
-        if index.shape != (n_runs,):
-            raise InputError("sample_index", Unquoted(f"shape {index.shape}"), f"shape ({n_runs},)")
-        if sorted(set(index.tolist())) != list(range(self.n_samples)):
-            raise InputError("sample_index", index.tolist(), f"0 .. {self.n_samples - 1}, each")
-        object.__setattr__(self, "sample_index", freeze(index))
-
-    def __repr__(self) -> str:
-        return f"SampledTable({self.n_samples} samples, {self.table!r})"
-
 
 def sampled_table(
     setting: Setting,
@@ -200,9 +184,8 @@ def sampled_table(
     """Detections of every candidate pose in many sampled worlds from `first` on, one after another.
 
     Where mounts, the street or detections are drawn, every world takes nearly as long as the plan's
-    own table: other things stand in the way, and sensors look elsewhere. A packed table has n_poses
-    x n_frames / 8 bytes per world, in memory and in the cache. The cache keeps the tables of single
-    worlds; progress counts the mount positions of all.
+    own table. A packed table has n_poses x n_frames / 8 bytes per world, in memory and in the
+    cache, which has single worlds. Progress counts the mount positions of all.
     """
     samples = draw_samples(
         *(setting, candidates, uncertainty), n_samples=n_samples, seed=compute.seed, first=first
@@ -260,13 +243,11 @@ def build_sample_tables(
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
-    Detections that are not told are taken out, see :func:`.silence`. Worlds in which everything
-    looks as planned share one build, and all of them what scene and bodies hide from the same eyes.
-    The next world is drawn, and built, while one is looked at. `n_samples` is the number of all
-    worlds, for the progress. With few poses, laying worlds out takes as long as looking: then
-    several worlds may be built `at_once`, each by one thread. `lasting` is as :func:`share_scene`
-    finds it, where other worlds were built from it. Each world comes `n_draws` times, with
-    detections and lost messages drawn anew; only single draws are cached.
+    Detections that are not told are taken out, see :func:`.silence`. Worlds that look as planned
+    share one build, all of them what scene and bodies hide. The next world is drawn and built while
+    one is looked at; with few poses, several may be built `at_once`, by one thread each.
+    `n_samples` is for the progress, `lasting` as of :func:`share_scene`. Each world comes `n_draws`
+    times, with detections and lost messages drawn anew; only single draws are cached.
     """
     lock, shared = Lock(), [] if lasting is None else [lasting]
 
@@ -302,10 +283,7 @@ def build_sample_tables(
 
 
 def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> SharedScene:
-    """Shared scene: what all sampled worlds have in common.
-
-    In worlds that are still nothing drives that was not planned.
-    """
+    """What all sampled worlds have in common; in still ones nothing drives that was not planned."""
     return build_shared_scene(
         setting.scene,
         setting.runs,
@@ -421,3 +399,120 @@ def _append(
 def _progress_of(index: int, n_samples: int, progress: Progress) -> Progress:
     """Progress of one world, as part of that of all."""
     return lambda stage, done, total: progress(STAGE, index * total + done, n_samples * total)
+
+
+# ---------- frames that are not told: messages lost, units out of order, cameras dirty or dazzled
+
+
+def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
+    """A table without the detections that do not reach the VUT, the same ones in all weathers.
+
+    All is drawn for each run, and anew each time that a world is looked at, but for low sun, which
+    is that of the VUT and shines by day alone. Poses that may be the same unit (see
+    :func:`.unit_key`) are out of order and dirty together. LiDARs are never blinded.
+    """
+    drawn, loss = sample.uncertainty, sample.setting.radio.packet_loss
+    if loss == 0.0 and not drawn.may_fail:
+        return table
+    from .drawing import lose_frames
+
+    order = link_frames(draw_index(sample.setting.runs))
+    n_frames = [len(run.time_s) for run in sample.setting.runs]
+    is_silent = _silent_runs(sample) if drawn.may_fail else None
+    mounts = pose_key if drawn.loss_shared_by == "unit" else mount_key
+    packed = np.array(table.packed)
+    for row in np.flatnonzero(packed.any(axis=1)).tolist():
+        planned = sample.planned[row]
+        if is_silent is not None:
+            silent = is_silent(planned, sample.candidates[row])
+            if silent.any():
+                packed[row] &= np.packbits(~np.repeat(silent, n_frames), bitorder="little")
+        if loss:
+            lose_frames(
+                *(order.run_of_frame, order.place_of_frame),
+                *(sample.streams.key("message", *mounts(planned)), loss),
+                *(sample.streams.key("burst", *mounts(planned)), 1.0 / drawn.burst_frames),
+                packed[row],
+            )
+    return DetectionTable(pose_ids=table.pose_ids, axis=table.axis, packed=packed)
+
+
+def blinded_frames(sample: Sample) -> BoolArray:
+    """Frames in which the VUT's camera is dirty or dazzled, (n_frames,); none beside a LiDAR.
+
+    Each run's VUT is another car.
+    """
+    runs, blinding = sample.setting.runs, sample.uncertainty.blinding
+    n_frames = [len(run.time_s) for run in runs]
+    if sample.setting.vut_sensors != ("camera",) or blinding == Blinding():
+        return np.zeros(sum(n_frames), dtype=bool)
+    is_low, sun = _low_sun(sample)
+    yaw_rad = np.radians(np.concatenate([run.vut_yaw_deg for run in runs]))
+    towards = np.repeat(sun, n_frames, axis=0)
+    cosine = towards[:, 0] * np.cos(yaw_rad) + towards[:, 1] * np.sin(yaw_rad)
+    dazzled = np.repeat(is_low, n_frames) & (
+        cosine > np.cos(np.radians(blinding.dazzled_within_deg))
+    )
+    dirty = _coins(sample)("dirt of the VUT") < blinding.dirty_share
+    blinded: BoolArray = dazzled | np.repeat(dirty, n_frames)
+    return blinded
+
+
+def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:
+    """Runs in which a unit tells nothing, (n_runs,): of its pose as planned, and as mounted."""
+    outages, blinding = sample.uncertainty.outages, sample.uncertainty.blinding
+    coins = _coins(sample)
+    is_low, sun = _low_sun(sample)
+    least = np.cos(np.radians(blinding.dazzled_within_deg))
+
+    @cache
+    def is_pole_out(mount: tuple[object, ...]) -> BoolArray:
+        return coins("pole", *mount) < outages.pole_share
+
+    @cache
+    def is_unit_out(unit: tuple[object, ...]) -> BoolArray:
+        return coins("unit", *unit) < outages.unit_share
+
+    @cache
+    def is_dirty(unit: tuple[object, ...]) -> BoolArray:
+        return coins("dirt", *unit) < blinding.dirty_share
+
+    def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
+        unit = unit_key(planned)
+        silent = is_unit_out(unit) | is_pole_out(mount_key(planned))
+        if isinstance(planned.sensor, LidarModel):
+            return silent
+        yaw, pitch = np.radians([mounted.pose.yaw_deg, mounted.pose.pitch_deg])
+        axis = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
+        is_dazzled: BoolArray = is_low & (sun @ axis > least)
+        return silent | is_dirty(unit) | is_dazzled
+
+    return is_silent
+
+
+def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
+    """Runs with low sun (n_runs,), and unit vectors towards it (n_runs, 3)."""
+    blinding, runs = sample.uncertainty.blinding, sample.setting.runs
+    coins = _coins(replace(sample, streams=replace(sample.streams, draw=0)))
+    is_low = coins("low sun") < blinding.low_sun_share
+    is_low &= [pick_weather(run.weather, "runs: weather").sun_lux > 0.0 for run in runs]
+    yaw = 2.0 * np.pi * coins("yaw of the sun")
+    height = np.radians(blinding.sun_below_deg) * coins("height of the sun")
+    level = np.cos(height)
+    return is_low, np.stack([level * np.cos(yaw), level * np.sin(yaw), np.sin(height)], axis=1)
+
+
+def _coins(sample: Sample) -> Callable[..., FloatArray]:
+    """Function of a thing: its numbers from 0 to 1 by run (n_runs,), the same in all weathers."""
+    from .drawing import draw_coins
+
+    runs = sample.setting.runs
+    first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])
+    counter = link_frames(draw_index(runs)).run_of_frame[first]
+
+    def draw(*thing: object) -> FloatArray:
+        coins = np.empty(len(runs))
+        draw_coins(counter, sample.streams.key(*thing), coins)
+        return coins
+
+    return draw

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Lane, Scene
 from geometry.terrain import on_ground, set_down, terrain_of
 from scenarios.aeb import AebRule, braking_distance_m, standstill_time_s
-from scenarios.paths import Motion
 from scenarios.runs import Run
 
 from .uncertainty import StandingTraffic, VehicleKind
@@ -131,7 +131,8 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
             (encounter.vut, encounter.vut_motion, vut_end_m, encounter.vut_reach),
             (encounter.vru, encounter.vru_motion, vru_end_m, encounter.vru_reach),
         ):
-            corners = _sweep(body, motion, end_m)
+            place = motion.path.at(np.linspace(0.0, end_m, int(end_m / _STEP_M) + 2))
+            corners = footprint_corners(*place, length_m=body.length_m, width_m=body.width_m)
             swept.append(corners)
             reach.append(np.full(len(corners), 0.5 * _STEP_M * turns))
     parked = {placed.key: placed for run in runs for placed in run.obstruction}
@@ -140,12 +141,6 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
         reach_m=np.concatenate(reach),
         parked=_footprints_of(parked.values()),
     )
-
-
-def _sweep(body: Actor, motion: Motion, end_m: float) -> FloatArray:
-    distances = np.linspace(0.0, end_m, int(end_m / _STEP_M) + 2)
-    position, yaw_deg = motion.path.at(distances)
-    return footprint_corners(position, yaw_deg, length_m=body.length_m, width_m=body.width_m)
 
 
 # ---------- vehicles that stand
@@ -235,15 +230,20 @@ class Street:
 def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
     """Find where in a scene vehicles may stand; raises InputError where there is no junction."""
     parking, entries = [], []
+
+    def kerbside(lane: Lane, is_in: bool, first_m: float) -> Kerbside:
+        end_m = min(traffic.along_arm_m, lane_length_m(lane))
+        return Kerbside(lane=lane, is_in=is_in, first_m=first_m, end_m=end_m)
+
     for arm in build_junction(scene).arms.values():
         for is_in, lanes in ((True, arm.lanes_in), (False, arm.lanes_out)):
             parking += [
-                _kerbside(lane, is_in, traffic.clear_of_mouth_m, traffic)
+                kerbside(lane, is_in, traffic.clear_of_mouth_m)
                 for lane in lanes
                 if lane.kind == "parking"
             ]
         entries += [
-            _kerbside(lane, True, stop_line_m(arm, lane, traffic.crosswalk_gap_m), traffic)
+            kerbside(lane, True, stop_line_m(arm, lane, traffic.crosswalk_gap_m))
             for lane in arm.entry_lanes
         ]
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
@@ -275,27 +275,12 @@ def stop_line_m(arm: Arm, lane: Lane, crosswalk_gap_m: float) -> float:
 def clear_of_ways(
     vehicles: tuple[PlacedActor, ...], ways: Mapping[GroupKey, Ways], *, clearance_m: float
 ) -> dict[GroupKey, tuple[PlacedActor, ...]]:
-    """Vehicles that stand in nobody's way, by group of runs.
-
-    Nobody stands nearer to a way than `clearance_m`: a vehicle that would has not come yet, or has
-    left.
-    """
+    """Vehicles that stand at least `clearance_m` from everybody's way, by group of runs."""
     footprints = _footprints_of(vehicles)
     return {
-        key: tuple(
-            placed
-            for placed, is_in_the_way in zip(
-                vehicles, way.blocks(footprints, clearance_m=clearance_m), strict=True
-            )
-            if not is_in_the_way
-        )
+        key: tuple(compress(vehicles, ~way.blocks(footprints, clearance_m=clearance_m)))
         for key, way in ways.items()
     }
-
-
-def _kerbside(lane: Lane, is_in: bool, first_m: float, traffic: StandingTraffic) -> Kerbside:
-    end_m = min(traffic.along_arm_m, lane_length_m(lane))
-    return Kerbside(lane=lane, is_in=is_in, first_m=first_m, end_m=end_m)
 
 
 def _park(
@@ -307,7 +292,7 @@ def _park(
         if rng.random() >= traffic.taken_share:
             near_m += traffic.free_place_m
             continue
-        actor = _pick(traffic.vehicles, [kind.parked_share for kind in traffic.vehicles], rng)
+        actor = _pick(traffic.vehicles, "parked_share", rng)
         if near_m + actor.length_m > side.end_m:
             return
         yield side.at(near_m, actor)
@@ -320,7 +305,7 @@ def _queue(
     """One at the stop line or none; behind each, another one or none."""
     near_m, share = side.first_m, traffic.waiting_share
     while rng.random() < share:
-        actor = _pick(traffic.vehicles, [kind.waiting_share for kind in traffic.vehicles], rng)
+        actor = _pick(traffic.vehicles, "waiting_share", rng)
         if near_m + actor.length_m > side.end_m:
             return
         yield side.at(near_m, actor)
@@ -328,6 +313,6 @@ def _queue(
         share = traffic.following_share
 
 
-def _pick(kinds: tuple[VehicleKind, ...], shares: list[float], rng: np.random.Generator) -> Actor:
-    weights = np.array(shares)
+def _pick(kinds: Sequence[VehicleKind], use: str, rng: np.random.Generator) -> Actor:
+    weights = np.array([getattr(kind, use) for kind in kinds])
     return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))].actor

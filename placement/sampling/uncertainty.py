@@ -1,7 +1,7 @@
 """Uncertainty: mounting errors, traffic, misses, lost messages, latencies; read from TOML."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache, partial
 from importlib.resources import files
 from itertools import pairwise
@@ -12,7 +12,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import Table, load_toml, pick, take, take_list, take_number, take_text
 from geometry.scene import Scene
 from scenarios.cases import load_cases
@@ -20,40 +20,40 @@ from scenarios.cases import load_cases
 from ..compute import check_whole
 from ..latency import LatencyBudget, load_latency_budget
 from ..question import Question
-from .bodies import read_body
-from .moving import MovingTraffic, load_traffic
+from .moving import MovingTraffic, load_traffic, read_body
+
+_T = TypeVar("_T")
 
 # ---------- kinds of uncertainty
 
 
-_LENGTHS = (
-    "free_place_m",
-    "parked_gap_m",
-    "clear_of_mouth_m",
-    "waiting_gap_m",
-    "crosswalk_gap_m",
-    "along_arm_m",
-    "clearance_m",
-)
-_TRAFFIC = ("taken_share", "waiting_share", "following_share", *_LENGTHS)
-
-
-DISTRIBUTIONS = ("gamma", "uniform")
-DRAWN_PER = ("run", "sample")
-SHARED_BY = ("unit", "pole")
-_MAX_ANGLE_SD_DEG = 30.0
-_MAX_HEIGHT_SD_M = 0.5  # a small error: the same poles, the same view
-_MAX_LATENCY_S = 10.0
-_MAX_BURST_FRAMES = 1000.0
-_MAX_LENGTH_M = 1000.0
-_MAX_FASTER_KMH = 50.0
-_MAX_NEARER = 0.9
 _SPEEDS = ("pedestrian_kmh", "cyclist_kmh", "motorcyclist_kmh", "car_kmh")
-_WAYS = {"heading_deg": ("degrees", 45.0), "path_m": ("m", 2.0)}  # units, and the most that can be
+# Pairs of road users' limits: the unit, and the most that can be.
+_REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
+    "heading_deg": ("degrees", 45.0),
+    "path_m": ("m", 2.0),
+}
+_WAYS = ("heading_deg", "path_m")
 _SUM_TOLERANCE = 1.0e-6
-_UNIFORM_REACH = np.sqrt(
-    3.0
-)  # standard deviations from the mean of a uniform distribution to an end
+_UNIFORM_REACH = np.sqrt(3.0)  # standard deviations from a uniform distribution's mean to its end
+
+
+def _up_to(most: float, unit: str = "", *, default: Any = 0.0, least: float = 0.0) -> Any:
+    """Field of a number from `least` to `most`, which :func:`_check_numbers` looks at."""
+    return field(default=default, metadata={"limits": (least, most, unit)})
+
+
+def _check_numbers(value: Any) -> None:
+    """Raise InputError for a number beyond its field's limits."""
+    for one in fields(value):
+        if one.metadata:
+            _check_range(one.name, getattr(value, one.name), *one.metadata["limits"])
+
+
+def _check_range(name: str, value: Any, least: float, most: float, unit: str) -> None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and least <= value <= most):
+        raise InputError(name, value, f"{least:g} to {most:g} {unit}".rstrip())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,14 +68,12 @@ class MountingErrors:
         Standard deviation, in metres; three values stand for a normal distribution.
     """
 
-    yaw_sd_deg: float = 0.0
-    pitch_sd_deg: float = 0.0
-    height_sd_m: float = 0.0
+    yaw_sd_deg: float = _up_to(30.0, "degrees")
+    pitch_sd_deg: float = _up_to(30.0, "degrees")
+    height_sd_m: float = _up_to(0.5, "metres")  # the same poles, the same view
 
     def __post_init__(self) -> None:
-        for name in ("yaw_sd_deg", "pitch_sd_deg"):
-            _check_range(self, name, _MAX_ANGLE_SD_DEG, "degrees")
-        _check_range(self, "height_sd_m", _MAX_HEIGHT_SD_M, "metres")
+        _check_numbers(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,23 +83,20 @@ class LatencyJitter:
     # {"gamma", "uniform"}: of the time on top of the rule's latency; never negative
     distribution: str = "gamma"
     # mean_s, sd_s: mean and standard deviation; with a deviation of 0 it is always the mean. [s]
-    mean_s: float = 0.0
-    sd_s: float = 0.0
+    mean_s: float = _up_to(10.0, "seconds")
+    sd_s: float = _up_to(10.0, "seconds")
     drawn_per: str = "run"  # {"run", "sample"}: how often it is drawn
     # in place of all that: totals are drawn from it, and stand in for the rule's latency
     budget: LatencyBudget | None = None
 
     def __post_init__(self) -> None:
-        for name, known in (("distribution", DISTRIBUTIONS), ("drawn_per", DRAWN_PER)):
-            if getattr(self, name) not in known:
-                raise InputError(name, getattr(self, name), "one of " + ", ".join(known))
-        for name in ("mean_s", "sd_s"):
-            _check_range(self, name, _MAX_LATENCY_S, "seconds")
+        check_one_of("distribution", self.distribution, ("gamma", "uniform"))
+        check_one_of("drawn_per", self.drawn_per, ("run", "sample"))
+        _check_numbers(self)
         most = np.inf if self.distribution == "gamma" else self.mean_s / _UNIFORM_REACH
         if self.sd_s > most * (1.0 + 1.0e-9) or (self.mean_s == 0.0 and self.sd_s > 0.0):
-            raise InputError(
-                "sd_s", self.sd_s, f"less spread around a mean of {self.mean_s:g} s: none below 0"
-            )
+            expected = f"less spread around a mean of {self.mean_s:g} s: none below 0"
+            raise InputError("sd_s", self.sd_s, expected)
         if self.budget is not None and (self.mean_s, self.sd_s) != (0.0, 0.0):
             raise InputError("budget", self.budget.name, "no mean_s and sd_s beside it")
 
@@ -136,12 +131,11 @@ class Outages:
         units. 0 .. 1
     """
 
-    unit_share: float = 0.0
-    pole_share: float = 0.0
+    unit_share: float = _up_to(1.0)
+    pole_share: float = _up_to(1.0)
 
     def __post_init__(self) -> None:
-        for name in ("unit_share", "pole_share"):
-            _check_range(self, name, 1.0, "")
+        _check_numbers(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,66 +154,62 @@ class Blinding:
         Least angle between a camera's axis and the sun without being dazzled, in degrees.
     """
 
-    dirty_share: float = 0.0
-    low_sun_share: float = 0.0
-    sun_below_deg: float = 0.0
-    dazzled_within_deg: float = 0.0
+    dirty_share: float = _up_to(1.0)
+    low_sun_share: float = _up_to(1.0)
+    sun_below_deg: float = _up_to(90.0, "degrees")
+    dazzled_within_deg: float = _up_to(180.0, "degrees")
 
     def __post_init__(self) -> None:
-        for name, most, unit in (
-            ("dirty_share", 1.0, ""),
-            ("low_sun_share", 1.0, ""),
-            ("sun_below_deg", 90.0, "degrees"),
-            ("dazzled_within_deg", 180.0, "degrees"),
-        ):
-            _check_range(self, name, most, unit)
+        _check_numbers(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VehicleKind:
-    """A kind of vehicle that stands at the roadside or waits on the road."""
+    """A kind of vehicle: its share of all that are parked, and of all that wait."""
 
-    actor: Actor  # its body
-    # parked_share, waiting_share: of all that are parked, and of all that wait: so many are of this
-    # kind. 0 .. 1
-    parked_share: float
-    waiting_share: float
+    actor: Actor
+    parked_share: float = _up_to(1.0, default=MISSING)
+    waiting_share: float = _up_to(1.0, default=MISSING)
 
     def __post_init__(self) -> None:
-        for name in ("parked_share", "waiting_share"):
-            _check_range(self, name, 1.0, "")
+        _check_numbers(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StandingTraffic:
     """Vehicles that stand at random: parked along the arms, and waiting to enter the junction."""
 
-    taken_share: float = 0.0  # probability that a place in a parking lane is taken. 0 .. 1
+    taken_share: float = _up_to(1.0)  # probability that a place in a parking lane is taken
     # waiting_share, following_share: probability that somebody waits at the stop line of a lane;
-    # then, again and again, that another one stands behind. 0 .. 1
-    waiting_share: float = 0.0
-    following_share: float = 0.0
+    # then, again and again, that another one stands behind
+    waiting_share: float = _up_to(1.0)
+    following_share: float = _up_to(1.0)
+    free_place_m: float = _up_to(1000.0, "metres", default=5.5)  # length of a place that stays free
+    # parked_gap_m, waiting_gap_m: from bumper to bumper
+    parked_gap_m: float = _up_to(1000.0, "metres", default=0.8)
+    clear_of_mouth_m: float = _up_to(1000.0, "metres", default=5.0)  # no parking nearer to it
+    waiting_gap_m: float = _up_to(1000.0, "metres", default=2.0)
+    # from the line on which pedestrians cross an arm to the first bumper that waits
+    crosswalk_gap_m: float = _up_to(1000.0, "metres", default=3.0)
+    along_arm_m: float = _up_to(1000.0, "metres", default=60.0)  # nobody stands farther away
+    clearance_m: float = _up_to(1000.0, "metres", default=0.5)  # nor nearer to a VUT's or VRU's way
     vehicles: tuple[VehicleKind, ...] = ()  # what stands there; shares of each use sum to 1
-    free_place_m: float = 5.5  # length of a place that stays free. [m]
-    # parked_gap_m, waiting_gap_m: from bumper to bumper. [m]
-    parked_gap_m: float = 0.8
-    clear_of_mouth_m: float = 5.0  # no parking nearer to the junction. [m]
-    waiting_gap_m: float = 2.0
-    # from the line on which pedestrians cross an arm to the first bumper that waits. [m]
-    crosswalk_gap_m: float = 3.0
-    along_arm_m: float = 60.0  # nobody stands farther from the junction. [m]
-    clearance_m: float = 0.5  # nobody stands nearer to the way of a VUT or a VRU. [m]
 
     def __post_init__(self) -> None:
-        for name in _TRAFFIC[:3]:
-            _check_range(self, name, 1.0, "")
-        for name in _LENGTHS:
-            _check_range(self, name, _MAX_LENGTH_M, "metres")
+        _check_numbers(self)
         if self.free_place_m <= 0.0:
             raise InputError("free_place_m", self.free_place_m, "metres, more than 0")
         for name, use in (("taken_share", "parked_share"), ("waiting_share", "waiting_share")):
             if getattr(self, name) > 0.0:
-                _check_mix(self.vehicles, use)
+                self._check_mix(use)
+
+    def _check_mix(self, use: str) -> None:
+        if not self.vehicles:
+            raise InputError("vehicles", Unquoted("none"), "at least one kind of vehicle")
+        total = sum(getattr(kind, use) for kind in self.vehicles)
+        if abs(total - 1.0) > _SUM_TOLERANCE:
+            got = Unquoted(f"a sum of {total:g}")
+            raise InputError(f"vehicles: {use}", got, "shares that sum to 1")
 
     @property
     def is_empty(self) -> bool:
@@ -287,23 +277,21 @@ class RoadUsers:
     cyclist_kmh: tuple[float, float] = (0.0, 0.0)
     motorcyclist_kmh: tuple[float, float] = (0.0, 0.0)
     car_kmh: tuple[float, float] = (0.0, 0.0)
-    start_nearer_share: float = 0.0
+    start_nearer_share: float = _up_to(0.9)
     heading_deg: dict[str, tuple[float, float]] = field(default_factory=dict)
     path_m: dict[str, tuple[float, float]] = field(default_factory=dict)
     measured: dict[str, MeasuredPeople] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, (unit, reach) in _WAYS.items():
-            for case, limits in getattr(self, name).items():
-                if not -reach <= limits[0] <= 0.0 <= limits[1] <= reach:
-                    expected = f"[low, high] in {unit}, -{reach:g} to 0 to {reach:g}"
-                    raise InputError(f"{name}.{case}", list(limits), expected)
-        for name in _SPEEDS:
-            low, high = (float(end) for end in getattr(self, name))
-            if not -_MAX_FASTER_KMH <= low <= 0.0 <= high <= _MAX_FASTER_KMH:
-                most = f"{_MAX_FASTER_KMH:g}"
-                raise InputError(name, [low, high], f"[low, high] in km/h, -{most} to 0 to {most}")
-        _check_range(self, "start_nearer_share", _MAX_NEARER, "")
+        limits = {name: getattr(self, name) for name in _SPEEDS}
+        for way in _WAYS:
+            limits |= {f"{way}.{case}": pair for case, pair in getattr(self, way).items()}
+        for name, (low, high) in limits.items():
+            unit, reach = _REACH[name.partition(".")[0]]
+            if not -reach <= low <= 0.0 <= high <= reach:
+                expected = f"[low, high] in {unit}, -{reach:g} to 0 to {reach:g}"
+                raise InputError(name, [low, high], expected)
+        _check_numbers(self)
 
     @property
     def are_as_planned(self) -> bool:
@@ -322,21 +310,20 @@ class Uncertainty:
 
     mounting: MountingErrors = field(default_factory=MountingErrors)  # how far off units are
     latency: LatencyJitter = field(default_factory=LatencyJitter)  # how long messages take
-    # probability that the message of one unit in one frame is lost; in place of the setting's. 0 ..
-    # 1
-    packet_loss: float = 0.0
+    # probability that the message of one unit in one frame is lost; in place of the setting's
+    packet_loss: float = _up_to(1.0)
     # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
     # person_share, unit_person_share: of the variance of what decides a frame, what is the same in
-    # all frames of a run: for all units, and for one of them. 0 .. 1
-    person_share: float = 0.0
+    # all frames of a run: for all units, and for one of them
+    person_share: float = _up_to(1.0)
     unit_person_share: float = 0.0
     # whether messages get lost lasts so many frames on average, then it is drawn anew; 1: each
-    burst_frames: float = 1.0
+    burst_frames: float = _up_to(1000.0, "frames", default=1.0, least=1.0)
     loss_shared_by: str = "unit"  # {"unit", "pole"}: who loses the same messages
     outages: Outages = field(default_factory=Outages)  # units out of order
     blinding: Blinding = field(default_factory=Blinding)  # cameras that see nothing
-    v2x_share: float = 1.0  # of all cars, those that hear the units. 0 .. 1
+    v2x_share: float = _up_to(1.0, default=1.0)  # of all cars, those that hear the units
     # in worlds to choose in, a run of k times the mean weight is drawn k times, at most so often
     most_draws: int = 1
     traffic: StandingTraffic = field(default_factory=StandingTraffic)  # what stands at random
@@ -345,15 +332,11 @@ class Uncertainty:
     name: str = "none"  # what it is called in reports
 
     def __post_init__(self) -> None:
-        for name in ("packet_loss", "person_share", "v2x_share"):
-            _check_range(self, name, 1.0, "")
-        _check_range(self, "unit_person_share", 1.0 - self.person_share, "")
-        _check_range(self, "burst_frames", _MAX_BURST_FRAMES, "frames", least=1.0)
+        _check_numbers(self)
+        most = 1.0 - self.person_share
+        _check_range("unit_person_share", self.unit_person_share, 0.0, most, "")
         check_whole("most_draws", self.most_draws, least=1)
-        if self.loss_shared_by not in SHARED_BY:
-            raise InputError(
-                "loss_shared_by", self.loss_shared_by, "one of " + ", ".join(SHARED_BY)
-            )
+        check_one_of("loss_shared_by", self.loss_shared_by, ("unit", "pole"))
         if not isinstance(self.draws_detections, bool):
             raise InputError("draws_detections", self.draws_detections, "true or false")
 
@@ -367,9 +350,6 @@ class Uncertainty:
         """True if chance decides anew each time that a world is looked at."""
         return self.draws_detections or self.packet_loss > 0.0 or self.may_fail
 
-    def __repr__(self) -> str:
-        return f"Uncertainty({self.name!r})"
-
 
 def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Uncertainty:
     """Uncertainty with vehicles that drive by, which replace those drawn at the stop lines."""
@@ -377,59 +357,38 @@ def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Unce
     return replace(uncertainty, moving=moving, traffic=standing)
 
 
-def _check_mix(vehicles: Sequence[VehicleKind], use: str) -> None:
-    if not vehicles:
-        raise InputError("vehicles", Unquoted("none"), "at least one kind of vehicle")
-    total = sum(getattr(kind, use) for kind in vehicles)
-    if abs(total - 1.0) > _SUM_TOLERANCE:
-        raise InputError(
-            f"vehicles: {use}", Unquoted(f"a sum of {total:g}"), "shares that sum to 1"
-        )
-
-
-def _check_range(holder: object, name: str, most: float, unit: str, *, least: float = 0.0) -> None:
-    """Check that a field is a number from a limit, 0 by default, to another."""
-    value: Any = getattr(holder, name)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (is_number and least <= value <= most):
-        raise InputError(name, value, f"{least:g} to {most:g} {unit}".rstrip())
-
-
 # ---------- reading
 
 
 UNCERTAINTY_NAMES = ("default", "robustness", "as-measured", "none")
-DEFAULT_UNCERTAINTY = UNCERTAINTY_NAMES[0]
 _FILE = "uncertainty.toml"
 _SECTIONS = (
     *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
     *("choosing", "traffic", "vehicles", "road_users", "people"),
 )
-_AIMED = "aimed"  # mounting errors by how units are aimed
 _AS = "as"  # what else is as in one of the names
-_MOUNTING = ("yaw_sd_deg", "pitch_sd_deg", "height_sd_m")
-_SHARES = ("parked_share", "waiting_share")
-# Keys of sections whose values are fields of :class:`Uncertainty` itself; but for the first of a
-# section they may be left out.
-_FLAT = {
-    "messages": ("packet_loss", "burst_frames", "shared_by"),
-    "detector": ("is_drawn", "person_share", "unit_person_share"),
-    "fleet": ("v2x_share",),
-    "choosing": ("most_draws",),
+# Sections whose values are fields of :class:`Uncertainty` itself: field and reader of each key;
+# but for the first of a section they may be left out.
+_Reader = Callable[[Table, str, str], Any]
+_FLAT: dict[str, dict[str, tuple[str, _Reader]]] = {
+    "messages": {
+        "packet_loss": ("packet_loss", take_number),
+        "burst_frames": ("burst_frames", take_number),
+        "shared_by": ("loss_shared_by", take_text),
+    },
+    "detector": {
+        "is_drawn": ("draws_detections", take),
+        "person_share": ("person_share", take_number),
+        "unit_person_share": ("unit_person_share", take_number),
+    },
+    "fleet": {"v2x_share": ("v2x_share", take_number)},
+    "choosing": {"most_draws": ("most_draws", take)},
 }
-_FIELDS = {"is_drawn": "draws_detections", "shared_by": "loss_shared_by"}  # of other names
-_TAKEN: dict[str, Callable[..., Any]] = {
-    "is_drawn": take,
-    "shared_by": take_text,
-    "most_draws": take,
-}
-_PLACES = {_FIELDS.get(key, key): f"{name}.{key}" for name, keys in _FLAT.items() for key in keys}
-_T = TypeVar("_T")
+_PLACES = {name: f"{key}.{k}" for key, keys in _FLAT.items() for k, (name, _) in keys.items()}
+_PEOPLE = ("pedestrian", "cyclist")
 
 
-def load_uncertainty(
-    name_or_path: str = DEFAULT_UNCERTAINTY, *, where: str = "uncertainty"
-) -> Uncertainty:
+def load_uncertainty(name_or_path: str = "default", *, where: str = "uncertainty") -> Uncertainty:
     """Uncertainty by name (``UNCERTAINTY_NAMES``), or a file like ``data/uncertainty.toml``.
 
     `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
@@ -455,14 +414,17 @@ def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertain
         return uncertainty
     if n_samples == 0:
         raise InputError("traffic", question.traffic, "`samples` N beside it: worlds to drive in")
-    moving = load_traffic(question.traffic, scene)
-    return with_moving_traffic(uncertainty, moving)
+    return with_moving_traffic(uncertainty, load_traffic(question.traffic, scene))
+
+
+@cache
+def _shipped() -> Table:
+    return load_toml(files("placement") / "data" / _FILE)
 
 
 @cache
 def _load_named(name: str) -> Uncertainty:
-    document = load_toml(files("placement") / "data" / _FILE)
-    return _read(take(document, name, _FILE), name, f"{_FILE}: {name}.")
+    return _read(take(_shipped(), name, _FILE), name, f"{_FILE}: {name}.")
 
 
 def _read(document: Table, name: str, prefix: str) -> Uncertainty:
@@ -471,21 +433,23 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
     vehicles = _read_vehicles(document, prefix)
     if vehicles and "traffic" not in document:
         raise InputError(f"{prefix}vehicles", Unquoted("no section traffic"), "where they stand")
-    street = _numbers(document, "traffic", _TRAFFIC, prefix)
+    mounting = document
+    if isinstance(aimed := document.get("mounting"), str):  # how units are aimed
+        mounting = {"mounting": pick(_shipped()["aimed"], aimed, f"{prefix}mounting")}
     parts: dict[str, Any] = {
-        "mounting": _read_mounting(document, prefix),
+        "mounting": _read_numbers(mounting, "mounting", MountingErrors, prefix),
         "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
-        "road_users": replace(
-            _read_road_users(document, prefix), measured=_read_people(document, prefix)
-        ),
-        "traffic": _named(
-            f"{prefix}traffic.", partial(StandingTraffic, vehicles=vehicles, **street)
-        ),
+        "road_users": _read_road_users(document, prefix),
+        "traffic": _read_numbers(document, "traffic", StandingTraffic, prefix, vehicles=vehicles),
+        "outages": _read_numbers(document, "outages", Outages, prefix),
+        "blinding": _read_numbers(document, "blinding", Blinding, prefix),
     }
-    for key, kind in (("outages", Outages), ("blinding", Blinding)):
-        numbers = _numbers(document, key, [one.name for one in fields(kind)], prefix)
-        parts[key] = _named(f"{prefix}{key}.", partial(kind, **numbers))
-    parts |= _read_flat(document, prefix)
+    for key, keys in _FLAT.items():
+        table, where = _section(document, key, prefix) or {}, f"{prefix}{key}"
+        _refuse_unknown(table, tuple(keys), where)
+        for number, (word, (field_name, read)) in enumerate(keys.items()):
+            if word in table or (number == 0 and key in document):
+                parts[field_name] = read(table, word, where)
     try:
         return Uncertainty(name=name, **parts)
     except InputError as error:
@@ -498,8 +462,7 @@ def _with_rest(document: Table, prefix: str) -> Table:
     if _AS not in document:
         return document
     other = take_text(document, _AS, prefix.rstrip(".: "))
-    shipped = load_toml(files("placement") / "data" / _FILE)
-    named = {name: shipped[name] for name in UNCERTAINTY_NAMES}
+    named = {name: _shipped()[name] for name in UNCERTAINTY_NAMES}
     given = _with_rest(pick(named, other, f"{prefix}{_AS}"), f"{_FILE}: {other}.")
     return {**given, **{key: document[key] for key in document if key != _AS}}
 
@@ -511,13 +474,17 @@ def _section(document: Table, key: str, prefix: str) -> Table | None:
     return table
 
 
-def _numbers(document: Table, key: str, names: Sequence[str], prefix: str) -> dict[str, Any]:
-    """All numbers of a section; none where it is left out."""
-    table = _section(document, key, prefix)
-    if table is None:
-        return {}
-    _refuse_unknown(table, names, f"{prefix}{key}")
-    return {name: take_number(table, name, f"{prefix}{key}") for name in names}
+def _read_numbers(
+    document: Table, key: str, kind: Callable[..., _T], prefix: str, **more: Any
+) -> _T:
+    """A value whose numbers a section has, all of them; the default where it is left out."""
+    table, where = _section(document, key, prefix), f"{prefix}{key}"
+    numbers = {}
+    if table is not None:
+        names = [one.name for one in fields(kind) if one.metadata]  # type: ignore[arg-type]
+        _refuse_unknown(table, names, where)
+        numbers = {name: take_number(table, name, where) for name in names}
+    return _named(f"{where}.", partial(kind, **numbers, **more))
 
 
 def _read_latency(table: Table | None, where: str) -> LatencyJitter:
@@ -526,52 +493,30 @@ def _read_latency(table: Table | None, where: str) -> LatencyJitter:
     if "budget" in table:
         _refuse_unknown(table, ("budget", "drawn_per"), where)
         budget = load_latency_budget(take_text(table, "budget", where), where=f"{where}.budget")
-        fields: dict[str, Any] = {"budget": budget}
+        given: dict[str, Any] = {"budget": budget}
     else:
         _refuse_unknown(table, ("distribution", "mean_s", "sd_s", "drawn_per"), where)
-        fields = {key: take_number(table, key, where) for key in ("mean_s", "sd_s")}
-        fields["distribution"] = take_text(table, "distribution", where)
-    fields["drawn_per"] = take_text(table, "drawn_per", where)
-    return _named(f"{where}.", lambda: LatencyJitter(**fields))
-
-
-def _read_flat(document: Table, prefix: str) -> dict[str, Any]:
-    """Fields of an uncertainty that are no values of their own."""
-    values: dict[str, Any] = {}
-    for name, keys in _FLAT.items():
-        table, where = _section(document, name, prefix), f"{prefix}{name}"
-        if table is None:
-            continue
-        _refuse_unknown(table, keys, where)
-        for key in keys:
-            if key in table or key == keys[0]:
-                values[_FIELDS.get(key, key)] = _TAKEN.get(key, take_number)(table, key, where)
-    return values
-
-
-def _read_mounting(document: Table, prefix: str) -> MountingErrors:
-    """Errors that a section says, or the name of how units are aimed."""
-    given = document.get("mounting")
-    if isinstance(given, str):
-        named = load_toml(files("placement") / "data" / _FILE)[_AIMED]
-        document = {"mounting": pick(named, given, f"{prefix}mounting")}
-    errors = _numbers(document, "mounting", _MOUNTING, prefix)
-    return _named(f"{prefix}mounting.", partial(MountingErrors, **errors))
+        given = {key: take_number(table, key, where) for key in ("mean_s", "sd_s")}
+        given["distribution"] = take_text(table, "distribution", where)
+    given["drawn_per"] = take_text(table, "drawn_per", where)
+    return _named(f"{where}.", partial(LatencyJitter, **given))
 
 
 def _read_road_users(document: Table, prefix: str) -> RoadUsers:
+    measured = _read_people(document, prefix)
     table, where = _section(document, "road_users", prefix), f"{prefix}road_users"
     if table is None:
-        return RoadUsers()
+        return RoadUsers(measured=measured)
     _refuse_unknown(table, (*_SPEEDS, "start_nearer_share", *_WAYS), where)
-    limits: dict[str, Any] = {key: _read_limits(table, key, where) for key in _SPEEDS}
+    limits: dict[str, Any] = {key: _read_list(table, key, where, 2) for key in _SPEEDS}
     nearer = take_number(table, "start_nearer_share", where)
     known = sorted({case.family for case in load_cases().values()})
     for key in _WAYS:
         by_case = _section(table, key, f"{where}.") or {}
         _refuse_unknown(by_case, known, f"{where}.{key}")
-        limits[key] = {name: _read_limits(by_case, name, f"{where}.{key}") for name in by_case}
-    return _named(f"{where}.", lambda: RoadUsers(**limits, start_nearer_share=nearer))
+        limits[key] = {name: _read_list(by_case, name, f"{where}.{key}", 2) for name in by_case}
+    build = partial(RoadUsers, **limits, start_nearer_share=nearer, measured=measured)
+    return _named(f"{where}.", build)
 
 
 def _read_people(document: Table, prefix: str) -> dict[str, MeasuredPeople]:
@@ -579,49 +524,39 @@ def _read_people(document: Table, prefix: str) -> dict[str, MeasuredPeople]:
     if table is None:
         return {}
     _refuse_unknown(table, ("probability", *_PEOPLE), where)
-    probability, found = _read_values(table, "probability", where), {}
+    probability, found = _read_list(table, "probability", where), {}
     for name in _PEOPLE:
-        values = _section(table, name, f"{where}.") or {}
         here = f"{where}.{name}"
-        _refuse_unknown(values, _MEASURED, here)
-        if values:
-            lists = {key: _read_values(values, key, here) for key in _MEASURED}
+        if values := _section(table, name, f"{where}."):
+            keys = ("speed_kmh", "start_mps2")
+            _refuse_unknown(values, keys, here)
+            lists = {key: _read_list(values, key, here) for key in keys}
             build = partial(MeasuredPeople, probability=probability, **lists)
             found[name] = _named(f"{here}.", build)
     return found
 
 
-_PEOPLE = ("pedestrian", "cyclist")
-_MEASURED = ("speed_kmh", "start_mps2")
-
-
-def _read_values(table: Table, key: str, where: str) -> tuple[float, ...]:
-    return tuple(float_array(take_list(table, key, where), (-1,), f"{where}.{key}").tolist())
-
-
-def _read_limits(table: Table, key: str, where: str) -> tuple[float, float]:
-    low, high = float_array(take_list(table, key, where), (2,), f"{where}.{key}").tolist()
-    return low, high
+def _read_list(table: Table, key: str, where: str, length: int = -1) -> tuple[float, ...]:
+    return tuple(float_array(take_list(table, key, where), (length,), f"{where}.{key}").tolist())
 
 
 def _read_vehicles(document: Table, prefix: str) -> tuple[VehicleKind, ...]:
-    if "vehicles" not in document:
-        return ()
+    entries = take_list({"vehicles": [], **document}, "vehicles", prefix.rstrip(".: "))
     kinds = []
-    for index, entry in enumerate(take_list(document, "vehicles", prefix.rstrip(".: "))):
+    for index, entry in enumerate(entries):
         where = f"{prefix}vehicles[{index}]"
         if not isinstance(entry, dict):
             raise InputError(where, entry, "a table [[vehicles]]")
-        shares = {key: take_number(entry, key, where) for key in _SHARES}
-        actor = read_body({key: entry[key] for key in entry if key not in _SHARES}, where)
+        names = ("parked_share", "waiting_share")
+        shares = {key: take_number(entry, key, where) for key in names}
+        actor = read_body({key: entry[key] for key in entry if key not in shares}, where)
         kinds.append(_named(f"{where}.", partial(VehicleKind, actor=actor, **shares)))
     return tuple(kinds)
 
 
 def _refuse_unknown(table: Table, known: Sequence[str], where: str) -> None:
     for key in table:
-        if key not in known:
-            raise InputError(where, key, "one of " + ", ".join(known))
+        check_one_of(where, key, known)
 
 
 def _named(prefix: str, build: Callable[[], _T]) -> _T:
@@ -629,6 +564,4 @@ def _named(prefix: str, build: Callable[[], _T]) -> _T:
     try:
         return build()
     except InputError as error:
-        if error.where.startswith(prefix.rstrip(".: ")):
-            raise
         raise InputError(f"{prefix}{error.where}", error.got, error.expected) from None

@@ -1,7 +1,7 @@
 """``certificate.json``: what was solved, what was found, and how good it is said to be.
 
 Next to it lies ``instance.npz``, the whole problem (:mod:`.instances`): together they are enough to
-check the claim without the optimiser, see :mod:`placement.verification.verify`.
+check the claim without the optimiser.
 """
 
 import json
@@ -9,18 +9,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct, defstruct
+from msgspec.structs import asdict as struct_asdict
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    parse_json,
-    read_text,
-    take,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from geometry.files import Text, parse_json, read_table, read_text, take_text, write_atomically
 
 from ..detection_table import has_levels, seeing_share
 from ..layout import Certificate, Stage
@@ -36,8 +31,12 @@ from .instances import (
     save_problem,
 )
 
-_T = TypeVar("_T")
-_Table = dict[str, Any]
+_Count = Annotated[int, Meta(ge=0)]
+_SOME = Meta(min_length=1, description="a list of at least one")
+_Sizes = defstruct(
+    "_Sizes", [(one.name, tuple[_Count, _Count]) for one in fields(PresolveStatistics)]
+)
+"""Before and after presolve."""
 
 SCHEMA = "place-rsus/certificate/1"
 CERTIFICATE_FILE = "certificate.json"
@@ -82,6 +81,34 @@ _ALIVE = (
 )
 
 
+class _Unit(Struct, frozen=True, kw_only=True):
+    row: _Count
+    pose: Text
+    unit: dict[str, Any]
+
+
+class _Stage(Struct, frozen=True, kw_only=True):
+    name: Text
+    objective: float
+    bound: float
+    gap: float | None
+    seconds: float
+    is_proven: bool
+
+
+class _Document(Struct, frozen=True, kw_only=True):
+    """A ``certificate.json``, as :func:`build_certificate` makes it."""
+
+    instance: dict[str, Any]
+    model: dict[str, Any]
+    layout: Annotated[list[_Unit], _SOME]
+    stages: Annotated[list[_Stage], _SOME]
+    is_proven: bool
+    solver: Text
+    versions: dict[str, Any]
+    presolve: _Sizes  # type: ignore[valid-type]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredCertificate:
     """Claims of a ``certificate.json``, read and checked for form only."""
@@ -99,9 +126,6 @@ class StoredCertificate:
     versions: Mapping[str, Any]  # of the programs that the numbers depend on
     presolve: Mapping[str, tuple[int, int]]  # sizes before and after
 
-    def __repr__(self) -> str:
-        return f"StoredCertificate({list(self.pose_ids)}, {self.solver!r})"
-
 
 def build_certificate(
     problem: PlacementProblem,
@@ -116,9 +140,8 @@ def build_certificate(
 ) -> dict[str, Any]:
     """The document that ``certificate.json`` holds; an infinite gap is None in it.
 
-    `units` are the units as the layout's file has them, and `pose_index` their rows of the
-    detection table in the same order. `seconds` says how long the steps took, `versions` which
-    programs the numbers depend on, `mounts` what the poses are.
+    `units` are as the layout's file has them, and `pose_index` their rows of the table. `versions`
+    says which programs the numbers depend on, `mounts` what the poses are.
     """
     return {
         "schema": SCHEMA,
@@ -154,10 +177,9 @@ def save_certificate(
     problem: PlacementProblem,
     mounts: Mounts | None = None,
 ) -> None:
-    """Write ``certificate.json`` and ``instance.npz`` into a folder that exists.
+    """Write ``certificate.json``, a document of :func:`build_certificate`, and ``instance.npz``.
 
-    `document` is that of :func:`build_certificate` with the same `mounts`. Raises OSError if the
-    folder cannot be written to.
+    Raises OSError if the folder cannot be written to.
     """
     save_problem(folder / INSTANCE_FILE, problem, mounts)
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -167,46 +189,38 @@ def save_certificate(
 def load_certificate(path: str | Path) -> StoredCertificate:
     """Read a ``certificate.json``; whether its claims are true is not looked at.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    stored : StoredCertificate
-        What it claims.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no certificate, or a field is missing or not of its kind.
+    Raises InputError: the file cannot be read, is no certificate, or a field is missing or not of
+    its kind.
     """
-    path, where = Path(path), str(path)
-    document = parse_json(read_text(path, "JSON"), where, "a certificate")
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
-        got = document.get("schema") if isinstance(document, dict) else Unquoted("no object")
-        raise InputError(f"{where}: schema", got, SCHEMA)
-    instance = _take_table(document, "instance", where)
-    presolve = _take_table(document, "presolve", where)
-    units = _take_objects(document, "layout", where)
-    stages = _take_objects(document, "stages", where)
+    where = str(path)
+    document = parse_json(read_text(Path(path), "JSON"), where, "a certificate")
+    schema = document.get("schema") if isinstance(document, dict) else Unquoted("no object")
+    if schema != SCHEMA:
+        raise InputError(f"{where}: schema", schema, SCHEMA)
+    read = read_table(document, _Document, where)
+    stages = [
+        Stage(
+            name=one.name,
+            objective=one.objective,
+            bound=one.bound,
+            gap=math.inf if one.gap is None else one.gap,
+            seconds=one.seconds,
+        )
+        for one in read.stages
+    ]
     return StoredCertificate(
-        instance=instance,
-        sha256=take_text(instance, "sha256", f"{where}: instance"),
-        model=_take_table(document, "model", where),
-        pose_index=tuple(_count(take(unit, "row", here), f"{here}.row") for here, unit in units),
-        pose_ids=tuple(take_text(unit, "pose", here) for here, unit in units),
-        units=tuple(_take_table(unit, "unit", here) for here, unit in units),
-        stages=tuple(_read_stage(stage, here) for here, stage in stages),
-        is_proven=tuple(_take_flag(stage, "is_proven", here) for here, stage in stages),
-        all_proven=_take_flag(document, "is_proven", where),
-        solver=take_text(document, "solver", where),
-        versions=_take_table(document, "versions", where),
-        presolve={
-            field.name: _take_pair(presolve, field.name, f"{where}: presolve")
-            for field in fields(PresolveStatistics)
-        },
+        instance=read.instance,
+        sha256=take_text(read.instance, "sha256", f"{where}: instance"),
+        model=read.model,
+        pose_index=tuple(one.row for one in read.layout),
+        pose_ids=tuple(one.pose for one in read.layout),
+        units=tuple(one.unit for one in read.layout),
+        stages=tuple(stages),
+        is_proven=tuple(one.is_proven for one in read.stages),
+        all_proven=read.is_proven,
+        solver=read.solver,
+        versions=read.versions,
+        presolve=struct_asdict(read.presolve),
     )
 
 
@@ -275,54 +289,3 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
             if name != "track_memory_s" or not is_never_lost(problem.rule)
         },
     }
-
-
-def _take_one(table: Mapping[str, Any], key: str, where: str, kind: type[_T], expected: str) -> _T:
-    value = take(table, key, where)
-    if type(value) is not kind:
-        raise InputError(f"{where}.{key}", value, expected)
-    return value
-
-
-def _take_table(table: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
-    return _take_one(table, key, where, dict, "an object")
-
-
-def _take_flag(table: Mapping[str, Any], key: str, where: str) -> bool:
-    return _take_one(table, key, where, bool, "true or false")
-
-
-def _take_objects(table: Mapping[str, Any], key: str, where: str) -> list[tuple[str, _Table]]:
-    """Objects of a list that is not empty, and where each stands."""
-    values = take_list(table, key, where)
-    if not values:
-        raise InputError(f"{where}.{key}", values, "at least one")
-    objects = [(f"{where}.{key}[{index}]", value) for index, value in enumerate(values)]
-    for here, value in objects:
-        if not isinstance(value, dict):
-            raise InputError(here, value, "an object")
-    return objects
-
-
-def _take_pair(table: Mapping[str, Any], key: str, where: str) -> tuple[int, int]:
-    values = take_list(table, key, where)
-    if len(values) != 2:
-        raise InputError(f"{where}.{key}", values, "two numbers: before, after")
-    return _count(values[0], f"{where}.{key}"), _count(values[1], f"{where}.{key}")
-
-
-def _count(value: object, where: str) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise InputError(where, value, "a whole number, at least 0")
-    return value
-
-
-def _read_stage(table: Mapping[str, Any], where: str) -> Stage:
-    has_gap = take(table, "gap", where) is not None
-    return Stage(
-        name=take_text(table, "name", where),
-        objective=take_number(table, "objective", where),
-        bound=take_number(table, "bound", where),
-        gap=take_number(table, "gap", where) if has_gap else math.inf,
-        seconds=take_number(table, "seconds", where),
-    )

@@ -12,14 +12,14 @@ import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import FloatArray, IntArray, float_array, freeze
+from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
 from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
 from geometry.errors import InputError, Unquoted
 from geometry.files import open_file, write_atomically
@@ -33,7 +33,10 @@ from scenarios.runs import FrameAxis
 from ..candidates import CandidatePose
 from ..detection_table import DetectionTable
 from ..memory import check_fits
-from ..optimiser import Failing, Floor, Fusion, Goal, Limits, PlacementProblem
+from ..optimiser import Floor, Limits, PlacementProblem
+
+Arrays = dict[str, NDArray[Any]]
+_T = TypeVar("_T")
 
 TOLERANCE = 1.0e-9
 """Metres and degrees that differ by no more are equal."""
@@ -60,55 +63,36 @@ class Mounts:
     scene_sha256: str
 
     def __post_init__(self) -> None:
-        n_poses = len(self.sites)
-        for name, shape in (
-            ("position_m", (n_poses, 3)),
-            ("yaw_deg", (n_poses,)),
-            ("pitch_deg", (n_poses,)),
-        ):
-            values = float_array(getattr(self, name), shape, f"mount_{name}")
-            object.__setattr__(self, name, values)
+        n = len(self.sites)
+        set_arrays(self, "mount_", position_m=(n, 3), yaw_deg=(n,), pitch_deg=(n,))
         for name, kind in (("latency_s", np.float64), ("sensor_index", np.int64)):
             array = np.array(getattr(self, name), dtype=kind)
-            if array.shape != (n_poses,):
-                raise InputError(f"mount_{name}", Unquoted(f"shape {array.shape}"), f"({n_poses},)")
+            if array.shape != (n,):
+                raise InputError(f"mount_{name}", Unquoted(f"shape {array.shape}"), f"({n},)")
             object.__setattr__(self, name, freeze(array))
         outside = (self.sensor_index < 0) | (self.sensor_index >= len(self.sensors))
         if outside.any():
-            where = "mount_sensor"
-            raise InputError(where, int(self.sensor_index[outside][0]), "a row of sensors")
-
-    @property
-    def n_poses(self) -> int:
-        """Number of poses."""
-        return len(self.sites)
-
-    def __repr__(self) -> str:
-        return f"Mounts({self.n_poses} poses in {self.scene_name!r})"
+            got = int(self.sensor_index[outside][0])
+            raise InputError("mount_sensor", got, "a row of sensors")
 
     def differences(self, row: int, unit: CandidatePose) -> list[str]:
         """Differences of a unit from the pose of a row, in words; its name does not count."""
         found = []
         if unit.site_id != self.sites[row]:
             found.append(f"site {unit.site_id or 'none'}, not {self.sites[row] or 'none'}")
-        x, y, z = unit.pose.position_m.tolist()
-        expected_m = self.position_m[row].tolist()
-        shown: dict[str, tuple[float, float]] = {
-            name: (got, wanted)
-            for name, got, wanted in zip(("x_m", "y_m", "z_m"), (x, y, z), expected_m, strict=True)
-        }
-        shown["yaw_deg"] = unit.pose.yaw_deg, float(self.yaw_deg[row])
-        shown["pitch_deg"] = unit.pose.pitch_deg, float(self.pitch_deg[row])
-        own = math.nan if unit.latency_s is None else unit.latency_s
-        shown["latency_s"] = own, float(self.latency_s[row])
-        for name, (got, wanted) in shown.items():
-            same = math.isnan(got) and math.isnan(wanted)
-            if not (same or abs(got - wanted) <= TOLERANCE):
-                found.append(f"{name} {got:.9g}, not {wanted:.9g}")
+        names = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "latency_s")
+        own_s = math.nan if unit.latency_s is None else unit.latency_s
+        got = (*unit.pose.position_m.tolist(), unit.pose.yaw_deg, unit.pose.pitch_deg, own_s)
+        rest = (self.yaw_deg[row], self.pitch_deg[row], self.latency_s[row])
+        wanted = (*self.position_m[row], *rest)
+        is_same = np.isclose(got, wanted, rtol=0.0, atol=TOLERANCE, equal_nan=True)
+        found += [
+            f"{name} {mine:.9g}, not {other:.9g}"
+            for name, mine, other, same in zip(names, got, wanted, is_same, strict=True)
+            if not same
+        ]
         sensor = self.sensors[int(self.sensor_index[row])]
-        if unit.sensor != sensor:
-            found += _sensor_differences(unit.sensor, sensor)
-        return found
+        return found if unit.sensor == sensor else found + _sensor_differences(unit.sensor, sensor)
 
     def misnamed(
         self, pose_ids: Sequence[str], feet_m: Mapping[str, FloatArray] | None = None
@@ -116,8 +100,8 @@ class Mounts:
         """The first pose of the grid whose name does not say where it is, in words; or nothing.
 
         Names of the grid have site, height, yaw, pitch and sensor. All poses of a site are one
-        above the other, as far apart as their names say; above the site, if `feet_m` says where
-        sites are.
+        above the other, as far apart as their names say; above the site, if `feet_m` has the places
+        of sites.
         """
         sites, foot_m = set(self.sites), dict(feet_m or {})
         for row, name in enumerate(pose_ids):
@@ -166,16 +150,16 @@ def _sensor_differences(got: Sensor, wanted: Sensor) -> list[str]:
 
 def build_mounts(scene: Scene, candidates: Sequence[CandidatePose]) -> Mounts:
     """Poses behind the names of candidates; they are the rows of a table."""
-    sensors = {candidate.sensor: 0 for candidate in candidates}
-    sensors = {sensor: row for row, sensor in enumerate(sensors)}
+    sensors = {
+        sensor: row for row, sensor in enumerate(dict.fromkeys(c.sensor for c in candidates))
+    }
+    latencies_s = [math.nan if one.latency_s is None else one.latency_s for one in candidates]
     return Mounts(
         sites=tuple(candidate.site_id for candidate in candidates),
         position_m=np.array([candidate.pose.position_m for candidate in candidates]),
         yaw_deg=np.array([candidate.pose.yaw_deg for candidate in candidates]),
         pitch_deg=np.array([candidate.pose.pitch_deg for candidate in candidates]),
-        latency_s=np.array(
-            [math.nan if one.latency_s is None else one.latency_s for one in candidates]
-        ),
+        latency_s=np.array(latencies_s),
         sensor_index=np.array([sensors[candidate.sensor] for candidate in candidates]),
         sensors=tuple(sensors),
         scene_name=scene.name,
@@ -226,7 +210,7 @@ def scene_hash(scene: Scene) -> str:
 # ---------- as arrays of a file
 
 
-def _mounts_to_arrays(mounts: Mounts) -> dict[str, NDArray[Any]]:
+def _mounts_to_arrays(mounts: Mounts) -> Arrays:
     """The arrays of :data:`_MOUNT_FIELDS`."""
     values = {name: getattr(mounts, attribute) for name, attribute in _ATTRIBUTES.items()}
     values["sensors"] = [
@@ -235,31 +219,15 @@ def _mounts_to_arrays(mounts: Mounts) -> dict[str, NDArray[Any]]:
     return {name: np.array(value, _MOUNT_FIELDS[name].dtype) for name, value in values.items()}
 
 
-def _mounts_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> Mounts:
-    """Mounts from the arrays of :data:`_MOUNT_FIELDS`, whose types and axes have been checked.
-
-    Raises InputError: a sensor is none, or a row of it is not there.
-    """
-    values: dict[str, Any] = {}
-    for name, attribute in _ATTRIBUTES.items():
-        values[attribute] = array = arrays[name]
-        if array.dtype.kind == "U":
-            values[attribute] = tuple(array.tolist()) if array.ndim else array.item()
-    sensors = tuple(_read_sensor(text) for text in values["sensors"])
-    return Mounts(**{**values, "sensors": sensors})
-
-
 def _read_sensor(text: str) -> Sensor:
     try:
-        fields = json.loads(text)
-    except (ValueError, RecursionError):
-        raise InputError("sensors", text, "JSON of a sensor model") from None
-    if not isinstance(fields, dict) or fields.get("kind") not in SENSOR_KINDS:
-        raise InputError("sensors", text, "a sensor model with its kind")
-    kind, name = fields.pop("kind"), fields.pop("name", None)
-    if not isinstance(name, str):
-        raise InputError("sensors", text, "a sensor model with its name")
-    return read_sensor(name, fields, kind, "sensors")
+        given = json.loads(text)
+        kind, name = given.pop("kind"), given.pop("name")
+    except (ValueError, RecursionError, LookupError, AttributeError, TypeError):
+        kind = name = None
+    if kind not in SENSOR_KINDS or not isinstance(name, str):
+        raise InputError("sensors", text, "JSON of a sensor model with its kind and name")
+    return read_sensor(name, given, kind, "sensors")
 
 
 # ---------- placement problems
@@ -273,7 +241,6 @@ KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
 _UNPACKED_BYTES = 4  # of memory for each byte of a file, unpacked, while it is read and checked
-Arrays = dict[str, NDArray[Any]]
 
 
 class _Field(NamedTuple):
@@ -389,7 +356,10 @@ def load_stored_problem(path: Path) -> StoredProblem:
     unknown, or has another type or shape; or the values contradict each other.
     """
     with _archive(path) as archive:
-        kind = _read_kind(archive, str(path))
+        stored = _read(archive, "kind", str(path))
+        if stored.dtype.kind != "U" or stored.shape != ():
+            raise InputError(f"{path}: kind", Unquoted("no text"), f"a text such as {KIND}")
+        kind = str(stored)
         if kind not in KINDS:
             raise InputError(f"{path}: kind", kind, " or ".join(KINDS))
         known = _FIELDS if kind == KIND else {**_FIELDS, **_MOUNT_FIELDS}
@@ -398,20 +368,15 @@ def load_stored_problem(path: Path) -> StoredProblem:
             raise InputError(f"{path}: {unknown[0]}", Unquoted("a field"), "none of this name")
         arrays = {name: _read(archive, name, str(path)) for name in archive.files}
     _check_fields(arrays, known, str(path))
+    mounts = None
     try:
-        mounts = _mounts_from_arrays(arrays) if known is not _FIELDS else None
+        if known is not _FIELDS:
+            of_mounts = {attribute: arrays[name] for name, attribute in _ATTRIBUTES.items()}
+            sensors = tuple(_read_sensor(text) for text in arrays["sensors"].tolist())
+            mounts = _build(Mounts, of_mounts, sensors=sensors)
         return StoredProblem(_from_arrays(arrays), mounts)
     except InputError as error:
         raise InputError(f"{path}: {error.where}", error.got, error.expected) from None
-
-
-def instance_kind(path: Path) -> str:
-    """Kind of an instance file by its own words, such as :data:`KIND`.
-
-    Raises InputError: it is no ``.npz``, or does not say.
-    """
-    with _archive(path) as archive:
-        return _read_kind(archive, str(path))
 
 
 def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str:
@@ -478,53 +443,23 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
 
 
 def _from_arrays(arrays: Arrays) -> PlacementProblem:
-    def texts(name: str) -> tuple[str, ...]:
-        return tuple(arrays[name].tolist())
-
-    def number(name: str) -> Any:
-        return arrays[name].item() if name in arrays else None
-
-    axis = FrameAxis(
-        run_ids=texts("run_ids"),
-        cases=texts("cases"),
-        approaches=texts("approaches"),
-        positions=texts("positions") if "positions" in arrays else (),
-        weathers=texts("weathers"),
-        vut_speed_kmh=arrays["vut_speed_kmh"],
-        weight=arrays["weight"],
-        last_brake_time_s=arrays["last_brake_time_s"],
-        run_start=arrays["run_start"],
-        time_s=arrays["time_s"],
-    )
-    table = DetectionTable(pose_ids=texts("pose_ids"), axis=axis, packed=arrays["packed"])
+    axis = _build(FrameAxis, arrays)
+    table = _build(DetectionTable, arrays, axis=axis)
     if len(set(table.pose_ids)) < table.n_poses:
         raise InputError("pose_ids", Unquoted("an id twice"), "every id once")
     if not np.array_equal(_without_padding(table), table.packed):
         raise InputError("packed", Unquoted("bits behind the last frame"), "zeros there")
-    return PlacementProblem(
+    floors = zip(
+        *(arrays[f"floor_{name}"].tolist() for name in ("names", "shares", "counts_all")),
+        *(arrays["floor_is_counted"], arrays["floor_failures"].tolist()),
+        strict=True,
+    )
+    return _build(
+        PlacementProblem,
+        arrays,
         table=table,
-        limits=Limits(
-            site_index=arrays["site_index"],
-            site_capacity=arrays["site_capacity"],
-            budget_units=number("budget_units"),
-            budget_eur=number("budget_eur"),
-            unit_cost_eur=arrays["unit_cost_eur"],
-            site_cost_eur=arrays["site_cost_eur"],
-            is_forced=arrays["is_forced"],
-            is_forbidden=arrays["is_forbidden"],
-            is_forced_site=arrays["is_forced_site"],
-            rivals=arrays["rivals"],
-            failing=cast(Failing, number("failing") or "unit"),
-        ),
-        fusion=cast(Fusion, number("fusion")),
-        rule=AebRule(
-            deceleration_mps2=number("deceleration_mps2"),
-            build_up_s=number("build_up_s"),
-            latency_s=number("latency_s"),
-            n_confirmations=number("n_confirmations"),
-            frame_rate_hz=number("frame_rate_hz"),
-            track_memory_s=number("track_memory_s") if "track_memory_s" in arrays else math.inf,
-        ),
+        limits=_build(Limits, arrays),
+        rule=_build(AebRule, arrays),
         floors=tuple(
             Floor(
                 name=name,
@@ -532,21 +467,21 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
                 is_counted=None if counts_all else counted,
                 n_failures=n_failures,
             )
-            for name, share, counts_all, counted, n_failures in zip(
-                texts("floor_names"),
-                arrays["floor_shares"].tolist(),
-                arrays["floor_counts_all"].tolist(),
-                arrays["floor_is_counted"],
-                arrays["floor_failures"].tolist(),
-                strict=True,
-            )
+            for name, share, counts_all, counted, n_failures in floors
         ),
-        goal=cast(Goal, number("goal")),
-        survive=number("survive"),
-        sample_index=arrays.get("sample_index"),
-        tail=number("tail"),
-        seen_by_vut=arrays.get("seen_by_vut"),
     )
+
+
+def _build(kind: type[_T], arrays: Arrays, **more: Any) -> _T:
+    """A dataclass from the arrays that are called as its fields, texts and numbers plain."""
+    given: dict[str, Any] = {}
+    for name in (field.name for field in fields(kind)):  # type: ignore[arg-type]
+        if name in arrays:
+            array = arrays[name]
+            is_plain = array.ndim == 0 or array.dtype.kind == "U"
+            values = array.tolist() if is_plain else array
+            given[name] = tuple(values) if is_plain and array.ndim else values
+    return kind(**(given | more))
 
 
 def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
@@ -598,13 +533,6 @@ def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
     return array
 
 
-def _read_kind(archive: np.lib.npyio.NpzFile, where: str) -> str:
-    kind = _read(archive, "kind", where)
-    if kind.dtype.kind != "U" or kind.shape != ():
-        raise InputError(f"{where}: kind", Unquoted("no text"), f"a text such as {KIND}")
-    return str(kind)
-
-
 def _damaged(where: str, error: Exception) -> InputError:
     reason = " ".join(str(error).split()) or type(error).__name__
     return InputError(where, Unquoted(reason), "an undamaged instance file (.npz)")
@@ -623,13 +551,9 @@ def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> No
         if array.dtype.kind != "U" if is_text else array.dtype != np.dtype(field.dtype):
             raise InputError(f"{where}: {name}", Unquoted(f"type {array.dtype}"), field.dtype)
         if array.ndim != len(field.axes):
-            raise InputError(
-                f"{where}: {name}",
-                Unquoted(f"{array.ndim} axes"),
-                f"{len(field.axes)} ({', '.join(field.axes) or 'a single value'})",
-            )
+            expected = f"{len(field.axes)} ({', '.join(field.axes) or 'a single value'})"
+            raise InputError(f"{where}: {name}", Unquoted(f"{array.ndim} axes"), expected)
         for axis, size in zip(field.axes, array.shape, strict=True):
             if sizes.setdefault(axis, size) != size:
-                raise InputError(
-                    f"{where}: {name}", Unquoted(f"shape {array.shape}"), f"{sizes[axis]} {axis}"
-                )
+                got = Unquoted(f"shape {array.shape}")
+                raise InputError(f"{where}: {name}", got, f"{sizes[axis]} {axis}")

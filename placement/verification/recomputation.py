@@ -1,10 +1,8 @@
 """Recompute the worth of sets of poses from a saved problem, without the optimiser's code.
 
-Nothing here is shared with :mod:`placement.optimiser` but the problem itself, as it lies in a file
-(the table's bits, the limits and the weights), and the names of the objectives. Frames are gone
-through one after the other, counting detections in a row and the time since the last one; there is
-no presolve, no window and no model. It checks the optimiser, so it is to be read against
-``docs/method.md`` and not against the optimiser.
+Shared with :mod:`placement.optimiser` are only the problem as it lies in a file and the names of
+the objectives. Frames are gone through one after the other; there is no presolve, no window and no
+model. To be read against ``docs/method.md``.
 """
 
 import math
@@ -53,16 +51,14 @@ def stage_values(problem: "PlacementProblem", objective: Objective, sets: IntArr
         return np.full(len(sets), float(sets.shape[1]))
     if objective is Objective.COST:
         return costs_eur(problem, sets)
-    if objective is Objective.APR_SURVIVED:
-        return _of_blocks(problem, sets, lambda block: _left(problem, block, problem.survive))
-    if objective is Objective.APR_ONE_FAILED:
-        return _of_blocks(problem, sets, lambda block: _left(problem, block, 1))
-    values = {
-        Objective.APR: _apr,
-        Objective.SMALLEST_MARGIN: _smallest_s,
-        Objective.MEAN_MARGIN: _mean_s,
-    }[objective]
-    return _of_blocks(problem, sets, lambda block: values(problem, margins_s(problem, block)))
+    values: dict[Objective, Callable[[IntArray], FloatArray]] = {
+        Objective.APR_SURVIVED: lambda block: _left(problem, block, problem.survive),
+        Objective.APR_ONE_FAILED: lambda block: _left(problem, block, 1),
+        Objective.APR: lambda block: _apr(problem, margins_s(problem, block)),
+        Objective.SMALLEST_MARGIN: lambda block: _smallest_s(problem, margins_s(problem, block)),
+        Objective.MEAN_MARGIN: lambda block: _mean_s(problem, margins_s(problem, block)),
+    }
+    return _of_blocks(problem, sets, values[objective])
 
 
 def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
@@ -123,46 +119,36 @@ def costs_eur(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
 def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolArray]:
     """Which sets are within each limit, (n_sets,) by the name of the limit."""
     limits, n_units = problem.limits, sets.shape[1]
-    n_sets, sites = len(sets), limits.site_index[sets]
-
-    def each(is_so: bool) -> BoolArray:
-        return np.full(n_sets, is_so)
-
-    checks: dict[str, BoolArray] = {"units": each(n_units >= 1)}
-    if limits.budget_units is not None:
-        checks["units"] &= each(n_units <= limits.budget_units)
+    sites, everyone = limits.site_index[sets], np.ones(len(sets), dtype=bool)
+    most = np.inf if limits.budget_units is None else limits.budget_units
+    checks = {"units": everyone & (1 <= n_units <= most)}
     if limits.budget_eur is not None:
         checks["money"] = costs_eur(problem, sets) <= limits.budget_eur + EPSILON_EUR
-    checks["site capacity"] = each(True)
+    checks["site capacity"] = everyone.copy()
     for unit in range(n_units):
         beside: IntArray = (sites == sites[:, unit : unit + 1]).sum(axis=1)
         checks["site capacity"] &= beside <= limits.site_capacity[sites[:, unit]]
-    if limits.is_forced.any():
-        checks["forced units"] = each(True)
-        for pose in np.flatnonzero(limits.is_forced):
-            checks["forced units"] &= _any(sets == pose)
+    for name, present, flags in (
+        ("forced units", sets, limits.is_forced),
+        ("forced sites", sites, limits.is_forced_site),
+    ):
+        if flags.any():
+            checks[name] = everyone.copy()
+            for each in np.flatnonzero(flags):
+                checks[name] &= (present == each).any(axis=1)
     if limits.is_forbidden.any():
-        checks["forbidden units"] = ~_any(limits.is_forbidden[sets])
-    if limits.is_forced_site.any():
-        checks["forced sites"] = each(True)
-        for site in np.flatnonzero(limits.is_forced_site):
-            checks["forced sites"] &= _any(sites == site)
+        checks["forbidden units"] = ~limits.is_forbidden[sets].any(axis=1)
     if len(limits.rivals):
-        checks["rival sites"] = each(True)
+        checks["rival sites"] = everyone.copy()
         for one, other in limits.rivals:
-            checks["rival sites"] &= ~(_any(sites == one) & _any(sites == other))
+            both = (sites == one).any(axis=1) & (sites == other).any(axis=1)
+            checks["rival sites"] &= ~both
     return checks
 
 
 def floor_values(problem: "PlacementProblem", floor: "Floor", sets: IntArray) -> FloatArray:
     """Share of a floor that sets reach after the failures that it allows for, (n_sets,)."""
     return _of_blocks(problem, sets, lambda block: _left(problem, block, floor.n_failures, floor))
-
-
-def _any(flags: BoolArray) -> BoolArray:
-    """Rows with a flag that is set."""
-    result: BoolArray = np.logical_or.reduce(flags, axis=1)
-    return result
 
 
 def _left(
@@ -323,11 +309,9 @@ def most_units(problem: "PlacementProblem") -> int:
 def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[Objective, float]:
     """Limit of each objective that no layout exceeds, by a look at all poses at once.
 
-    `stages` are what is claimed of a layout: limits of later stages hold for layouts that are as
-    good in earlier ones. The more poses, the earlier each run is confirmed: all usable poses
-    together avoid every run that any layout avoids, with the largest margin. If the layout avoids
-    as much as they do, every layout as good as it avoids the very same runs, so that their margins
-    bound it.
+    All usable poses together avoid every run that any layout avoids, with the largest margin. If
+    the layout that `stages` claim avoids as much, every layout as good avoids the very same runs,
+    so that their margins bound it.
     """
     limits, weight = problem.limits, problem.table.axis.weight
     usable = usable_poses(problem)
@@ -416,38 +400,27 @@ def best_others(
     Sets that are not allowed, or miss a floor, are left out; so are, from each stage on, those that
     are not as good in it as what is claimed.
     """
-    alive = [kept for sets in families if len(kept := _allowed(problem, sets))]
+    alive = []
+    for sets in families:
+        kept = sets[np.logical_and.reduce(list(limit_checks(problem, sets).values()))]
+        for floor in problem.floors:
+            kept = kept[floor_values(problem, floor, kept) >= floor.share - EPSILON]
+        alive.append(kept)
     best = []
     for stage in stages:
         objective = Objective(stage.name)
-        found = BestOther(objective, math.nan, ())
-        still_alive = []
-        for sets in alive:
+        sign = -1.0 if objective.is_minimised else 1.0
+        found, still_alive = BestOther(objective, math.nan, ()), []
+        for sets in (one for one in alive if len(one)):
             value = stage_values(problem, objective, sets)
-            first = int(np.argmin(value) if objective.is_minimised else np.argmax(value))
+            first = int(np.argmax(sign * value))
             if not found.poses or objective.excess(float(value[first]), found.value) > 0.0:
                 found = BestOther(objective, float(value[first]), tuple(sets[first].tolist()))
-            kept = sets[_as_good(stage, value)]
-            if len(kept):
-                still_alive.append(kept)
+            is_as_good = sign * value >= sign * stage.objective - objective.tolerance
+            still_alive.append(sets[is_as_good])
         best.append(found)
         alive = still_alive
     return best
-
-
-def _allowed(problem: "PlacementProblem", sets: IntArray) -> IntArray:
-    """Those of the sets that are within all limits and reach all floors."""
-    kept = sets[np.logical_and.reduce(list(limit_checks(problem, sets).values()))]
-    for floor in problem.floors:
-        kept = kept[floor_values(problem, floor, kept) >= floor.share - EPSILON]
-    return kept
-
-
-def _as_good(stage: Stage, value: FloatArray) -> BoolArray:
-    objective = Objective(stage.name)
-    if objective.is_minimised:
-        return value <= stage.objective + objective.tolerance
-    return value >= stage.objective - objective.tolerance
 
 
 def _with_each(units: IntArray, others: IntArray) -> IntArray:

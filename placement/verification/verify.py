@@ -1,13 +1,10 @@
 """An independent check of a certificate: everything that can be recomputed is recomputed.
 
-What a certificate says of the layout (that it is within all limits, and what it is worth) is
-recomputed from the saved problem by :mod:`.recomputation`. What it says of all other
-layouts (that none is better than the bound) is proven again where that is easy: where all poses
-together reach no more, or where there are so few sets that all can be compared. Elsewhere the proof
-rests on the solver that the certificate names, and this says so; but every layout that differs in
-one unit is compared, if they are not too many, and a bound that one of them beats is found out.
-
-Whether the detection table is right is not looked at here: that is what the evaluator is for.
+That the layout is within all limits, and what it is worth, is recomputed by :mod:`.recomputation`.
+That no other is better than the bound is proven again where all poses together reach no more, or
+all sets can be compared. Elsewhere the proof rests on the solver that the certificate names; but
+layouts that differ in one unit are compared, if they are not too many. Whether the detection table
+is right is the evaluator's question.
 """
 
 import math
@@ -89,29 +86,12 @@ def verify_certificate(
     max_sets: int = MAX_SETS,
     on_stage: Callable[[str], None] | None = None,
 ) -> Verification:
-    """Check a certificate against the problem that it is about.
+    """Check a certificate against the problem that it is about, as it was saved.
 
-    Parameters
-    ----------
-    problem : PlacementProblem
-        As it was saved.
-    stored : StoredCertificate
-        What is claimed.
-    shown : sequence of mapping
-        Units of the layout file next to it.
-    mounts : Mounts, optional
-        What the poses of the problem are, as the instance file says.
-    units : sequence of CandidatePose
-        Units of the layout file, with their sensors.
-    max_sets : int
-        Compare so many sets of poses at most.
-    on_stage : callable, optional
-        Called with what is done next.
-
-    Returns
-    -------
-    verification : Verification
-        Every check, also after one has failed, as far as it can be made.
+    `shown` are the units of the layout file next to it, `units` the same with their sensors;
+    `mounts` is what the poses of the problem are, as the instance file says. At most `max_sets`
+    sets of poses are compared; `on_stage` is called with what is done next. Every check is made,
+    also after one has failed, as far as it can be.
     """
     report = on_stage or (lambda stage: None)
     report("recompute the layout's values")
@@ -150,21 +130,24 @@ def verify_certificate(
     return Verification(checks=tuple(checks), proofs=tuple(proofs))
 
 
+def _check(name: str, wrong: Sequence[str], right: str) -> Check:
+    """A check that fails with the first of what is wrong."""
+    return Check(name, not wrong, wrong[0] if wrong else right)
+
+
 def _instance_checks(
     problem: "PlacementProblem", stored: StoredCertificate, mounts: Mounts | None
 ) -> list[Check]:
     found = problem_hash(problem, mounts)
-    same = found == stored.sha256
     text = f"SHA-256 {found[:16]}.."
+    other = [f"{text}, not {stored.sha256[:16]}.."] if found != stored.sha256 else []
     wrong = [
         f"{name} {stored.instance.get(name)}, not {value}"
         for name, value in instance_of(problem, mounts).items()
         if name != "sha256" and stored.instance.get(name) != value
     ]
-    return [
-        Check("instance", same, text if same else f"{text}, not {stored.sha256[:16]}.."),
-        Check("instance sizes", not wrong, wrong[0] if wrong else "as the certificate says"),
-    ]
+    as_said = "as the certificate says"
+    return [_check("instance", other, text), _check("instance sizes", wrong, as_said)]
 
 
 def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list[Check]:
@@ -177,30 +160,18 @@ def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> lis
     n_windows = np.maximum(np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0).sum()
     sizes = (table.n_poses, axis.n_frames, int(n_windows), axis.n_runs)
     before = tuple(pair[0] for pair in stored.presolve.values())
-    words = stored.model.get("in_words")
-    has_words = is_so and words == words_of(problem, names)
+    # Where a track must be held on to, presolve adds columns to those of the frames.
+    shrinks = [a >= b for name, (a, b) in stored.presolve.items() if name != "n_frames"]
+    has_words = is_so and stored.model.get("in_words") == words_of(problem, names)
+    says = "another " + ", ".join(wrong) if wrong else "what is asked"
+    proof = "complete" if stored.all_proven else "incomplete"
+    shown = ", ".join(f"{n} {noun}" for n, noun in zip(before, _SIZES, strict=True))
     return [
         Check("model in words", has_words, "as asked" if has_words else "other words than this"),
-        Check(
-            "model",
-            not wrong,
-            "the certificate says " + ("another " + ", ".join(wrong) if wrong else "what is asked"),
-        ),
-        Check(
-            "proof",
-            stored.all_proven == all(stored.is_proven),
-            "claimed to be " + ("complete" if stored.all_proven else "incomplete"),
-        ),
+        Check("model", not wrong, f"the certificate says {says}"),
+        Check("proof", stored.all_proven == all(stored.is_proven), f"claimed to be {proof}"),
         Check("stages", is_so, ", ".join(names) + ("" if is_so else ": not those that are asked")),
-        Check(
-            "presolve",
-            # Where a track must be held on to, presolve adds columns to those of the frames.
-            before == sizes
-            and all(
-                pair[0] >= pair[1] for name, pair in stored.presolve.items() if name != "n_frames"
-            ),
-            "from " + ", ".join(f"{n} {noun}" for n, noun in zip(before, _SIZES, strict=True)),
-        ),
+        Check("presolve", before == sizes and all(shrinks), f"from {shown}"),
     ]
 
 
@@ -218,7 +189,7 @@ def _pose_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list
     ]
     return [
         Check("poses", True, f"rows {', '.join(map(str, rows))} of {table.n_poses}"),
-        Check("pose names", not wrong, wrong[0] if wrong else ", ".join(stored.pose_ids)),
+        _check("pose names", wrong, ", ".join(stored.pose_ids)),
     ]
 
 
@@ -245,7 +216,7 @@ def _mount_checks(
     mounts: Mounts | None,
     units: Sequence[CandidatePose],
 ) -> list[Check]:
-    """True if units are mounted as the poses that were solved, and poses as their names say.
+    """Whether units are mounted as the poses that were solved, and poses as their names say.
 
     Sites and prices of the problem follow from the poses, too.
     """
@@ -255,32 +226,27 @@ def _mount_checks(
     misnamed = mounts.misnamed(table.pose_ids)
     of_index: dict[int, str] = {}
     torn = [
-        table.pose_ids[row]
+        f"{table.pose_ids[row]} is elsewhere"
         for row, index in enumerate(limits.site_index.tolist())
         if of_index.setdefault(index, mounts.sites[row]) != mounts.sites[row]
     ]
     prices = np.array([sensor.price_eur for sensor in mounts.sensors])[mounts.sensor_index]
     is_paid = (limits.unit_cost_eur == prices) | ((limits.unit_cost_eur == 0.0) & limits.is_forced)
-    unpaid = [table.pose_ids[row] for row in np.flatnonzero(~is_paid)[:1]]
-    checks = [
-        Check(
-            "poses and names",
-            not misnamed,
-            misnamed or "poses of the grid are and look as their names say",
-        ),
-        Check("poses and sites", not torn, f"{torn[0]} is elsewhere" if torn else "they agree"),
-        Check(
-            "prices of sensors",
-            not unpaid,
-            f"{unpaid[0]} has another" if unpaid else "those of the models",
+    unpaid = [f"{table.pose_ids[row]} has another" for row in np.flatnonzero(~is_paid)[:1]]
+    are_named = "poses of the grid are and look as their names say"
+    return [
+        _check("poses and names", [misnamed] if misnamed else [], are_named),
+        _check("poses and sites", torn, "they agree"),
+        _check("prices of sensors", unpaid, "those of the models"),
+        *(
+            Check(
+                f"unit {unit.id}", not wrong, wrong or f"is mounted, looks and is made as row {row}"
+            )
+            for unit, row in zip(units, stored.pose_index, strict=False)
+            if row < table.n_poses
+            for wrong in ["; ".join(mounts.differences(row, unit))]
         ),
     ]
-    for unit, row in zip(units, stored.pose_index, strict=False):
-        if row < table.n_poses:
-            wrong = "; ".join(mounts.differences(row, unit))
-            text = f"is mounted, looks and is made as row {row}"
-            checks.append(Check(f"unit {unit.id}", not wrong, wrong or text))
-    return checks
 
 
 def _stage_checks(

@@ -139,7 +139,6 @@ _VERBS = (
     "parse_",
     "import_",
     "weight_from_",
-    "instance_kind",
     "unpacked",
 )
 

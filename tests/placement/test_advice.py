@@ -10,13 +10,13 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.poses import Pose
 from placement import candidates as poses
-from placement.advice import Adviser, free_name
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.layout import Certificate, Stage, find_layout
 from placement.live import LiveTable, table_verdict
 from placement.pipeline import assemble
 from placement.question import Question
+from placement.retrofit import Adviser, free_name
 
 
 @pytest.fixture(scope="module")

@@ -188,12 +188,12 @@ def test_a_missing_field_is_named(key):
         ),
         (
             {"camera": "varifocal-1080p", "fov_deg": 120},
-            "layout[1].fov_deg: got 120; expected 26.2 .. 89.6 degrees, the lens of "
+            "layout[1].fov_deg: got 120.0; expected 26.2 .. 89.6 degrees, the lens of "
             "varifocal-1080p",
         ),
         ({"fov_deg": "wide"}, "layout[1].fov_deg: got 'wide'; expected a finite number"),
         ({"latency_s": -0.1}, "layout[1].latency_s: got -0.1; expected seconds, at least 0"),
-        ({"latency_s": "0.1"}, "layout[1].latency_s: got '0.1'; expected a finite number"),
+        ({"latency_s": "0.1"}, "layout[1].latency_s: got '0.1'; expected seconds, at least 0"),
     ],
 )
 def test_a_field_of_the_wrong_kind_is_named(changes, message):

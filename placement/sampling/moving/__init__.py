@@ -5,7 +5,8 @@ its own (``child``). All end in ``trajectories``, of which a window is cut for e
 is the way in.
 """
 
-from .source import MovingTraffic, load_traffic
+from .demand import read_body
+from .sumo import MovingTraffic, load_traffic
 from .trajectories import NO_TRAFFIC, TrafficCount
 
-__all__ = ["NO_TRAFFIC", "MovingTraffic", "TrafficCount", "load_traffic"]
+__all__ = ["NO_TRAFFIC", "MovingTraffic", "TrafficCount", "load_traffic", "read_body"]

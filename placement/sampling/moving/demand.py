@@ -2,19 +2,27 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
 from msgspec import Meta, Struct
 
-from geometry.actors import Actor
-from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_toml, read_table, take_list
+from geometry.actors import Actor, Shape, pick_actor
+from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.files import (
+    Table,
+    Text,
+    load_toml,
+    read_table,
+    take_list,
+    take_number,
+    take_text,
+)
 
-from ..bodies import read_body
+from ...compute import check_distinct
 
 TURNS = ("left", "straight", "right")
 SUMO_CLASSES = ("passenger", "delivery", "truck", "trailer", "bus", "coach", "motorcycle", "moped")
@@ -53,9 +61,6 @@ class Demand:
         """Vehicles an hour on all entry lanes of an arm."""
         return self.arms.get(arm, self.vehicles_per_hour_per_lane * n_lanes)
 
-    def __repr__(self) -> str:
-        return f"Demand({self.name!r}, {self.vehicles_per_hour_per_lane:g} per hour and lane)"
-
 
 # ---------- reading
 
@@ -92,25 +97,18 @@ class _Kind(Struct, frozen=True, kw_only=True):
 def load_demand(path: Path | None = None) -> Demand:
     """Read a file of demand, by default ``data/demand.toml``.
 
-    Raises InputError if it cannot be read, a value is out of its range, shares do not sum to 1, or
-    nobody drives.
+    Raises InputError if it cannot be read, a value cannot be, or nobody drives.
     """
     if path is None:
-        return _load_default()
+        return _read(load_toml(files("placement") / "data" / _FILE), _FILE, "default")
     return _read(load_toml(path), str(path), path.name)
-
-
-@cache
-def _load_default() -> Demand:
-    return _read(load_toml(files("placement") / "data" / _FILE), _FILE, "default")
 
 
 def _read(document: Table, where: str, name: str) -> Demand:
     table = read_table(document, _DemandFile, where)
     if table.pause_s[0] > table.pause_s[1]:
-        raise InputError(
-            f"{where}: pause_s", list(table.pause_s), "[shortest, longest], in seconds"
-        )
+        expected = "[shortest, longest], in seconds"
+        raise InputError(f"{where}: pause_s", list(table.pause_s), expected)
     entries = take_list(document, "vehicles", where)
     kinds = tuple(_read_kind(entry, f"{where}: vehicles[{i}]") for i, entry in enumerate(entries))
     turns = {turn: getattr(table.turns, turn) for turn in TURNS}
@@ -118,10 +116,8 @@ def _read(document: Table, where: str, name: str) -> Demand:
         if abs(sum(shares) - 1.0) > _SUM_TOLERANCE:
             got = Unquoted(f"a sum of {sum(shares):g}")
             raise InputError(f"{where}: {what}", got, "shares that sum to 1")
-    names = [kind.actor.name for kind in kinds]
-    for kind_name in names:
-        if names.count(kind_name) > 1:
-            raise InputError(f"{where}: vehicles", kind_name, "every body once")
+    bodies = [kind.actor.name for kind in kinds]
+    check_distinct(f"{where}: vehicles", bodies, "every body once")
     if table.vehicles_per_hour_per_lane == 0.0 and not any(table.arms.values()):
         raise InputError(
             f"{where}: vehicles_per_hour_per_lane",
@@ -143,14 +139,50 @@ def _read(document: Table, where: str, name: str) -> Demand:
 
 def _read_kind(entry: Table, where: str) -> DrivingKind:
     kind = read_table({k: v for k, v in entry.items() if k in _KIND_KEYS}, _Kind, where)
-    if kind.sumo_class not in SUMO_CLASSES:
-        known = "one of " + ", ".join(SUMO_CLASSES)
-        raise InputError(f"{where}.sumo_class", kind.sumo_class, known)
-    return DrivingKind(
-        actor=read_body({k: v for k, v in entry.items() if k not in _KIND_KEYS}, where),
-        sumo_class=kind.sumo_class,
-        share=kind.share,
-    )
+    check_one_of(f"{where}.sumo_class", kind.sumo_class, SUMO_CLASSES)
+    actor = read_body({k: v for k, v in entry.items() if k not in _KIND_KEYS}, where)
+    return DrivingKind(actor=actor, sumo_class=kind.sumo_class, share=kind.share)
+
+
+# ---------- bodies of vehicles in files of traffic
+
+
+_SIZES = ("length_m", "width_m", "height_m")
+# Two triangles on each side, outward; corner x + 2 y + 4 z of a box has these bits.
+_BOX_TRIANGLES = np.array(
+    [
+        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
+    ]
+)  # fmt: skip
+
+
+def read_body(entry: Table, where: str) -> Actor:
+    """A vehicle by a table's `actor`, or a box by `name`, `length_m`, `width_m` and `height_m`.
+
+    A box reaches down to the road. Raises InputError for any other key, or a body of the catalogue
+    that is no vehicle.
+    """
+    known = ("actor",) if "actor" in entry else ("name", *_SIZES)
+    for key in entry:
+        check_one_of(where, key, known)
+    if "actor" in entry:
+        actor = pick_actor(take_text(entry, "actor", where), f"{where}.actor")
+        if actor.class_name != "parked vehicle":
+            raise InputError(f"{where}.actor", actor.name, "a parked vehicle")
+        return actor
+    sizes_m = {key: take_number(entry, key, where) for key in _SIZES}
+    bits = np.array([[index & 1, index >> 1 & 1, index >> 2] for index in range(8)])
+    corners = (bits - [0.5, 0.5, 0.0]) * [*sizes_m.values()]
+    try:
+        return Actor(
+            name=take_text(entry, "name", where),
+            class_name="parked vehicle",
+            **sizes_m,
+            shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
+        )
+    except InputError as error:
+        raise InputError(f"{where}: {error.where}", error.got, error.expected) from None
 
 
 # ---------- SUMO's routes
@@ -159,18 +191,15 @@ def _read_kind(entry: Table, where: str) -> DrivingKind:
 def write_routes(
     demand: Demand, ways: Mapping[str, Mapping[str, Mapping[str, str]]], n_lanes: Mapping[str, int]
 ) -> str:
-    """Vehicle types and flows as a SUMO route file.
+    """Vehicle types and flows as a SUMO route file; gaps between vehicles are exponential.
 
     `ways` has by arm, turn and exit the edges of the route; `n_lanes` the entry lanes of each arm.
-    Gaps between vehicles are exponential: arrivals are independent of one another.
-
     Raises InputError if the demand names an arm that the junction does not have, or nobody drives.
     """
     for arm in demand.arms:
         if arm not in n_lanes:
-            raise InputError(
-                f"{demand.name}: arms", arm, "an arm with lanes in: " + ", ".join(n_lanes)
-            )
+            expected = "an arm with lanes in: " + ", ".join(n_lanes)
+            raise InputError(f"{demand.name}: arms", arm, expected)
     lines = ["<routes>", '<vTypeDistribution id="all">']
     for kind in demand.vehicles:
         body = kind.actor

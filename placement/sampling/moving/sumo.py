@@ -1,14 +1,14 @@
 """SUMO: a scene's lanes as its network, and the traffic of one sampled world on it.
 
-Plain nodes and edges are put together by netconvert. The simulation runs in a child process
-(:mod:`.child`). Windows of time, one per group of runs, follow one another with pauses of random
-length between them, so that each meets another moment of the signal programme. In each, the VUT of
-one run of the group is moved along its path without braking, and the vehicles of SUMO react to it
-as to any other: they follow it, keep their gaps and do not change lanes into it. It obeys neither
-lights nor right of way, as Euro NCAP's does not: who has a green light may come into its way, and
-is left out of the run by :mod:`.trajectories`.
+netconvert puts plain nodes and edges together; the simulation runs in a child process
+(:mod:`.child`). Windows of time, one per group of runs, follow one another with random pauses, so
+that each meets another moment of the signal programme. In each, the VUT of one run is moved along
+its path without braking; SUMO's vehicles react to it as to any other. It obeys neither lights nor
+right of way, as Euro NCAP's does not: who comes into its way is left out of the run by
+:mod:`.trajectories`.
 """
 
+import importlib.util
 import json
 import re
 import shutil
@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,16 +24,25 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from geometry.actors import Actor
-from geometry.arrays import FloatArray
+from geometry.actors import Actor, MovingActor
+from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import open_file, read_text, write_new
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
 from geometry.scene import Lane, Scene
 from scenarios.runs import Run
 
-from .demand import Demand, write_routes
-from .trajectories import Trajectories, build_trajectories
+from .demand import Demand, load_demand, write_routes
+from .trajectories import (
+    REACH_M,
+    TrafficCount,
+    Trajectories,
+    build_trajectories,
+    cut_window,
+    frames_in_parked,
+    last_frames,
+    meets_road_users,
+)
 
 JUNCTION = "junction"
 _SAME_LENGTH_M = 5.0  # lanes of an arm whose lengths differ by less go as far as one another
@@ -79,17 +88,10 @@ def missing_sumo() -> MissingExtraError:
 def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) -> RoadNetwork:
     """Write the lanes of a scene's junction as plain XML, and let netconvert connect them.
 
-    Lanes keep their lines. Arms that the map cuts off sooner than `approach_m` go straight on.
-    Where the map has lanes through the junction, vehicles drive along those and no others; from
-    all other lanes netconvert guesses them. Lights stand where the scene has some, with SUMO's own
-    programme; elsewhere priority is netconvert's.
-
-    Raises
-    ------
-    InputError
-        The scene has no junction, no lane leads in or out, or netconvert cannot read the lanes.
-    MissingExtraError
-        SUMO is not installed.
+    Lanes keep their lines; arms that end sooner than `approach_m` go straight on. The map's own
+    lanes through the junction are used where it has some. Lights stand where the scene has some;
+    else priority is netconvert's. Raises InputError: no junction, no lane leads in or out, or
+    netconvert cannot read the lanes; MissingExtraError: SUMO is not installed.
     """
     program = sumo_program("netconvert")
     junction = build_junction(scene)
@@ -99,13 +101,11 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
     leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
     entry, leaving = ({k: v for k, v in edges.items() if v} for edges in (entry, leaving))
     if not entry or not leaving:
-        raise InputError(
-            f"{scene.name}: lanes",
-            Unquoted("no lane into the junction" if not entry else "no lane out of it"),
-            "lanes that are driven in both directions",
-        )
+        got = Unquoted("no lane into the junction" if not entry else "no lane out of it")
+        raise InputError(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
-    xml = _run_netconvert(program, plain, scene, has_lights=_has_lights(scene))
+    kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
+    xml = _run_netconvert(program, plain, scene, has_lights="traffic light" in kinds)
     return RoadNetwork(
         xml=xml,
         origin_m=origin,
@@ -114,11 +114,6 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
         n_entry_lanes={name: len(junction.arms[name].entry_lanes) for name in entry},
         ways=_find_ways(xml, entry, leaving, scene),
     )
-
-
-def _has_lights(scene: Scene) -> bool:
-    kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
-    return "traffic light" in kinds
 
 
 class _Plain:
@@ -260,17 +255,13 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
             *("--xml-validation", "never", "--no-warnings", "true"),
             *(("--lefthand", "true") if scene.keeps_left else ()),
         ]
-        try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, timeout=_NETCONVERT_TIMEOUT_S, check=False
-            )
-        except subprocess.TimeoutExpired:
-            raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert") from None
+        done = _run_program(command, timeout_s=_NETCONVERT_TIMEOUT_S)
+        if done is None:
+            raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert")
         if done.returncode != 0 or not target.exists():
             reason = " ".join(done.stderr.split())
-            raise InputError(
-                f"{scene.name}: lanes", Unquoted(reason), "lanes that netconvert connects"
-            )
+            expected = "lanes that netconvert connects"
+            raise InputError(f"{scene.name}: lanes", Unquoted(reason), expected)
         return read_text(target, "XML")
 
 
@@ -290,9 +281,8 @@ def _find_ways(
         edges = " ".join([*entry[arm], *leaving[other]])
         ways.setdefault(arm, {}).setdefault(turn, {})[other] = edges
     if not ways:
-        raise InputError(
-            f"{scene.name}: lanes", Unquoted("no way through the junction"), "lanes in and out"
-        )
+        expected = "lanes in and out"
+        raise InputError(f"{scene.name}: lanes", Unquoted("no way through the junction"), expected)
     return ways
 
 
@@ -325,11 +315,10 @@ def simulate_windows(
 ) -> SimulatedWindows:
     """Drive traffic through a junction long enough to cut one window for each group of runs.
 
-    Runs of a group, at least one, share a window as long as the longest; the VUT is that of the run
-    in the middle of their speeds. Vehicles farther than `reach_m` from the middle of the junction
-    are left out. The random numbers decide order and pauses of the windows, and SUMO's seed. Raises
-    InputError if the demand does not fit the junction or SUMO cannot drive it, MissingExtraError
-    without SUMO.
+    Runs of a group, at least one, share a window as long as the longest, with the VUT of the run in
+    the middle of their speeds. Vehicles farther than `reach_m` from the junction's middle are left
+    out. `rng` decides order and pauses of the windows, and SUMO's seed. Raises InputError if SUMO
+    cannot drive the demand, MissingExtraError without SUMO.
     """
     seed = int(rng.integers(_MAX_SEED))
     keys = list(groups)
@@ -382,8 +371,16 @@ def simulate_windows(
 
 
 def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, Any] | None:
-    """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane."""
-    leaving = _exits(run, network)
+    """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane.
+
+    It takes the way through the junction that leads most nearly where its path points.
+    """
+    turns = network.ways.get(run.approach, {})
+    first, last = run.vut_yaw_deg[[0, -1]].tolist()
+    turned_deg = (last - first + 180.0) % 360.0 - 180.0
+    wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
+    exits = turns.get(wanted) or next(iter(turns.values()), {})
+    leaving = next(iter(exits.values()), "")
     if run.approach not in network.entry_edges or not leaving:
         return None
     yaw = np.radians(run.vut_yaw_deg)
@@ -398,17 +395,8 @@ def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, A
     }
 
 
-def _exits(run: Run, network: RoadNetwork) -> str:
-    """Edges of the way through the junction that leads most nearly where the VUT's path points."""
-    turns = network.ways.get(run.approach, {})
-    first, last = run.vut_yaw_deg[[0, -1]].tolist()
-    turned_deg = (last - first + 180.0) % 360.0 - 180.0
-    wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
-    exits = turns.get(wanted) or next(iter(turns.values()), {})
-    return next(iter(exits.values()), "")
-
-
 def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, Any]:
+    child = Path(__file__).with_name("child.py")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         paths = {key: folder / f"junction.{key}.xml" for key in ("network", "routes")}
@@ -416,17 +404,11 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
         write_new(paths["routes"], routes)
         given, found = folder / "job.json", folder / "found.npz"
         write_new(given, json.dumps(job | {key: str(path) for key, path in paths.items()}))
-        try:
-            done = subprocess.run(
-                [sys.executable, "-I", str(_CHILD), str(given), str(found)],
-                capture_output=True,
-                text=True,
-                timeout=_TIMEOUT_S,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
+        command = [sys.executable, "-I", str(child), str(given), str(found)]
+        done = _run_program(command, timeout_s=_TIMEOUT_S)
+        if done is None:
             got = Unquoted(f"a simulation that takes more than {_TIMEOUT_S:g} s")
-            raise InputError("traffic", got, "less demand, or fewer runs") from None
+            raise InputError("traffic", got, "less demand, or fewer runs")
         if done.returncode != 0:
             lines = done.stderr.split("\n")
             reason = next((line for line in reversed(lines) if line.strip()), "no reason given")
@@ -435,4 +417,121 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
             return {key: stored[key] for key in stored.files}
 
 
-_CHILD = Path(__file__).with_name("child.py")
+def _run_program(
+    command: Sequence[str], *, timeout_s: float
+) -> subprocess.CompletedProcess[str] | None:
+    """Run a program to its end; None where that takes too long."""
+    try:
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=timeout_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return None
+
+
+# ---------- vehicles that drive by in sampled worlds
+
+
+SUMO = "sumo"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MovingTraffic:
+    """Where vehicles that drive by come from."""
+
+    name: str  # in reports
+    middle_m: FloatArray  # (2,): middle of the junction. World frame. [m]
+    demand: Demand  # what SUMO drives
+    network: RoadNetwork  # on which SUMO drives it, anew in each world
+
+    def draw(
+        self,
+        runs: Sequence[Run],
+        groups: Mapping[Any, Sequence[int]],
+        *,
+        frame_s: float,
+        clearance_m: float,
+        rng: np.random.Generator,
+    ) -> tuple[tuple[Run, ...], TrafficCount]:
+        """Runs with the vehicles that drive by in one world.
+
+        `groups` are indices of runs that see the same window of time, which all end at the same
+        moment. Who comes nearer than `clearance_m` to the VUT or the VRU of a run is left out of
+        it. Raises InputError if SUMO cannot drive the demand, MissingExtraError without SUMO.
+        """
+        members = {key: tuple(runs[index] for index in rows) for key, rows in groups.items()}
+        found = simulate_windows(
+            self.network, self.demand, members, reach_m=REACH_M, step_s=frame_s, rng=rng
+        )
+        count = TrafficCount(n_departed=found.n_departed, n_waiting=found.n_waiting)
+        driven = list(runs)
+        # A group's runs end together, but for runs whose impact is not on a frame.
+        together = {
+            (key, last_s): [row for row in rows if float(runs[row].time_s[-1]) == last_s]
+            for key, rows in groups.items()
+            for last_s in {float(runs[row].time_s[-1]) for row in rows}
+        }
+        for (key, _), rows in together.items():
+            longest = max((runs[row] for row in rows), key=lambda run: len(run.time_s))
+            time_s = longest.time_s + found.impact_s[key]
+            window = cut_window(found.trajectories, time_s, middle_m=self.middle_m)
+            if not window:
+                count += TrafficCount(n_runs=len(rows))
+                continue
+            # In all weathers the encounter is the same; what is parked is so in most runs.
+            in_parked: dict[tuple[int, ...], tuple[BoolArray, ...]] = {}
+            left: dict[tuple[int, ...], tuple[tuple[MovingActor, ...], int]] = {}
+            for index in rows:
+                run = runs[index]
+                parked = tuple(id(placed) for placed in run.obstruction)
+                if parked not in in_parked:
+                    in_parked[parked] = frames_in_parked(window, run.obstruction)
+                key_of_run = (id(run.encounter), len(run.time_s), *parked)
+                if key_of_run not in left:
+                    left[key_of_run] = _driving_by(run, window, in_parked[parked], clearance_m)
+                bodies, n_left_out = left[key_of_run]
+                driven[index] = replace(run, traffic=bodies)
+                count += TrafficCount(1, len(bodies) + n_left_out, n_left_out)
+        return tuple(driven), count
+
+
+def _driving_by(
+    run: Run,
+    window: Sequence[MovingActor],
+    in_parked: Sequence[BoolArray],
+    clearance_m: float,
+) -> tuple[tuple[MovingActor, ...], int]:
+    """Vehicles of a window that drive by in a run, and how many are left out of it."""
+    n_frames = len(run.time_s)
+    near = [
+        (body, bool(stands_in[-n_frames:].any()))
+        for whole, stands_in in zip(window, in_parked, strict=True)
+        if (body := last_frames(whole, n_frames)) is not None
+    ]
+    meets = meets_road_users(run, [body for body, _ in near], clearance_m=clearance_m)
+    bodies = tuple(
+        body
+        for (body, is_in_parked), is_met in zip(near, meets, strict=True)
+        if not (is_in_parked or is_met)
+    )
+    return bodies, len(near) - len(bodies)
+
+
+def load_traffic(source: str, scene: Scene) -> MovingTraffic:
+    """Vehicles that drive by, as a question names them: "sumo", or a .toml file of demand for it.
+
+    Raises InputError if it is not what it should be; MissingExtraError without SUMO.
+    """
+    path = Path(source)
+    if source != SUMO and path.suffix.lower() != ".toml":
+        raise InputError("traffic", source, f"{SUMO}, or a .toml file of demand for it")
+    demand = load_demand(None if source == SUMO else path)
+    if importlib.util.find_spec("libsumo") is None:
+        raise missing_sumo()
+    network = build_network(
+        scene, speed_limit_mps=demand.speed_limit_mps, approach_m=demand.approach_m
+    )
+    middle: FloatArray = scene.outline_m.mean(axis=0)
+    return MovingTraffic(
+        name=f"SUMO, demand {demand.name}", middle_m=middle, demand=demand, network=network
+    )

@@ -1,7 +1,7 @@
 """Where vehicles are at what time, and windows of it: what drives by while a run lasts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -34,9 +34,6 @@ class Trajectories:
         for name in ("time_s", "position_m", "yaw_deg"):
             object.__setattr__(self, name, freeze(np.array(getattr(self, name), dtype=np.float64)))
         object.__setattr__(self, "row_start", freeze(np.array(self.row_start, dtype=np.int64)))
-
-    def __repr__(self) -> str:
-        return f"Trajectories({len(self.bodies)} vehicles, {len(self.time_s)} samples)"
 
     def between(self, first_s: float, last_s: float) -> IntArray:
         """Vehicles with samples that may reach into a span of time, (n,)."""
@@ -77,10 +74,9 @@ def build_trajectories(
 ) -> Trajectories:
     """Trajectories from SUMO's samples, in any order.
 
-    `vehicle` (n,) is the number of each sample's vehicle, an index into `bodies`; those without a
-    sample are dropped. `front_m` (n, 2) is the middle of the front bumper, SUMO's x and y, in the
-    world frame; `angle_deg` (n,) is clockwise from north, as SUMO's. Traffic is known from
-    `span_s[0]` to `span_s[1]`, with samples `step_s` apart.
+    `vehicle` (n,) is each sample's index into `bodies`; `front_m` (n, 2) the middle of the front
+    bumper in the world frame; `angle_deg` (n,) clockwise from north. Traffic is known over
+    `span_s`, with samples `step_s` apart.
     """
     order = np.lexsort((time_s, vehicle))
     vehicle, time_s, front_m = vehicle[order], time_s[order], front_m[order]
@@ -137,13 +133,7 @@ class TrafficCount:
     n_waiting: int = 0
 
     def __add__(self, other: "TrafficCount") -> "TrafficCount":
-        return TrafficCount(
-            self.n_runs + other.n_runs,
-            self.n_vehicles + other.n_vehicles,
-            self.n_left_out + other.n_left_out,
-            self.n_departed + other.n_departed,
-            self.n_waiting + other.n_waiting,
-        )
+        return TrafficCount(*map(sum, zip(astuple(self), astuple(other), strict=True)))
 
     def __str__(self) -> str:
         text = (

@@ -36,14 +36,15 @@ SEARCH = CitySearch(is_coarse=True, max_units=2, max_junction_s=3600.0)
 LEAST_S = 1.0e-6
 
 
-def run(maps, out, *, question=FEW_RUNS, search=SEARCH, workers=None, told=None, **wish):
+def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
     wish = wish if "budget_units" in wish or "budget_eur" in wish else {"budget_units": 2, **wish}
     return job.run_city(
         question,
         maps=[maps] if isinstance(maps, Path) else maps,
         wish=CityWish(**wish),
         search=search,
-        workers=workers or job.CityWorkers(),
+        n_workers=1,
+        memory="1.5GiB",
         out=out,
         seed=0,
         command="place-rsus city tiny.osm",
@@ -312,12 +313,11 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
 
 def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
     city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
-    cost_eur, apr = [0.0, 8_560.0, 0.0, 4_040.0, 5_000.0], [0.0, 0.9, 0.0, 0.2, 0.3]
     options = Options(
-        junction=[0, 0, 1, 1, 1],
-        units=[0, 1, 0, 1, 1],
-        cost_eur=cost_eur,
-        apr=apr,
+        junction=np.array([0, 0, 1, 1, 1]),
+        units=np.array([0, 1, 0, 1, 1]),
+        cost_eur=np.array([0.0, 8_560.0, 0.0, 4_040.0, 5_000.0]),
+        apr=np.array([0.0, 0.9, 0.0, 0.2, 0.3]),
         **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
     )
     said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
@@ -414,8 +414,8 @@ def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path
 def tasks_of(path):
     city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
     grid = job.build_grid(Question(), is_coarse=True)
-    tasks = job._Tasks(city, FEW_RUNS, SEARCH, grid, existing={}, seed=0)
-    return [tasks.task(one) for one in city.junctions]
+    task_of = job._task_maker(city, FEW_RUNS, SEARCH, grid, existing={}, seed=0)
+    return [task_of(one) for one in city.junctions]
 
 
 class Dying:
@@ -508,7 +508,7 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):
-    from experiments.city.map import plot_city_front
+    from experiments.city.pages import plot_city_front
 
     result = run(tiny / "tiny.osm", city, budget_eur=20_000.0)
     axes = plot_city_front(result)

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.jobs import placement
 from geometry.actors import load_actors
-from placement.sampling.moving import source
+from placement.sampling.moving import sumo
 from placement.sampling.moving.sumo import SimulatedWindows
 from placement.sampling.moving.trajectories import Trajectories
 
@@ -42,8 +42,8 @@ def vans(monkeypatch):
             n_waiting=0,
         )
 
-    monkeypatch.setattr(source, "simulate_windows", simulate)
-    monkeypatch.setattr(source, "build_network", lambda scene, **options: None)
+    monkeypatch.setattr(sumo, "simulate_windows", simulate)
+    monkeypatch.setattr(sumo, "build_network", lambda scene, **options: None)
     real = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: name if name == "libsumo" else real(name)

@@ -9,7 +9,7 @@ from geometry.catalogue import pick_sensor
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.layout import Certificate, Layout, Stage
-from placement.refinement import Refinement, StageValue, rename
+from placement.refinement import Refinement, rename
 
 MINUS = "\N{MINUS SIGN}"
 NAMES = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur")
@@ -25,7 +25,7 @@ def _unit(name, *, east=0.0, height=5.0, yaw=0.0, pitch=-15.0, camera="carla-nca
 
 
 def _values(*numbers):
-    return tuple(StageValue(name, value) for name, value in zip(NAMES, numbers, strict=True))
+    return dict(zip(NAMES, numbers, strict=True))
 
 
 BEFORE = _values(1.0, 0.0, 0.333, 3.81, 1500.0)

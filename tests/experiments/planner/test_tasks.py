@@ -3,9 +3,9 @@
 import pytest
 
 from experiments.planner.tasks import _proof
-from placement.advice import Advice
 from placement.layout import Certificate, Stage
 from placement.optimiser import PlacementValue
+from placement.retrofit import Advice
 
 VALUE = PlacementValue(*[0.8] * len(PlacementValue._fields))
 

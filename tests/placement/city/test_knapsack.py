@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from placement.city.knapsack import Knapsack, best_prices, priced_choice, solve_knapsack
+from placement.city.choose import Knapsack, best_prices, priced_choice, solve_knapsack
 
 
 def build(sizes, seed, *, n_rows=1, tightness=0.5):

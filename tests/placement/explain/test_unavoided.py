@@ -11,7 +11,6 @@ from junctions import build_scene
 
 from geometry.actors import PlacedActor, load_actors
 from geometry.catalogue import pick_sensor
-from geometry.errors import InputError
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.detection_table import pack_table
@@ -321,19 +320,6 @@ def may_join(limits, chosen, pose):
         and n_there < limits.site_capacity[sites[pose]]
         and not is_rival
     )
-
-
-def test_only_the_tables_own_runs_and_candidates_will_do():
-    setting = setting_of(run_of((0.0, 0.0)))
-    candidates = [unit(-20.0, 0.0, name="a"), unit(-20.0, 5.0, name="b")]
-    problem = problem_of(setting, candidates, np.zeros((2, N_FRAMES), dtype=bool))
-    with pytest.raises(InputError, match="candidates: got others; expected the rows of the table"):
-        find_unavoided(setting, problem, candidates[::-1], [0])
-    with pytest.raises(InputError, match=r"pose_index: got \[\]; expected at least one pose"):
-        find_unavoided(setting, problem, candidates, [])
-    other = setting_of(run_of((0.0, 0.0), name="another"))
-    with pytest.raises(InputError, match="table: got 1 other runs; expected the setting's runs"):
-        find_unavoided(other, problem, candidates, [0])
 
 
 def test_each_look_gets_its_own_reasons():

@@ -15,13 +15,8 @@ from placement.optimiser import (
     placement_value,
     solve_placement,
 )
-from placement.optimiser.problem import Objective
-from placement.refinement import (
-    StageValue,
-    certify,
-    improves,
-    stage_values,
-)
+from placement.optimiser.problem import Objective, objective_values
+from placement.refinement import certify, improves
 
 
 @given(questions())
@@ -30,12 +25,10 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
         solution = solve_placement(problem, effort=Effort(solver="greedy"))
     except InputError:
         return
-    values = stage_values(problem, solution.pose_index)
+    values = objective_values(problem, solution.pose_index)
     stages = solution.certificate.stages
-    assert [value.name for value in values] == [stage.name for stage in stages]
-    assert [value.value for value in values] == pytest.approx(
-        [stage.objective for stage in stages], abs=1e-12
-    )
+    assert [*values] == [stage.name for stage in stages]
+    assert [*values.values()] == pytest.approx([stage.objective for stage in stages], abs=1e-12)
 
 
 @given(problems(), st.data())
@@ -44,19 +37,21 @@ def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem
     sets = st.sets(st.integers(0, n_poses - 1), min_size=1, max_size=3).map(sorted)
     one, other = data.draw(sets), data.draw(sets)
     values = [placement_value(problem, units) for units in (one, other)]
-    assert improves(stage_values(problem, one), stage_values(problem, other)) == is_better(*values)
+    assert improves(objective_values(problem, one), objective_values(problem, other)) == is_better(
+        *values
+    )
 
 
 def test_units_and_cost_are_the_better_the_smaller():
-    few = (StageValue(Objective("units"), 2.0), StageValue(Objective("apr"), 0.5))
-    many = (StageValue(Objective("units"), 3.0), StageValue(Objective("apr"), 0.9))
+    few = {Objective.UNITS: 2.0, Objective.APR: 0.5}
+    many = {Objective.UNITS: 3.0, Objective.APR: 0.9}
     assert improves(few, many)
     assert not improves(many, few)
     assert not improves(few, few)
-    dear, cheap = (StageValue(Objective("cost_eur"), cost) for cost in (1500.0, 1499.0))
-    assert improves([cheap], [dear])
-    assert not improves([dear], [cheap])
-    assert not improves([dear._replace(value=1500.0 - 1e-9)], [dear])
+    dear, cheap = ({Objective.COST: cost} for cost in (1500.0, 1499.0))
+    assert improves(cheap, dear)
+    assert not improves(dear, cheap)
+    assert not improves({Objective.COST: 1500.0 - 1e-9}, dear)
 
 
 def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
@@ -72,12 +67,12 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
         ),
         solver="some",
     )
-    values = [
-        StageValue(Objective("units"), 2.0),
-        StageValue(Objective("apr"), 0.6),
-        StageValue(Objective("mean_margin_s"), 2.0),
-        StageValue(Objective("cost_eur"), 2500.0),
-    ]
+    values = {
+        Objective.UNITS: 2.0,
+        Objective.APR: 0.6,
+        Objective.MEAN_MARGIN: 2.0,
+        Objective.COST: 2500.0,
+    }
     made = certify(values, certificate, "any")
     assert made.solver == "any"
     assert [(s.objective, s.bound) for s in made.stages] == [
@@ -95,6 +90,6 @@ def test_the_survived_stage_comes_before_the_apr():
 
     problem = find(problems(), lambda p: p.table.n_poses >= 2 and p.limits.max_units >= 2)
     problem = replace(problem, survive=1)
-    names = [value.name for value in stage_values(problem, [0, 1])]
-    assert names == ["apr_survived", *PlacementValue._fields]
-    assert np.isfinite([value.value for value in stage_values(problem, [0, 1])]).all()
+    values = objective_values(problem, [0, 1])
+    assert [*values] == ["apr_survived", *PlacementValue._fields]
+    assert np.isfinite([*values.values()]).all()

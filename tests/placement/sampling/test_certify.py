@@ -30,12 +30,6 @@ def test_limits_are_those_of_the_formula():
     assert found.bias == pytest.approx(np.mean(bounds) - np.mean(aprs))
 
 
-@pytest.mark.parametrize(("bounds", "aprs"), [([0.9], [0.8, 0.9]), ([0.9, 0.9], [0.8])])
-def test_one_of_either_shows_no_spread(bounds, aprs):
-    with pytest.raises(InputError, match="at least 2"):
-        estimate_gap(bounds, aprs)
-
-
 def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
     """Shares of gaps, and of their upper and lower ends, that hold where the optimum is known.
 

@@ -12,10 +12,10 @@ from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
 from placement.sampling.drawing import _linked, draw_frames, random_bits
-from placement.sampling.silence import silence
 from placement.sampling.tables import (
     build_drawn_tables,
     build_sample_tables,
+    silence,
 )
 from placement.sampling.uncertainty import Uncertainty
 from placement.sampling.worlds import draw_samples, link_frames

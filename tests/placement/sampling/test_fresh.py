@@ -187,12 +187,6 @@ def test_progress_counts_worlds(setting, layouts):
     assert calls == [("out of sample", done, 2) for done in (0, 1, 2)]
 
 
-def test_an_unknown_fusion_is_refused(setting, layouts):
-    with pytest.raises(InputError) as caught:
-        out_of_sample(setting, layouts[0], LOSSY, n_samples=1, fusion="all")
-    assert str(caught.value) == "fusion: got 'all'; expected one of any, single"
-
-
 def test_a_judgement_must_fit_its_runs(setting, layouts):
     with pytest.raises(InputError, match="avoided_share"):
         SampledApr(

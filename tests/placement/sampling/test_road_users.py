@@ -11,7 +11,6 @@ from geometry.errors import InputError
 from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
-from placement.sampling.road_users import change_motion, draw_road_users
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import (
     MeasuredPeople,
@@ -19,7 +18,7 @@ from placement.sampling.uncertainty import (
     Uncertainty,
     load_uncertainty,
 )
-from placement.sampling.worlds import RandomStreams, draw_samples
+from placement.sampling.worlds import RandomStreams, change_motion, draw_road_users, draw_samples
 from scenarios.cases import load_cases, select_cases
 from scenarios.encounters import first_contact_s
 from scenarios.obstructions import is_way_free

@@ -9,7 +9,7 @@ from geometry.actors import Actor
 from geometry.errors import InputError
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
-from placement.sampling.tables import SampledTable, _append, build_sample_tables, sampled_table
+from placement.sampling.tables import _append, build_sample_tables, sampled_table
 from placement.sampling.uncertainty import (
     LatencyJitter,
     MountingErrors,
@@ -157,13 +157,6 @@ def test_bits_are_appended_where_they_belong(worlds):
     assert found[0].tolist() == [bit for bits in worlds for bit in bits]
     assert np.array_equal(found[1], ~found[0])
     assert not np.unpackbits(packed, axis=1, bitorder="little")[:, n * n_bits :].any()
-
-
-def test_a_sample_index_must_fit(stacked):
-    with pytest.raises(InputError, match="sample_index: got shape"):
-        SampledTable(table=stacked.table, sample_index=np.zeros(2, dtype=int), n_samples=1)
-    with pytest.raises(InputError, match=r"expected 0 \.\. 3, each"):
-        replace(stacked, n_samples=4)
 
 
 def test_workers_are_checked(setting, candidates):

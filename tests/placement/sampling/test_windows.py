@@ -9,7 +9,7 @@ from junctions import protocol_scene
 from geometry.actors import MovingActor, PlacedActor, load_actors
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.poses import Pose
-from placement.sampling.moving import MovingTraffic, source
+from placement.sampling.moving import MovingTraffic, sumo
 from placement.sampling.moving.demand import load_demand
 from placement.sampling.moving.sumo import SimulatedWindows
 from placement.sampling.moving.trajectories import (
@@ -184,7 +184,7 @@ def drives(monkeypatch):
             n_waiting=0,
         )
 
-    monkeypatch.setattr(source, "simulate_windows", simulate)
+    monkeypatch.setattr(sumo, "simulate_windows", simulate)
 
 
 @pytest.fixture(scope="module")
