@@ -3,8 +3,8 @@
 ``read`` reads a folder strictly, cuts its frames into drives that end at the impact, and counts
 what it leaves out; ``evaluate`` matches, confirms and brakes. ``files`` knows the layout, from
 ``data/carla_ncap_format.toml``, and writes such a folder. ``boxes`` has the value of annotated
-tracks and detections in other formats, which ``formats`` tells apart, each in a file: ``mot``,
-``kitti``, ``cvml``, ``wildtrack``; ``pairs`` lays the two side by side.
+tracks and detections that ``formats`` reads in other formats, ``calibrations`` reads cameras;
+``pairs`` lays annotations and detections side by side.
 """
 
 from .boxes import RecordedBoxes

@@ -3,19 +3,21 @@
 Readers of single formats make :class:`RecordedBoxes` of rows.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import parse_number, read_text
+from geometry.files import parse_number
 
 from .files import Box
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 IGNORE = "ignore"
 """Class of a region in which nothing is annotated: what is found there does not count."""
@@ -25,7 +27,6 @@ _MOST_HEIGHTS = 8.0
 """A box's middle that moves on by more of its heights in a frame jumps: assumption. The most in
 PETS (7 Hz) is 0.1, in KITTI's even sequences (10 Hz) 3.2, in WILDTRACK (2 Hz) 5.8."""
 
-_MOST_FRAMES = 100_000_000
 _NOWHERE = (np.nan, np.nan, np.nan)
 
 
@@ -90,13 +91,12 @@ class RecordedBoxes:
     def take(self, rows: IntArray | BoolArray) -> "RecordedBoxes":
         """Some of the boxes, by index or mask."""
         index = np.arange(len(self))[rows]
-        arrays = {
-            name: getattr(self, name)[index]
-            for name in self.__slots__
-            if name not in ("source", "class_name", "left_out")
+        values = {name: getattr(self, name) for name in self.__slots__}
+        arrays: dict[str, Any] = {
+            name: one[index] for name, one in values.items() if isinstance(one, np.ndarray)
         }
         names = tuple(self.class_name[one] for one in index.tolist())
-        return RecordedBoxes(source=self.source, class_name=names, left_out=self.left_out, **arrays)
+        return replace(self, class_name=names, **arrays)
 
 
 def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
@@ -118,16 +118,17 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
         if right < left or bottom < top:
             got = Unquoted(f"{right - left:g} x {bottom - top:g} px")
             raise InputError(f"{row.place}: box", got, "a width and a height, at least 0")
+
+    def column(name: str, kind: type, *size: int) -> Any:
+        return freeze(np.array([getattr(row, name) for row in kept], kind).reshape(-1, *size))
+
     boxes = RecordedBoxes(
         source=str(path),
-        frame=_frozen([row.frame for row in kept], np.int64),
         class_name=tuple(row.class_name for row in kept),
-        box_px=_frozen([row.box_px for row in kept], np.float64).reshape(-1, 4),
-        track=_frozen([row.track for row in kept], np.int64),
-        score=_frozen([row.score for row in kept], np.float64),
-        seen_share=_frozen([row.seen_share for row in kept], np.float64),
-        hidden_level=_frozen([row.hidden_level for row in kept], np.int64),
-        position_m=_frozen([row.position_m for row in kept], np.float64).reshape(-1, 3),
+        **{name: column(name, np.int64) for name in ("frame", "track", "hidden_level")},
+        **{name: column(name, np.float64) for name in ("score", "seen_share")},
+        box_px=column("box_px", np.float64, 4),
+        position_m=column("position_m", np.float64, 3),
     )
     jumping = _jumping(boxes)
     if not len(jumping):
@@ -148,57 +149,20 @@ def _jumping(boxes: RecordedBoxes) -> IntArray:
     return np.unique(boxes.track[after[is_same & is_far]])
 
 
-def _frozen(values: Sequence[object], kind: type) -> NDArray[Any]:
-    return freeze(np.array(values, dtype=kind))
+# ---------- attributes of XML
 
 
-# ---------- lines of numbers
+def xml_number(element: "Element", name: str, place: str) -> float:
+    """Number of an attribute."""
+    word = element.get(name)
+    if word is None:
+        raise InputError(f"{place}: {name}", Unquoted("nothing"), "a number")
+    return parse_number(word, f"{place}: {name}", least=-1.0e9, most=1.0e9)
 
 
-class Fields:
-    """The fields of a line, taken by name."""
-
-    def __init__(self, path: Path, line: int, words: Sequence[str], names: Sequence[str]) -> None:
-        self.path, self.line = path, line
-        self.words = dict(zip(names, words, strict=False))
-
-    @property
-    def place(self) -> str:
-        """File and line."""
-        return f"{self.path}:{self.line}"
-
-    def number(self, name: str, *, least: float = -1.0e9, most: float = 1.0e9) -> float:
-        """A field's number; raises InputError unless it lies between `least` and `most`."""
-        return parse_number(self.words[name], f"{self.place}: {name}", least=least, most=most)
-
-    def whole(self, name: str, *, least: int = -1, most: int = _MOST_FRAMES) -> int:
-        """A field's whole number; raises InputError as :meth:`number` does."""
-        value = self.number(name, least=least, most=most)
-        if value != int(value):
-            raise InputError(f"{self.place}: {name}", self.words[name], "a whole number")
-        return int(value)
-
-    def box(self, names: Sequence[str]) -> Box:
-        """A box of the four fields that are named."""
-        left, top, right, bottom = (self.number(name) for name in names)
-        return left, top, right, bottom
-
-
-def read_lines(
-    path: Path, names: Sequence[str], *, separator: str | None, least: int | None = None
-) -> Iterator[Fields]:
-    """Lines of a text file that are not empty, cut into fields.
-
-    Raises InputError where a line has fewer than `least` fields (by default all that are named), or
-    more than are named: a file that was cut off ends in such a line.
-    """
-    fewest = len(names) if least is None else least
-    for line, text in enumerate(read_text(path, "text").splitlines(), start=1):
-        words = [word.strip() for word in text.strip().split(separator)]
-        if not any(words):
-            continue
-        if not fewest <= len(words) <= len(names):
-            count = f"{fewest}" if fewest == len(names) else f"{fewest} to {len(names)}"
-            what = f"{count} fields: {(separator or ' ').join(names)}"
-            raise InputError(f"{path}:{line}", Unquoted(f"{len(words)} fields"), what)
-        yield Fields(path, line, words, names)
+def xml_whole(element: "Element", name: str, place: str) -> int:
+    """Whole number of an attribute, at least 0."""
+    value = xml_number(element, name, place)
+    if value != int(value) or value < 0.0:
+        raise InputError(f"{place}: {name}", element.get(name), "a whole number, at least 0")
+    return int(value)

@@ -1,28 +1,260 @@
-"""Which format a recording is in, and the boxes of a file in any of them."""
+"""Boxes of recordings in the formats of others, and which format a recording is in.
 
+MOT challenge: https://motchallenge.net/instructions; frames count from 1 in files, from 0 here.
+KITTI: A. Geiger et al., "Vision meets robotics: the KITTI dataset", 2013, and its development kit;
+RRC as in DeepFusionMOT, PointRCNN as in AB3DMOT. CVML: T. List, R. Fisher, "CVML - an XML-based
+computer vision markup language", 2004. WILDTRACK: T. Chavdarova et al., "WILDTRACK: a multi-camera
+HD dataset for dense unscripted pedestrian detection", 2018; places are cells of a grid.
+"""
+
+import re
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
+from geometry.files import read_bytes, read_table, read_text
+from geometry.untrusted_files import read_xml
 
-from .boxes import RecordedBoxes
-from .cvml import read_cvml
-from .files import load_format
-from .kitti import read_kitti_labels, read_pointrcnn, read_rrc
-from .mot import read_mot
-from .wildtrack import is_wildtrack
+from .boxes import (
+    IGNORE,
+    BoxRow,
+    RecordedBoxes,
+    gather_boxes,
+    xml_number,
+    xml_whole,
+)
+from .files import Fields, load_format, read_lines
+
+# ---------- MOT challenge: annotated tracks (gt.txt) and detections (det.txt)
+
+
+_MOT = ("frame", "id", "left", "top", "width", "height", "conf", "class", "visibility", "z")
+_MOT_LEAST = 7  # the rest is -1, or missing
+_WITH_CLASSES = 9  # fields from 2016 on; in 2015 there were x, y, z in their place
+_PEDESTRIAN = 1
+# Ignored: riders, statues, reflections.
+_MOT_OTHERS = {
+    3: "car",
+    2: IGNORE,
+    7: IGNORE,
+    8: IGNORE,
+    12: IGNORE,
+}
+
+
+def mot_rows(path: Path) -> Iterator[BoxRow]:
+    """Boxes with an id are annotated, to be ignored if their flag is 0; others were found."""
+    for fields in read_lines(path, _MOT, separator=",", least=_MOT_LEAST):
+        frame = fields.whole("frame", least=1)
+        track = fields.whole("id")
+        left, top = fields.number("left"), fields.number("top")
+        box = (left, top, left + fields.number("width"), top + fields.number("height"))
+        conf = fields.number("conf")
+        if track < 0:
+            yield BoxRow(fields.place, frame - 1, "pedestrian", box, score=conf)
+            continue
+        name, seen = "pedestrian", float("nan")
+        if len(fields.words) == _WITH_CLASSES:
+            kind = fields.whole("class", least=-1, most=100)
+            name = name if kind in (_PEDESTRIAN, -1) else _MOT_OTHERS.get(kind, "other")
+            seen = fields.number("visibility", least=-1.0, most=1.0)
+            seen = seen if seen >= 0.0 else float("nan")
+        if conf not in (0.0, 1.0):
+            raise InputError(f"{fields.place}: conf", conf, "0 or 1 where there is an id")
+        name = name if conf else IGNORE
+        yield BoxRow(fields.place, frame - 1, name, box, track=track, seen_share=seen)
+
+
+# ---------- KITTI: annotated tracks, and two detectors' output
+
+
+_SIDES = ("left", "top", "right", "bottom")
+_PLACE = ("height", "width", "length", "x", "y", "z", "yaw")
+_LABEL = ("frame", "track", "type", "truncated", "occluded", "alpha", *_SIDES, *_PLACE)
+_RRC = ("frame", *_SIDES, "score")
+_POINTRCNN = ("frame", "type", *_SIDES, "score", *_PLACE, "alpha")
+_CLASSES = {"Pedestrian": "pedestrian", "Cyclist": "cyclist", "Car": "car", "DontCare": IGNORE}
+_OTHERS = ("Van", "Truck", "Person", "Person_sitting", "Tram", "Misc")
+_POINTRCNN_CLASSES = {1: "pedestrian", 2: "car", 3: "cyclist"}
+
+
+def kitti_rows(path: Path) -> Iterator[BoxRow]:
+    """Annotated road users; positions are in the frame of the rectified camera 0."""
+    for fields in read_lines(path, _LABEL, separator=None):
+        word = fields.words["type"]
+        if word not in _CLASSES and word not in _OTHERS:
+            expected = "one of " + ", ".join((*_CLASSES, *_OTHERS))
+            raise InputError(f"{fields.place}: type", word, expected)
+        level = fields.whole("occluded", most=3)
+        name = _CLASSES.get(word, "other")
+        yield BoxRow(
+            fields.place,
+            fields.whole("frame", least=0),
+            name,
+            fields.box(_SIDES),
+            track=-1 if name == IGNORE else fields.whole("track"),
+            hidden_level=level if level < 3 else -1,
+            position_m=_position(fields),
+        )
+
+
+def _position(fields: Fields) -> tuple[float, float, float]:
+    x, y, z = (fields.number(name) for name in ("x", "y", "z"))
+    return x, y, z
+
+
+def rrc_rows(path: Path) -> Iterator[BoxRow]:
+    """Pedestrians found by RRC in a sequence, a file a class: frame, box, score."""
+    for fields in read_lines(path, _RRC, separator=","):
+        frame, score = fields.whole("frame", least=0), fields.number("score", least=0.0, most=1.0)
+        yield BoxRow(fields.place, frame, "pedestrian", fields.box(_SIDES), score=score)
+
+
+def pointrcnn_rows(path: Path) -> Iterator[BoxRow]:
+    """Road users found by PointRCNN in a sequence; scores are logits, 0 is a half."""
+    for fields in read_lines(path, _POINTRCNN, separator=","):
+        kind = fields.whole("type", least=1, most=3)
+        yield BoxRow(
+            fields.place,
+            fields.whole("frame", least=0),
+            _POINTRCNN_CLASSES[kind],
+            fields.box(_SIDES),
+            score=fields.number("score"),
+            position_m=_position(fields),
+        )
+
+
+# ---------- CVML
+
+
+def cvml_rows(path: Path) -> Iterator[BoxRow]:
+    """Annotated people; frames are in order, and all as far apart (one frame rate)."""
+    root = read_xml(path, expected="CVML")
+    if root.tag != "dataset":
+        raise InputError(str(path), root.tag, "CVML: an element <dataset> with frames")
+    step: int | None = None
+    last: int | None = None
+    for frame in root.iter("frame"):
+        number = xml_whole(frame, "number", f"{path}: frame {frame.get('number')}")
+        place = f"{path}: frame {number}"
+        if last is not None:
+            step = number - last if step is None else step
+            if number - last != step or step <= 0:
+                expected = f"{last + step} after frame {last}: frames in order, all as far apart"
+                raise InputError(place, number, expected)
+        last = number
+        for thing in frame.iter("object"):
+            here = f"{place}, object {thing.get('id')}"
+            track = xml_whole(thing, "id", here)
+            box = thing.find("box")
+            if box is None:
+                raise InputError(here, Unquoted("no box"), "<box xc= yc= w= h=>")
+            x, y, w, h = (xml_number(box, name, here) for name in ("xc", "yc", "w", "h"))
+            sides = (x - 0.5 * w, y - 0.5 * h, x + 0.5 * w, y + 0.5 * h)
+            yield BoxRow(here, number, "pedestrian", sides, track=track)
+
+
+# ---------- WILDTRACK: people on a square who are annotated in seven calibrated views
+
+
+N_VIEWS = 7
+_CELL_M, _COLUMNS, _ORIGIN_M = 0.025, 480, (-3.0, -9.0)
+_NAME = re.compile(r"(\d{1,8})\.json", re.ASCII)
+_Pixel = Annotated[int, Meta(ge=-100_000, le=100_000)]
+
+
+class _View(msgspec.Struct, frozen=True):
+    viewNum: Annotated[int, Meta(ge=0, lt=N_VIEWS)]
+    xmin: _Pixel
+    ymin: _Pixel
+    xmax: _Pixel
+    ymax: _Pixel
+
+
+class _Person(msgspec.Struct, frozen=True):
+    personID: Annotated[int, Meta(ge=0, le=1_000_000)]
+    positionID: Annotated[int, Meta(ge=0, le=10_000_000)]
+    views: tuple[_View, ...]
+
+
+def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
+    """Everybody who is annotated, view by view; a box without area means: not in this view.
+
+    Frames are numbered 0, 1, .. in the order of their files. Raises InputError if a file is not
+    what it should be, views are missing, or the files' numbers are not all as far apart (mixed
+    frame rates).
+    """
+    rows: list[list[BoxRow]] = [[] for _ in range(N_VIEWS)]
+    for frame, path in enumerate(_files(folder)):
+        try:
+            found = msgspec.json.decode(read_bytes(path))
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise InputError(str(path), Unquoted(error), "a JSON file") from None
+        for person in read_table(found, tuple[_Person, ...], str(path)):
+            if sorted(view.viewNum for view in person.views) != [*range(N_VIEWS)]:
+                got = Unquoted(f"{len(person.views)} views")
+                expected = f"views 0 to {N_VIEWS - 1}, once each"
+                raise InputError(f"{path}: person {person.personID}", got, expected)
+            for view in person.views:
+                sides = (view.xmin, view.ymin, view.xmax, view.ymax)
+                is_seen = sides != (-1, -1, -1, -1)
+                left, top, right, bottom = map(float, sides if is_seen else (0, 0, 0, 0))
+                rows[view.viewNum].append(
+                    BoxRow(
+                        f"{path}: person {person.personID}, view {view.viewNum}",
+                        frame,
+                        "pedestrian",
+                        (left, top, right, bottom),
+                        track=person.personID,
+                        position_m=_position_m(person.positionID),
+                    )
+                )
+    return tuple(gather_boxes(folder, of_view) for of_view in rows)
+
+
+def _files(folder: Path) -> list[Path]:
+    """Files of the frames, in order."""
+    try:
+        found = {int(m[1]): path for path in folder.iterdir() if (m := _NAME.fullmatch(path.name))}
+    except OSError as error:
+        reason = Unquoted(error.strerror or error)
+        raise InputError(str(folder), reason, "a folder with frames") from None
+    if not found:
+        raise InputError(str(folder), Unquoted("no frame"), "files FRAME.json")
+    numbers = sorted(found)
+    steps = np.diff(numbers)
+    odd = np.flatnonzero(steps != steps[:1])
+    if len(odd):
+        wrong = numbers[int(odd[0]) + 1]
+        expected = f"numbers all {steps[0]} apart: one frame rate"
+        raise InputError(str(found[wrong]), Unquoted(f"frame {wrong}"), expected)
+    return [found[number] for number in numbers]
+
+
+def _position_m(position_id: int) -> tuple[float, float, float]:
+    row, column = divmod(position_id, _COLUMNS)
+    return _ORIGIN_M[0] + _CELL_M * column, _ORIGIN_M[1] + _CELL_M * row, 0.0
+
+
+# ---------- any of them
+
 
 STUDY, MOT_FOLDER, WILDTRACK, COCO = "study", "MOT challenge's folder", "WILDTRACK", "COCO"
 MOT_FILES = (Path("gt/gt.txt"), Path("det/det.txt"))
 """In a folder of MOT challenge: who was annotated, and what was found."""
 
 _READERS = {
-    "CVML": read_cvml,
-    "MOT challenge": read_mot,
-    "KITTI": read_kitti_labels,
-    "RRC": read_rrc,
-    "PointRCNN": read_pointrcnn,
+    "CVML": cvml_rows,
+    "MOT challenge": mot_rows,
+    "KITTI": kitti_rows,
+    "RRC": rrc_rows,
+    "PointRCNN": pointrcnn_rows,
 }
 _BY_FIELDS = {6: "RRC", 15: "PointRCNN"} | dict.fromkeys(range(7, 11), "MOT challenge")
 
@@ -63,7 +295,7 @@ def _of_folder(path: Path) -> str | None:
         return STUDY
     if (path / MOT_FILES[0]).is_file():
         return MOT_FOLDER
-    return WILDTRACK if is_wildtrack(path) else None
+    return WILDTRACK if any(_NAME.fullmatch(one.name) for one in path.iterdir()) else None
 
 
 def _unknown(where: str, got: str) -> InputError:
@@ -74,9 +306,9 @@ def _unknown(where: str, got: str) -> InputError:
 def read_boxes(path: Path) -> RecordedBoxes:
     """Boxes of a file in any of the formats that are known; the file itself says in which.
 
-    Raises InputError if it is none of them, or not what its format asks for.
+    Raises InputError, with line or frame, if it is none of them, or not what its format asks for.
     """
     name = find_format(path)
     if name not in _READERS:
         raise InputError(str(path), Unquoted(name), "a file of " + ", ".join(_READERS))
-    return _READERS[name](path)
+    return gather_boxes(path, _READERS[name](path))

@@ -23,7 +23,7 @@ from placement.detectors import load_detector, load_min_iou
 from placement.detectors.fitting import poisson, wilson
 from placement.detectors.network import NetworkDetector
 from placement.question import Question
-from placement.recordings.boxes import read_lines
+from placement.recordings.files import read_lines
 from placement.setting import Setting, build_setting
 
 from ...results.numbers import percent

@@ -14,10 +14,8 @@ from geometry.poses import Pose, body_rotation
 from geometry.sensors import CameraModel, project_points
 from placement.detectors.evidence import Interval
 from placement.recordings.boxes import RecordedBoxes
-from placement.recordings.cvml import read_tsai
-from placement.recordings.formats import read_boxes
-from placement.recordings.kitti import read_kitti_camera
-from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
+from placement.recordings.calibrations import read_kitti_camera, read_opencv_camera, read_tsai
+from placement.recordings.formats import read_boxes, read_wildtrack
 
 BODY = "adult"
 POLE_M = 1.7
