@@ -122,16 +122,17 @@ def dataset(
     """Write a dataset: what the cameras of a layout see of all runs, with labels."""
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
-    from . import dataset as job
+    from .dataset import run_dataset
+    from .drawing import DatasetWish
 
     def announce(sentence: str) -> None:
         if not quiet:
             tell(f"place-rsus: {sentence}", err=True)
 
-    summary = job.run_dataset(
+    summary = run_dataset(
         question,
         layout=layout,
-        wish=job.DatasetWish(
+        wish=DatasetWish(
             format=form,
             units=units,
             every=every,

@@ -38,6 +38,7 @@ from .render import cloud_bytes, depth_image, instance_image
 DRAW = "draw"
 """The stage in which pictures are drawn."""
 
+FORMATS = ("carlancap", "coco")
 MASKS, DEPTHS = "instances", "depth"
 """Folders of the pictures other than those in colour."""
 
@@ -46,8 +47,10 @@ _MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
 _LEAST_VEHICLE_PX = 20  # pixels; of less a vehicle has no label
 _TRIES = 3  # of a task whose worker dies
 
+Content = str | bytes | Callable[[BinaryIO], object]
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Viewer:
     """A camera of the dataset: a roadside unit, or the VUT's."""
 
@@ -56,6 +59,21 @@ class Viewer:
     key: UnitKey  # with which the evaluator seeds its random numbers
     pose: Pose | None  # None: on the VUT
     camera: CameraModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DatasetWish:
+    """Contents of a dataset besides the labels of all frames."""
+
+    format: str = FORMATS[0]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
+    units: str = ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
+    every: int = 1  # pictures of every so many frames of a run; labels and motion are of all
+    lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
+    # masks, depth: pictures of instances and of depths are written, too
+    masks: bool = False
+    depth: bool = False
+    vehicles: bool = False  # vehicles get labels, too, in frames with pictures
+    vary: bool = False  # clothes, paints and facades are drawn at random for each run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,21 +86,17 @@ class DrawTask:
     frames: tuple[tuple[int, int, str], ...]  # index of the run, frame, name of the files
     viewer: Viewer
     lidar: LidarModel | None
-    masks: bool
-    depth: bool
-    vehicles: bool
-    has_labels: bool  # next to the pictures, of what the VUT meets
-    vary: bool
+    wish: DatasetWish
     seed: int
 
     def files(self, stem: str) -> dict[str, Path]:
         """Files of a frame, by kind; the picture comes last: where it is, all are."""
-        folder = self.viewer.folder
+        folder, wish = self.viewer.folder, self.wish
         wanted = {
             "cloud": self.lidar is not None and self.out / folder / f"{stem}.bin",
-            "masks": self.masks and self.out / MASKS / folder / f"{stem}.png",
-            "depth": self.depth and self.out / DEPTHS / folder / f"{stem}.png",
-            "vehicles": self.vehicles and self.out / folder / f"{stem}.txt",
+            "masks": wish.masks and self.out / MASKS / folder / f"{stem}.png",
+            "depth": wish.depth and self.out / DEPTHS / folder / f"{stem}.png",
+            "vehicles": wish.vehicles and self.out / folder / f"{stem}.txt",
             "picture": self.out / folder / f"{stem}.png",
         }
         return {kind: path for kind, path in wanted.items() if path}
@@ -102,9 +116,8 @@ def draw_task(task: DrawTask) -> int:
         files = task.files(stem)
         if files["picture"].exists():
             continue
-        picture, cloud = draw(task.runs[index], frame)
-        vut_meets = task.runs[index].encounter.vru.class_name
-        for kind, content in _contents(picture, cloud, files, task, vut_meets):
+        run = task.runs[index]
+        for kind, content in _contents(*draw(run, frame), files, task, run):
             write_atomically(files[kind], content)
             n_bytes += files[kind].stat().st_size
     return n_bytes
@@ -123,33 +136,29 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
     def materials(run: Run) -> Materials | None:
         """One and the same for all cameras and weathers."""
-        if not task.vary:
+        if not task.wish.vary:
             return None
         encounter = run.id.removesuffix(f"/{run.weather}")
         return vary_materials(load_materials(), build_rng(task.seed, "look", encounter))
 
-    if pose is not None:
+    def draw_at_roadside(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
+        assert pose is not None
+        look = run.id if task.wish.vary else ""
+        if look not in stills:
+            stills.clear()
+            stills[look] = draw_still(
+                *(backdrop, pose, task.viewer.camera),
+                weather=weather,
+                materials=materials(run),
+                compute=compute,
+            )
+        picture = draw_onto(stills[look], run, frame, compute=compute)
+        if lidar is None:
+            return picture, None
+        return picture, scan_onto(stills[look], run, frame, lidar, seed=task.seed)
 
-        def draw_at_roadside(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
-            look = run.id if task.vary else ""
-            if look not in stills:
-                stills.clear()
-                stills[look] = draw_still(
-                    *(backdrop, pose, task.viewer.camera),
-                    weather=weather,
-                    materials=materials(run),
-                    compute=compute,
-                )
-            picture = draw_onto(stills[look], run, frame, compute=compute)
-            if lidar is None:
-                return picture, None
-            return picture, scan_onto(stills[look], run, frame, lidar, seed=task.seed)
-
-        return draw_at_roadside
-    mount = load_vut_camera()
-
-    def draw(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
-        at = vut_camera_pose(mount, run, frame)
+    def draw_from_vut(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
+        at = vut_camera_pose(load_vut_camera(), run, frame)
         picture = draw_picture(
             *(backdrop, run, frame, at, task.viewer.camera),
             weather=weather,
@@ -162,37 +171,31 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
         mesh = build_frame_mesh(backdrop.mesh, run, frame, at.position_m, with_vut=False)
         return picture, scan_mesh(mesh, run, at, lidar, weather=weather, seed=task.seed)
 
-    return draw
+    return draw_from_vut if pose is None else draw_at_roadside
 
 
 def _contents(
-    picture: Picture,
-    cloud: PointCloud | None,
-    files: Mapping[str, Path],
-    task: DrawTask,
-    vut_meets: str,
-) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
+    picture: Picture, cloud: PointCloud | None, files: Mapping[str, Path], task: DrawTask, run: Run
+) -> Iterator[tuple[str, Content]]:
     """Contents of the files of a frame, by kind, in the order of :meth:`DrawTask.files`."""
     if cloud is not None:
-        points = cloud_bytes(cloud)
-        yield "cloud", lambda file: file.write(points)
+        yield "cloud", cloud_bytes(cloud)
     if "masks" in files:
         yield "masks", _png(instance_image(picture))
     if "depth" in files:
         yield "depth", _png(depth_image(picture))
     if "vehicles" in files:
-        lines = _with_vehicles(files["vehicles"], picture, task, vut_meets)
-        yield "vehicles", lambda file: file.write(lines)
+        yield "vehicles", _with_vehicles(files["vehicles"], picture, task, run)
     yield "picture", _png(picture.rgb)
 
 
-def _with_vehicles(path: Path, picture: Picture, task: DrawTask, vut_meets: str) -> bytes:
+def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> str:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
     lines = read_text(path, "labels").splitlines() if path.exists() else []
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
     known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
-    if task.has_labels and vut_meets == _VEHICLE:  # whose line was taken away with the others'
-        known.add("vru")
+    if task.wish.format == FORMATS[0] and run.encounter.vru.class_name == _VEHICLE:
+        known.add("vru")  # whose line was taken away with the others'
     camera = task.viewer.camera
     for index in np.unique(picture.instance[picture.instance >= 0]).tolist():
         name = picture.names[index]
@@ -205,10 +208,10 @@ def _with_vehicles(path: Path, picture: Picture, task: DrawTask, vut_meets: str)
         away_m = picture.depth_m[rows, columns] * np.hypot(1.0, offsets / camera.focal_length_px)
         box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1, away_m.mean())
         lines.append(f"{_VEHICLE} {' '.join(str(float(number)) for number in box)}")
-    return "".join(f"{line}\n" for line in lines).encode()
+    return "".join(f"{line}\n" for line in lines)
 
 
-def _png(pixels: NDArray[Any]) -> Callable[[BinaryIO], object]:
+def _png(pixels: NDArray[Any]) -> Content:
     from PIL import Image
 
     # Noise does not shrink: more effort makes files 7 % smaller in three times the time.

@@ -37,8 +37,8 @@ from placement.detectors.network import (
     VRU_KINDS,
     ImageBoxes,
     NetworkDetector,
+    boxes_of_class,
     kind_of_name,
-    vru_boxes,
 )
 from placement.evaluator import VutCamera, build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
@@ -269,9 +269,8 @@ def _look(
             is_whole = in_crop is None or n_drawn // _BLOCK % _WHOLE == 0
             found = network.look(picture(row)) if in_crop is None or is_whole else in_crop
             is_sure = found.confidence >= wish.min_confidence
-            boxes = vru_boxes(in_crop or found)
             kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])
-            of_class = boxes.of_class(VRU_CLASSES[kind])
+            of_class, how_sure = boxes_of_class(in_crop or found, VRU_CLASSES[kind])
             box = evidence.visible_px[row]
             # Boxes on a road user that is too small to count are no false alarms.
             # Nor are those on cars: the pictures are full of them.
@@ -286,7 +285,7 @@ def _look(
                 seen_share=_row(evidence.visible_share * evidence.inside_share, row, n_labels),
                 contrast=_row(evidence.contrast, row, n_labels),
                 aspect_deg=_row(evidence.aspect_deg, row, n_labels),
-                found_px=of_class.boxes_px[of_class.confidence >= wish.min_confidence],
+                found_px=of_class[how_sure >= wish.min_confidence],
                 alone_px=found.boxes_px[is_sure & is_alone],
                 is_whole=is_whole,
             )

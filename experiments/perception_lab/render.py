@@ -1,6 +1,6 @@
 """A picture or point cloud of one frame: which run, frame and unit, and the files that show it."""
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -34,53 +34,38 @@ def check_path(path: Path, sensor: Sensor) -> None:
 
 
 def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
-    """Write a picture or a point cloud; see :func:`save_picture` and :func:`save_cloud`."""
-    return save_cloud(path, seen) if isinstance(seen, PointCloud) else save_picture(path, seen)
+    """Write a picture or a point cloud, each file whole or not at all; returns their paths.
 
-
-def save_cloud(path: Path, cloud: PointCloud) -> tuple[Path]:
-    """Write a point cloud, whole or not at all.
-
-    ".ply": points in the LiDAR's frame with a colour for each thing; ".bin": float32 x, y, z,
-    intensity, as the study releases them.
+    A cloud is ".ply", points in the LiDAR's frame with a colour for each thing, or ".bin", float32
+    x, y, z, intensity, as the study releases them. A picture's colours are ".png", or ".jpg" for a
+    smaller file; "..-instances.png" has a colour for each thing; "..-depth.png" has 16 bits,
+    centimetres, 0 where nothing is hit.
     """
-    import trimesh
+    if isinstance(seen, PointCloud):
+        import trimesh
 
-    if path.suffix.lower() == ".bin":
-        content = cloud_bytes(cloud)
-    else:
-        colours = instance_colours(cloud.names)[cloud.instance]
-        content = trimesh.PointCloud(cloud.points_m, colours).export(file_type="ply")
-    write_atomically(path, content)
-    return (path,)
-
-
-def save_picture(path: Path, picture: Picture) -> tuple[Path, Path, Path]:
-    """Write colours, instances and depths, each whole or not at all; returns the three paths.
-
-    Colours are ".png", or ".jpg" for a smaller file; "..-instances.png" has a colour for each
-    thing; "..-depth.png" has 16 bits, centimetres, 0 where nothing is hit.
-    """
+        content = cloud_bytes(seen)
+        if path.suffix.lower() != ".bin":
+            colours = instance_colours(seen.names)[seen.instance]
+            content = trimesh.PointCloud(seen.points_m, colours).export(file_type="ply")
+        write_atomically(path, content)
+        return (path,)
     from PIL import Image
 
-    as_jpeg = path.suffix.lower() != ".png"
-    colour_options: dict[str, Any] = {"format": "PNG"}
-    if as_jpeg:
-        colour_options = {"format": "JPEG", "quality": _JPEG_QUALITY}
-    paths = (
-        path,
-        path.with_name(f"{path.stem}-instances.png"),
-        path.with_name(f"{path.stem}-depth.png"),
-    )
-    options = (colour_options, {"format": "PNG"}, {"format": "PNG"})
-    images: tuple[NDArray[Any], ...] = (picture.rgb, instance_image(picture), depth_image(picture))
-    for file, image, how in zip(paths, images, options, strict=True):
-        write_atomically(file, _writer(Image.fromarray(image), how))
-    return paths
+    png: dict[str, Any] = {"format": "PNG"}
+    is_png = path.suffix.lower() == ".png"
+    images: dict[Path, tuple[NDArray[Any], dict[str, Any]]] = {
+        path: (seen.rgb, png if is_png else {"format": "JPEG", "quality": _JPEG_QUALITY}),
+        path.with_name(f"{path.stem}-instances.png"): (instance_image(seen), png),
+        path.with_name(f"{path.stem}-depth.png"): (depth_image(seen), png),
+    }
+    for file, (pixels, options) in images.items():
+        write_atomically(file, partial(_save, Image.fromarray(pixels), options))
+    return tuple(images)
 
 
-def _writer(image: Any, options: dict[str, Any]) -> Callable[[BinaryIO], object]:
-    return lambda file: image.save(file, **options)
+def _save(image: Any, options: dict[str, Any], file: BinaryIO) -> None:
+    image.save(file, **options)
 
 
 def cloud_bytes(cloud: PointCloud) -> bytes:
@@ -122,14 +107,10 @@ def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
 
 def vru_sentence(seen: Picture | PointCloud) -> str:
     """A sentence that says if, and where, the VRU is in view."""
+    is_vru = seen.instance == seen.names.index("vru")
     if isinstance(seen, PointCloud):
-        count = int((seen.instance == seen.names.index("vru")).sum())
-        return f"VRU: {count} of {len(seen.instance)} points."
-    return _box_sentence(seen)
-
-
-def _box_sentence(picture: Picture) -> str:
-    box = mask_box(picture.instance == picture.names.index("vru"))
+        return f"VRU: {int(is_vru.sum())} of {len(is_vru)} points."
+    box = mask_box(is_vru)
     if not box.any():
         return "VRU: not in view."
     x_min, y_min, x_max, y_max = box.astype(int).tolist()

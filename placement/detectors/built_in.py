@@ -42,7 +42,6 @@ class GeometricDetector:
     name: str = "geometric"
     lidar: LidarTable | None = None
 
-    needs_shares = False
     needs_pictures = False
 
     def __post_init__(self) -> None:
@@ -180,7 +179,6 @@ class ResponseDetector:
     lasting: LastingNoise | None = None  # in a sampled world; None: all noise is that of frames
     lidar: LidarTable | None = None
 
-    needs_shares = True
     needs_pictures = False
 
     @property

@@ -219,10 +219,6 @@ class Detector(Protocol):
         """Height below which nothing is ever detected, in pixels."""
 
     @property
-    def needs_shares(self) -> bool:
-        """True if visible share, cut-off share and aspect matter; else they may be unknown."""
-
-    @property
     def needs_pictures(self) -> bool:
         """True if it looks at images."""
 

@@ -43,6 +43,11 @@ _KINDS_OF_CLASS = {
     "motorcyclist": ("motorcycle", "motorcyclist"),
     "car": ("car",),
 }
+# What riders ride, and both in one.
+_RIDDEN = {
+    "cyclist": ("bicycle", "cyclist"),
+    "motorcyclist": ("motorcycle", "motorcyclist"),
+}
 
 _EXPECTED = (
     "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes); "
@@ -98,14 +103,10 @@ def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Expo
     return export
 
 
+@cache
 def onnx_setting(key: str) -> Any:
     """Value in ``data/onnx.toml``."""
-    return take(_settings(), key, "onnx.toml")
-
-
-@cache
-def _settings() -> dict[str, Any]:
-    return load_toml(files(__package__) / "data" / "onnx.toml")
+    return take(load_toml(files(__package__) / "data" / "onnx.toml"), key, "onnx.toml")
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
@@ -161,38 +162,24 @@ def _table(outputs: Outputs, numbering: _Numbering) -> Export | None:
         return None
     rows, columns = value.shape[1:]
     is_suppressed = columns == 6 and rows <= onnx_setting("max_suppressed")
-    if is_suppressed:
-        read = _read_suppressed
-    elif columns == 5 + numbering.n_classes:
-        read = _read_with_objectness
-    elif rows == 4 + numbering.n_classes:
-        read = _read_columns
-    else:
+    has_objectness = columns == 5 + numbering.n_classes
+    if not (is_suppressed or has_objectness or rows == 4 + numbering.n_classes):
         return None
+
+    def read(found: Outputs) -> Found:
+        ((table,),) = found.values()
+        if is_suppressed:  # corners, score, class in each row
+            return table[:, :4], table[:, 5], table[:, 4]
+        if has_objectness:  # middle, size, objectness and a score per class in each row
+            return _around(table[:, :4]), *_best(table[:, 5:] * table[:, 4:5])
+        return _around(table[:4].T), *_best(table[4:].T)  # the same in columns, without objectness
+
     return Export(
         kinds=numbering.kinds,
         read=read,
         stride_px=onnx_setting("stride_px"),
         is_suppressed=is_suppressed,
     )
-
-
-def _read_suppressed(outputs: Outputs) -> Found:
-    """Corners, score, class in each row."""
-    ((table,),) = outputs.values()
-    return table[:, :4], table[:, 5], table[:, 4]
-
-
-def _read_with_objectness(outputs: Outputs) -> Found:
-    """Middle, size, objectness and a score per class in each row."""
-    ((table,),) = outputs.values()
-    return _around(table[:, :4]), *_best(table[:, 5:] * table[:, 4:5])
-
-
-def _read_columns(outputs: Outputs) -> Found:
-    """Middle, size and a score per class in each column."""
-    ((table,),) = outputs.values()
-    return _around(table[:4].T), *_best(table[4:].T)
 
 
 def _around(centred: Array) -> Array:
@@ -311,29 +298,6 @@ class ImageBoxes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ScoredBoxes:
-    """Boxes of one kind."""
-
-    boxes_px: FloatArray  # (n, 4)
-    confidence: FloatArray  # (n,), 0 .. 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class VruBoxes:
-    """Boxes of road users in an image."""
-
-    persons: ScoredBoxes  # on bicycles and motorcycles, too
-    cyclists: ScoredBoxes  # see vru_boxes()
-    motorcyclists: ScoredBoxes
-    cars: ScoredBoxes
-
-    def of_class(self, vru_class: str) -> ScoredBoxes:
-        """Those that count for a class of ``VRU_CLASSES``."""
-        others = {"cyclist": self.cyclists, "motorcyclist": self.motorcyclists, "car": self.cars}
-        return others.get(vru_class, self.persons)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Session:
     """A network in the ONNX runtime, whatever it computes."""
 
@@ -436,39 +400,32 @@ def load_onnx_model(path: Path) -> OnnxModel:
     return OnnxModel(path=path, _session=session, _export=export)
 
 
-def vru_boxes(found: ImageBoxes) -> VruBoxes:
-    """Persons, cyclists, motorcyclists and cars in an image.
+def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, FloatArray]:
+    """Boxes (n, 4) that count for one of ``VRU_CLASSES``, and their confidence (n,).
 
     A network that knows persons and bicycles finds a cyclist as either or both: the box around a
     person and a bicycle that overlap counts as a cyclist, with the lower of the two confidences; so
     does each of them alone, for the other may be missed. The same holds for motorcycles. A
     detection is matched with one road user, so surplus boxes do no harm.
     """
-    persons = _of_kind(found, "person")
-    return VruBoxes(
-        persons=persons,
-        cyclists=_riders(persons, _of_kind(found, "bicycle"), _of_kind(found, "cyclist")),
-        motorcyclists=_riders(
-            persons, _of_kind(found, "motorcycle"), _of_kind(found, "motorcyclist")
-        ),
-        cars=_of_kind(found, "car"),
-    )
 
+    def of_kind(kind: str) -> tuple[FloatArray, FloatArray]:
+        ids = [class_id for class_id, name in found.kinds.items() if name == kind]
+        mine = np.isin(found.class_ids, ids)
+        return found.boxes_px[mine], found.confidence[mine]
 
-def _riders(persons: ScoredBoxes, cycles: ScoredBoxes, riders: ScoredBoxes) -> ScoredBoxes:
-    """Boxes that count for a rider, of persons, what they ride, and both in one."""
-    overlap = iou(persons.boxes_px[:, None], cycles.boxes_px[None]) > 0.0
-    rider, ridden = np.nonzero(overlap)
-    a, b = persons.boxes_px[rider], cycles.boxes_px[ridden]
-    joined = ScoredBoxes(
-        boxes_px=np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
-        confidence=np.minimum(persons.confidence[rider], cycles.confidence[ridden]),
+    if vru_class not in _RIDDEN:
+        return of_kind(_KINDS_OF_CLASS[vru_class][0])
+    cycle, rider = _RIDDEN[vru_class]
+    persons, cycles = of_kind("person"), of_kind(cycle)
+    who, what = np.nonzero(iou(persons[0][:, None], cycles[0][None]) > 0.0)
+    a, b = persons[0][who], cycles[0][what]
+    joined = (
+        np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
+        np.minimum(persons[1][who], cycles[1][what]),
     )
-    parts = (joined, riders, persons, cycles)
-    return ScoredBoxes(
-        boxes_px=np.concatenate([part.boxes_px for part in parts]),
-        confidence=np.concatenate([part.confidence for part in parts]),
-    )
+    boxes, confidence = zip(joined, of_kind(rider), persons, cycles, strict=True)
+    return np.concatenate(boxes), np.concatenate(confidence)
 
 
 def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
@@ -496,12 +453,6 @@ def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterb
         for fixed, side in sides
     )
     return letterbox(image, width_px=across, height_px=down, scale=scale)
-
-
-def _of_kind(found: ImageBoxes, kind: str) -> ScoredBoxes:
-    ids = [class_id for class_id, name in found.kinds.items() if name == kind]
-    mine = found.take(np.flatnonzero(np.isin(found.class_ids, ids)))
-    return ScoredBoxes(boxes_px=mine.boxes_px, confidence=mine.confidence)
 
 
 def _open(path: Path) -> _Session:
@@ -579,7 +530,6 @@ class NetworkDetector:
     alarm_words: str = ""  # how often it confirms what is not there, if that was measured
     lidar: LidarTable | None = None
 
-    needs_shares = False
     needs_pictures = True
 
     @property
@@ -639,10 +589,10 @@ class NetworkDetector:
         confidence: list[np.ndarray] = []
         kinds = np.broadcast_to(evidence.vru_class, len(evidence))
         for row, found in self._find(large, evidence):
-            of_class = vru_boxes(found).of_class(VRU_CLASSES[kinds[row]])
-            is_sure = of_class.confidence >= self.min_confidence
-            boxes.append(of_class.boxes_px[is_sure])
-            confidence.append(of_class.confidence[is_sure])
+            of_class, how_sure = boxes_of_class(found, VRU_CLASSES[kinds[row]])
+            is_sure = how_sure >= self.min_confidence
+            boxes.append(of_class[is_sure])
+            confidence.append(how_sure[is_sure])
             rows += [row] * int(is_sure.sum())
         return Detections(
             row_index=np.array(rows, dtype=np.int64),

@@ -17,7 +17,7 @@ References
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,6 +117,14 @@ class Seen(NamedTuple):
     def take(self, sights: slice, frames: slice) -> "Seen":
         """Parts of the same arrays."""
         return Seen(*(part[sights] for part in self[:4]), *(part[frames] for part in self[4:]))
+
+
+def blank_sights(n_sights: int, n_frames: int) -> Seen:
+    """Nothing seen yet."""
+    return Seen(
+        *(np.zeros((n_sights, 4)), np.zeros(n_sights), np.zeros((n_sights, 4)), np.ones(n_sights)),
+        *(np.zeros((n_frames, 4)), np.ones(n_frames)),
+    )
 
 
 # ---------- triangles: their bounds in the image, and their depths
@@ -321,10 +329,10 @@ def _project(image: Image, points: FloatArray, least_depth: float, pixels: Float
 def _bounds(pixels: FloatArray, i: int, j: int, k: int) -> Bounds:
     """Of a triangle whose corners are all ahead: the same as those of :func:`find_span`."""
     return (
-        min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
-        min(min(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
-        max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
-        max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+        min(pixels[i, 0], pixels[j, 0], pixels[k, 0]),
+        min(pixels[i, 1], pixels[j, 1], pixels[k, 1]),
+        max(pixels[i, 0], pixels[j, 0], pixels[k, 0]),
+        max(pixels[i, 1], pixels[j, 1], pixels[k, 1]),
     )
 
 
@@ -458,11 +466,10 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
                 n_pixels += 1
                 x_min, x_max = min(x_min, x), max(x_max, x + 1)
                 y_min, y_max = min(y_min, y), max(y_max, y + 1)
-    has_any = n_pixels > 0
-    found[row, 0] = window[0] + x_min if has_any else 0
-    found[row, 1] = window[1] + y_min if has_any else 0
-    found[row, 2] = window[0] + x_max if has_any else 0
-    found[row, 3] = window[1] + y_max if has_any else 0
+    found[row] = 0.0
+    if n_pixels > 0:
+        found[row, 0], found[row, 1] = window[0] + x_min, window[1] + y_min
+        found[row, 2], found[row, 3] = window[0] + x_max, window[1] + y_max
     return n_pixels
 
 
@@ -729,9 +736,7 @@ def build_tree(corners_m: FloatArray) -> Tree:
     n = len(corners_m)
     n_nodes = max(0, 2 * n - 1)
     tree = Tree(
-        corners_m=corners_m,
-        low_m=np.full((n_nodes, 3), np.inf),
-        high_m=np.full((n_nodes, 3), -np.inf),
+        *(corners_m, np.full((n_nodes, 3), np.inf), np.full((n_nodes, 3), -np.inf)),
         second=np.full(n_nodes, -1, dtype=np.int64),
         start=np.zeros(n_nodes, dtype=np.int64),
         end=np.zeros(n_nodes, dtype=np.int64),
@@ -739,14 +744,8 @@ def build_tree(corners_m: FloatArray) -> Tree:
     order = np.arange(n)
     centres_m = 0.5 * (corners_m.min(axis=1) + corners_m.max(axis=1))
     n_used = _fill(tree, order, centres_m)
-    return Tree(
-        corners_m=corners_m[order],
-        low_m=tree.low_m[:n_used].copy(),
-        high_m=tree.high_m[:n_used].copy(),
-        second=tree.second[:n_used].copy(),
-        start=tree.start[:n_used].copy(),
-        end=tree.end[:n_used].copy(),
-    )
+    used: list[Any] = [numbers[:n_used].copy() for numbers in tree[1:]]
+    return Tree(corners_m[order], *used)
 
 
 def join_vehicles(trees: Sequence[Tree], reach_m: FloatArray) -> Vehicles:

@@ -1,6 +1,6 @@
 """Everything that can be seen in the frames of some runs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
@@ -28,6 +28,7 @@ from .solids import Solid, build_body, build_scene_mesh, build_static
 if TYPE_CHECKING:
     from .pixels import Vehicles
 
+_WHERE = "vut_camera.toml"
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 
 # ---------- surroundings of runs
@@ -66,9 +67,9 @@ class Surroundings:
         """Keep some frames, by index."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         per_frame: dict[str, Any] = {
-            name: one for name, one in values.items() if isinstance(one, np.ndarray)
+            name: one[frames] for name, one in values.items() if isinstance(one, np.ndarray)
         }
-        return replace(self, **{name: one[frames] for name, one in per_frame.items()})
+        return replace(self, **per_frame)
 
     def contrast(self, distance_m: FloatArray) -> FloatArray:
         """Contrast of the VRU at a distance in every frame's weather, (n_frames,)."""
@@ -264,22 +265,24 @@ class VutCamera:
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
+def _vut_table() -> Mapping[str, Any]:
+    return load_toml(files("placement") / "data" / _WHERE)
+
+
 @cache
 def load_vut_camera() -> VutCamera:
     """The study's camera, from ``data/vut_camera.toml``."""
-    where = "vut_camera.toml"
-    table = load_toml(files("placement") / "data" / where)
+    table = _vut_table()
     return VutCamera(
-        camera=pick_camera(take_text(table, "camera", where), f"{where}: camera"),
-        ahead_per_half_length=take_number(table, "ahead_per_half_length", where),
-        up_per_half_height=take_number(table, "up_per_half_height", where),
+        camera=pick_camera(take_text(table, "camera", _WHERE), f"{_WHERE}: camera"),
+        ahead_per_half_length=take_number(table, "ahead_per_half_length", _WHERE),
+        up_per_half_height=take_number(table, "up_per_half_height", _WHERE),
     )
 
 
 @cache
 def load_vut_lidar() -> LidarModel:
     """The study's LiDAR, at the camera's place, from ``data/vut_camera.toml``."""
-    where = "vut_camera.toml"
-    table = load_toml(files("placement") / "data" / where)
-    lidar: LidarModel = pick(load_lidars(), take_text(table, "lidar", where), f"{where}: lidar")
+    name = take_text(_vut_table(), "lidar", _WHERE)
+    lidar: LidarModel = pick(load_lidars(), name, f"{_WHERE}: lidar")
     return lidar

@@ -350,27 +350,6 @@ class PointCloud:
     names: tuple[str, ...]  # the scene's instances, "parked-1" .., "vut" if it is there, "vru"
 
 
-def scan_cloud(
-    scene: Scene,
-    run: Run,
-    frame_index: int,
-    pose: Pose,
-    lidar: LidarModel,
-    *,
-    weather: Weather,
-    with_vut: bool = True,
-    seed: int = 0,
-) -> PointCloud:
-    """Scan one frame of a run: one point for each pulse that comes back.
-
-    The VUT's own LiDAR does not see the VUT (`with_vut`). The seed is that of noise, and of which
-    pulses come back.
-    """
-    static = build_static_mesh(scene, run.obstruction)
-    mesh = build_frame_mesh(static, run, frame_index, pose.position_m, with_vut=with_vut)
-    return scan_mesh(mesh, run, pose, lidar, weather=weather, seed=seed)
-
-
 def scan_mesh(
     mesh: FrameMesh,
     run: Run,
@@ -380,7 +359,10 @@ def scan_mesh(
     weather: Weather,
     seed: int | Sequence[int] = 0,
 ) -> PointCloud:
-    """Scan a frame's mesh, whose origin is at the LiDAR; see :func:`scan_cloud`."""
+    """Scan a frame's mesh, whose origin is at the LiDAR: one point for each pulse that comes back.
+
+    The seed is that of noise, and of which pulses come back.
+    """
     beams = beam_directions(lidar).reshape(-1, 3)
     ways = beams @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
     starts = lidar.near_m * ways
@@ -388,8 +370,14 @@ def scan_mesh(
     hits = triangle >= 0
     triangle, distance = triangle[hits], share[hits].astype(np.float64) + lidar.near_m
     instance = mesh.triangle_thing[triangle]
-    reflectivity = _reflectivity(mesh, run)[instance]
-    cosine = np.abs(np.einsum("ni,ni->n", _normals(mesh)[triangle], ways[hits]))
+    by_class = load_surface_reflectivity()
+    of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
+    of_things = [of_vru if t.name == "vru" else by_class[t.class_name] for t in mesh.things]
+    reflectivity = np.array(of_things)[instance]
+    a, b, c = np.moveaxis(mesh.corners_m[triangle].astype(np.float64), 1, 0)
+    across = np.cross(b - a, c - a)
+    normals = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
+    cosine = np.abs(np.einsum("ni,ni->n", normals, ways[hits]))
     rng = np.random.default_rng(seed)
     probability = return_probability(
         lidar,
@@ -406,20 +394,3 @@ def scan_mesh(
         instance=instance[returns].astype(np.int32),
         names=tuple(thing.name for thing in mesh.things),
     )
-
-
-def _reflectivity(mesh: FrameMesh, run: Run) -> FloatArray:
-    """Reflectivity of each thing, (n_things,)."""
-    by_class = load_surface_reflectivity()
-    of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
-    return np.array(
-        [of_vru if thing.name == "vru" else by_class[thing.class_name] for thing in mesh.things]
-    )
-
-
-def _normals(mesh: FrameMesh) -> FloatArray:
-    """Flat unit normals of the triangles, (m, 3)."""
-    a, b, c = np.moveaxis(mesh.corners_m.astype(np.float64), 1, 0)
-    across = np.cross(b - a, c - a)
-    normals: FloatArray = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
-    return normals

@@ -157,7 +157,8 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     radiance[nothing] = sky.luminance(ways[nothing, 2] / length[nothing])
     met = np.flatnonzero(is_hit)
     instance[met] = mesh.triangle_thing.take(triangle[met])
-    kinds = _kinds(shot)[instance]
+    classes = [_CLASSES.index(thing.class_name) for thing in mesh.things]
+    kinds = np.array(classes, dtype=np.int8)[instance]
     for kind in np.unique(kinds[met]).tolist():
         index = np.flatnonzero(is_hit & (kinds == kind))
         ahead = ways[index] / length[index, None]
@@ -171,15 +172,10 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     return Shades(radiance, instance, depth), surfaces
 
 
-def _kinds(shot: Shot) -> NDArray[np.int8]:
-    """Class of each thing, as an index into ``_CLASSES``."""
-    return np.array([_CLASSES.index(thing.class_name) for thing in shot.mesh.things], dtype=np.int8)
-
-
 def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
     """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
     right, ahead = ray_parts(shot, rows, columns)
-    return (ahead[:, None] + right[None]).reshape(-1, 3)
+    return (ahead[:, None] + right).reshape(-1, 3)
 
 
 def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, FloatRays]:
@@ -243,13 +239,7 @@ def _interpolated_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays
 
 def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[FloatRays, Surfaces]:
     """Luminance of surfaces towards the camera, (n, 3), in cd/m^2."""
-    sky_share = None
-    if class_name == "ground":
-        coat, sky_share = coat_ground(
-            hits, shot.ground, shot.materials, wetness=shot.weather.wetness
-        )
-    else:
-        coat = _coat(shot, class_name, hits)
+    coat, sky_share = _coat(shot, class_name, hits)
     lux = illuminance(
         hits,
         caster=shot.mesh.caster,
@@ -266,22 +256,25 @@ def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[F
     return light, Surfaces(coat.albedo, lux, hits.normals, mirrored)
 
 
-def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
+def _coat(shot: Shot, class_name: str, hits: Hits) -> tuple[Coat, FloatRays | None]:
+    """Coat of surfaces, and the share of skylight that reaches them, (n,), where not all does."""
     materials, ground = shot.materials, shot.ground
-    match class_name:
-        case "building":
-            return coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps)
-        case "wall":
-            return coat_wall(hits, ground, materials)
-        case "pedestrian":
-            return coat_pedestrian(hits, shot.things, materials)
-        case "cyclist":
-            return coat_cyclist(hits, shot.things, materials)
-        case "motorcyclist":
-            return coat_motorcyclist(hits, shot.things, materials)
-        case "vehicle" | "parked vehicle" | "car":
-            return coat_vehicle(hits, shot.things, materials)
-    return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")])
+    if class_name == "ground":
+        return coat_ground(hits, ground, materials, wetness=shot.weather.wetness)
+    if class_name == "building":
+        return coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps), None
+    if class_name == "wall":
+        return coat_wall(hits, ground, materials), None
+    if class_name in _BODY_COATS:
+        return _BODY_COATS[class_name](hits, shot.things, materials), None
+    return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")]), None
+
+
+_BODY_COATS = {
+    "pedestrian": coat_pedestrian,
+    "cyclist": coat_cyclist,
+    "motorcyclist": coat_motorcyclist,
+} | dict.fromkeys(("vehicle", "parked vehicle", "car"), coat_vehicle)
 
 
 def _add_mirrored(
@@ -364,30 +357,6 @@ def build_backdrop(scene: Scene, obstruction: Sequence[PlacedActor]) -> Backdrop
         ground=build_ground_map(scene, mesh.things, load_materials().markings),
         street_lamps=build_street_lamps(scene),
         keeps_left=scene.keeps_left,
-    )
-
-
-def render_picture(
-    scene: Scene,
-    run: Run,
-    frame_index: int,
-    pose: Pose,
-    camera: CameraModel,
-    *,
-    weather: Weather,
-    with_vut: bool = True,
-    compute: Compute = DEFAULT_COMPUTE,
-) -> Picture:
-    """Render one frame of a run; for many frames see :func:`draw_picture`."""
-    return draw_picture(
-        build_backdrop(scene, run.obstruction),
-        run,
-        frame_index,
-        pose,
-        camera,
-        weather=weather,
-        with_vut=with_vut,
-        compute=compute,
     )
 
 
@@ -484,15 +453,11 @@ def shade_image(
     )
 
     def shade(tile: tuple[slice, slice]) -> None:
-        rows, columns = tile
-        shades, met = shade_rays(
-            shot,
-            tile_rays(
-                shot,
-                slice(rows.start + window.top, rows.stop + window.top),
-                slice(columns.start + window.left, columns.stop + window.left),
-            ),
+        rows, columns = (
+            slice(part.start + first, part.stop + first)
+            for part, first in zip(tile, (window.top, window.left), strict=True)
         )
+        shades, met = shade_rays(shot, tile_rays(shot, rows, columns))
         wholes, parts = (image, shades) if surfaces is None else (image + surfaces, shades + met)
         for whole, part in zip(wholes, parts, strict=True):
             whole[tile] = part.reshape(whole[tile].shape)

@@ -11,8 +11,10 @@ set by fewer pixels of the whole image.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
@@ -96,19 +98,17 @@ class Still:
         )
         down, across = np.divmod(self.mirrors[first:last], self.window.width)
         inside = np.flatnonzero((across >= left) & (across < left + window.width))
-        surfaces = self.surfaces
+
+        def cut(array: NDArray[Any]) -> NDArray[Any]:
+            return np.ascontiguousarray(array[part])
+
         return replace(
             self,
             window=window,
-            raw=Shades(
-                np.ascontiguousarray(self.raw.radiance[part]),
-                np.ascontiguousarray(self.raw.instance[part]),
-                np.ascontiguousarray(self.raw.depth_m[part]),
-            ),
-            surfaces=surfaces
-            and Surfaces(*(np.ascontiguousarray(array[part]) for array in surfaces)),
-            is_edge=np.ascontiguousarray(self.is_edge[part]),
-            smooth=np.ascontiguousarray(self.smooth[part]),
+            raw=Shades(*map(cut, self.raw)),
+            surfaces=self.surfaces and Surfaces(*map(cut, self.surfaces)),
+            is_edge=cut(self.is_edge),
+            smooth=cut(self.smooth),
             mirrors=(down[inside] - top) * window.width + across[inside] - left,
             mirrored=self.mirrored[first:last][inside],
         )
@@ -288,32 +288,19 @@ def _find_changed(
     still: Still, shot: Shot, moving: Sequence[Mesh], right: FloatRays, ahead: FloatRays
 ) -> BoolArray:
     """Pixels (h, w) that what moves may change, but for the light of its headlights."""
-    boxes = np.stack([_box(mesh, shot.mesh.origin_m) for mesh in moving])
+    origin_m = shot.mesh.origin_m
+    boxes = np.stack([_box(mesh, origin_m) for mesh in moving])
     lamps = [
-        [*(lamp.position_m - shot.mesh.origin_m), lamp.reach_m]
+        [*(lamp.position_m - origin_m), lamp.reach_m]
         for lamp in shot.lamps
         if not isinstance(lamp, HeadLamp)
     ]
-    has_sun = bool(shot.sky.sun_lux.any()) and shot.sky.to_sun[2] > 0.0
+    x, y, z = shot.sky.to_sun.tolist()
+    to_sun = (x, y, z) if shot.sky.sun_lux.any() and z > 0.0 else (0.0, 0.0, 0.0)
     changed = np.zeros(still.raw.depth_m.shape, dtype=np.bool_)
-    _mark(
-        changed,
-        still.raw.depth_m,
-        right,
-        ahead,
-        boxes,
-        shot.sky.to_sun if has_sun else np.zeros(3),
-        np.array(lamps).reshape(-1, 4),
-    )
-    _mark_mirrored(
-        changed.reshape(-1),
-        still.raw.depth_m.reshape(-1),
-        right,
-        ahead,
-        boxes,
-        still.mirrors,
-        still.mirrored,
-    )
+    seen = changed, still.raw.depth_m, right, ahead, boxes
+    _mark(*seen, to_sun, np.array(lamps).reshape(-1, 4))
+    _mark_mirrored(*seen, still.mirrors, still.mirrored)
     return changed
 
 
@@ -500,62 +487,64 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
 # ---------- kernels
 
 
+Point = tuple[float, float, float]  # or a way: in the axes of the world, from the camera
+
+
 @kernel
-def _may_meet(
-    box: FloatArray,
-    px: float,
-    py: float,
-    pz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    radius: float,
-) -> bool:
+def _ray(right: FloatRays, ahead: FloatRays, row: int, column: int) -> Point:
+    """The ray through the middle of a pixel, one metre deep."""
+    return (
+        float(ahead[row, 0]) + right[column, 0],
+        float(ahead[row, 1]) + right[column, 1],
+        float(ahead[row, 2]) + right[column, 2],
+    )
+
+
+@kernel
+def _times(p: Point, factor: float) -> Point:
+    return p[0] * factor, p[1] * factor, p[2] * factor
+
+
+@kernel
+def _away(row: FloatArray, p: Point) -> Point:
+    """From a point to the one whose coordinates a row of numbers begins with."""
+    return row[0] - p[0], row[1] - p[1], row[2] - p[2]
+
+
+@kernel
+def _dot(p: Point, q: Point) -> float:
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@kernel
+def _may_meet(box: FloatArray, p: Point, v: Point, radius: float) -> bool:
     """True if rays along v from within a radius of p may meet the sphere around a box.
 
     All rays are parallel, or all end where p + v is: then they come nearer to one another.
     """
-    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
-    along = dx * vx + dy * vy + dz * vz
-    away = dx * dx + dy * dy + dz * dz - (box[8] + radius) ** 2
-    if away <= 0.0:
-        return True
-    return bool(along >= 0.0 and away * (vx * vx + vy * vy + vz * vz) <= along * along)
+    d = _away(box, p)
+    along, away = _dot(d, v), _dot(d, d) - (box[8] + radius) ** 2
+    return bool(away <= 0.0 or (along >= 0.0 and away * _dot(v, v) <= along * along))
 
 
 @kernel
-def _meets(
-    box: FloatArray,
-    px: float,
-    py: float,
-    pz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    most: float,
-) -> bool:
+def _meets(box: FloatArray, p: Point, v: Point, most: float) -> bool:
     """True if a ray from p along v meets a box before `most` times v."""
-    if not _may_meet(box, px, py, pz, vx, vy, vz, 0.0):
+    if not _may_meet(box, p, v, 0.0):
         return False
-    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
-    cos, sin = box[3], box[4]
+    d, cos, sin = _away(box, p), box[3], box[4]
     near, far = 0.0, most
-    for axis in range(3):  # the two faces of the box across each of its axes
-        if axis == 0:
-            middle, way = cos * dx + sin * dy, cos * vx + sin * vy
-        elif axis == 1:
-            middle, way = cos * dy - sin * dx, cos * vy - sin * vx
-        else:
-            middle, way = dz, vz
-        half = box[5 + axis]
+    for middle, way, half in (  # the two faces of the box across each of its axes
+        (cos * d[0] + sin * d[1], cos * v[0] + sin * v[1], box[5]),
+        (cos * d[1] - sin * d[0], cos * v[1] - sin * v[0], box[6]),
+        (d[2], np.float64(v[2]), box[7]),
+    ):
         if abs(way) < 1e-12:
             if abs(middle) > half:
                 return False
             continue
         first, second = (middle - half) / way, (middle + half) / way
-        if first > second:
-            first, second = second, first
-        near, far = max(near, first), min(far, second)
+        near, far = max(near, min(first, second)), min(far, max(first, second))
         if near > far:
             return False
     return True
@@ -566,60 +555,48 @@ def _around(
     depth_m: FloatRays,
     right: FloatRays,
     ahead: FloatRays,
-    rows: tuple[int, int],
-    columns: tuple[int, int],
+    block: tuple[int, int, int, int],
     sky_m: float,
-) -> tuple[float, float, float, float]:
+) -> tuple[Point, float]:
     """Middle and radius of a sphere around what a block of pixels sees; the sky is at `sky_m`."""
-    low_x = low_y = low_z = math.inf
-    high_x = high_y = high_z = -math.inf
-    for row in range(rows[0], rows[1]):  # pixels of the block
-        for column in range(columns[0], columns[1]):
+    top, bottom, first, last = block
+    low, high = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
+    for row in range(top, bottom):  # pixels of the block
+        for column in range(first, last):
             depth = float(depth_m[row, column])
-            if math.isinf(depth):
-                depth = sky_m
-            x = (float(ahead[row, 0]) + right[column, 0]) * depth
-            y = (float(ahead[row, 1]) + right[column, 1]) * depth
-            z = (float(ahead[row, 2]) + right[column, 2]) * depth
-            low_x, high_x = min(low_x, x), max(high_x, x)
-            low_y, high_y = min(low_y, y), max(high_y, y)
-            low_z, high_z = min(low_z, z), max(high_z, z)
-    size = math.sqrt((high_x - low_x) ** 2 + (high_y - low_y) ** 2 + (high_z - low_z) ** 2)
-    middle = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y), 0.5 * (low_z + high_z)
-    return middle[0], middle[1], middle[2], 0.5 * size + 1e-3
+            x, y, z = _times(_ray(right, ahead, row, column), sky_m if math.isinf(depth) else depth)
+            low = min(low[0], x), min(low[1], y), min(low[2], z)
+            high = max(high[0], x), max(high[1], y), max(high[2], z)
+    size = math.sqrt((high[0] - low[0]) ** 2 + (high[1] - low[1]) ** 2 + (high[2] - low[2]) ** 2)
+    middle = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
+    return middle, 0.5 * size + 1e-3
 
 
 @kernel
 def _is_changed(
-    vx: float,
-    vy: float,
-    vz: float,
+    ray: Point,
     depth: float,
     boxes: FloatArray,
-    to_sun: FloatArray,
+    to_sun: Point,
     lamps: FloatArray,
     possible: BoolArray,
 ) -> bool:
     """True if one of the possible boxes is seen in a pixel, or throws a shadow there."""
-    x, y, z = vx * depth, vy * depth, vz * depth
     for index in range(len(boxes)):  # boxes that may be seen there
-        if possible[index, 0] and _meets(boxes[index], 0.0, 0.0, 0.0, vx, vy, vz, depth):
+        if possible[index, 0] and _meets(boxes[index], (0.0, 0.0, 0.0), ray, depth):
             return True
     if math.isinf(depth):
         return False
+    at = _times(ray, depth)
     for index in range(len(boxes)):  # boxes that may hide the sun, or a lamp
-        if possible[index, 1] and _meets(
-            boxes[index], x, y, z, to_sun[0], to_sun[1], to_sun[2], math.inf
-        ):
+        if possible[index, 1] and _meets(boxes[index], at, to_sun, math.inf):
             return True
         for lamp in range(len(lamps)):
-            if not possible[index, 2 + lamp]:
-                continue
-            lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
-            if lx * lx + ly * ly + lz * lz <= lamps[lamp, 3] ** 2 and _meets(
-                boxes[index], x, y, z, lx, ly, lz, 1.0
-            ):
-                return True
+            if possible[index, 2 + lamp]:
+                way = _away(lamps[lamp], at)
+                is_lit = _dot(way, way) <= lamps[lamp, 3] ** 2
+                if is_lit and _meets(boxes[index], at, way, 1.0):
+                    return True
     return False
 
 
@@ -630,7 +607,7 @@ def _mark(
     right: FloatRays,
     ahead: FloatRays,
     boxes: FloatArray,
-    to_sun: FloatArray,
+    to_sun: Point,
     lamps: FloatArray,
 ) -> None:
     """Mark pixels where a box is seen, or throws a shadow of sun or lamp.
@@ -649,35 +626,21 @@ def _mark(
         bottom = min(top + _BLOCK_PX, changed.shape[0])
         for first in range(0, changed.shape[1], _BLOCK_PX):
             last = min(first + _BLOCK_PX, changed.shape[1])
-            x, y, z, radius = _around(depth_m, right, ahead, (top, bottom), (first, last), sky_m)
-            n_possible = 0
+            at, radius = _around(depth_m, right, ahead, (top, bottom, first, last), sky_m)
             for index in range(n_boxes):  # as a whole, by spheres around block and box
                 box = boxes[index]
-                possible[index, 0] = _may_meet(box, x, y, z, -x, -y, -z, radius)
-                possible[index, 1] = to_sun[2] > 0.0 and _may_meet(
-                    box, x, y, z, to_sun[0], to_sun[1], to_sun[2], radius
-                )
+                possible[index, 0] = _may_meet(box, at, _times(at, -1.0), radius)
+                possible[index, 1] = to_sun[2] > 0.0 and _may_meet(box, at, to_sun, radius)
                 for lamp in range(n_lamps):
-                    lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
-                    possible[index, 2 + lamp] = lx * lx + ly * ly + lz * lz <= (
-                        lamps[lamp, 3] + radius
-                    ) ** 2 and _may_meet(box, x, y, z, lx, ly, lz, radius)
-                for way in range(2 + n_lamps):
-                    n_possible += possible[index, way]
-            if n_possible == 0:
+                    way = _away(lamps[lamp], at)
+                    is_near = _dot(way, way) <= (lamps[lamp, 3] + radius) ** 2
+                    possible[index, 2 + lamp] = is_near and _may_meet(box, at, way, radius)
+            if not possible.any():
                 continue
             for row in range(top, bottom):  # then pixel by pixel
                 for column in range(first, last):
-                    changed[row, column] = _is_changed(
-                        float(ahead[row, 0]) + right[column, 0],
-                        float(ahead[row, 1]) + right[column, 1],
-                        float(ahead[row, 2]) + right[column, 2],
-                        float(depth_m[row, column]),
-                        boxes,
-                        to_sun,
-                        lamps,
-                        possible,
-                    )
+                    ray, depth = _ray(right, ahead, row, column), float(depth_m[row, column])
+                    changed[row, column] = _is_changed(ray, depth, boxes, to_sun, lamps, possible)
 
 
 @kernel
@@ -695,13 +658,11 @@ def _mark_lit(
             depth = float(depth_m[row, column])
             if changed[row, column] or math.isinf(depth):
                 continue
-            x = (float(ahead[row, 0]) + right[column, 0]) * depth
-            y = (float(ahead[row, 1]) + right[column, 1]) * depth
-            z = (float(ahead[row, 2]) + right[column, 2]) * depth
+            at = _times(_ray(right, ahead, row, column), depth)
             for lamp in range(len(heads)):
-                dx, dy, dz = x - heads[lamp, 0], y - heads[lamp, 1], z - heads[lamp, 2]
-                along = dx * heads[lamp, 4] + dy * heads[lamp, 5] + dz * heads[lamp, 6]
-                if along > 0.0 and dx * dx + dy * dy + dz * dz < heads[lamp, 3] ** 2:
+                way, head = _away(heads[lamp], at), heads[lamp]
+                is_ahead = _dot(way, (head[4], head[5], head[6])) < 0.0
+                if is_ahead and _dot(way, way) < head[3] ** 2:
                     lit[row, column] = True
 
 
@@ -718,16 +679,10 @@ def _mark_mirrored(
     """Mark pixels whose mirrored ray meets a box."""
     width = len(right)
     for number in range(len(mirrors)):  # pixels with a mirrored ray, and the boxes
-        pixel = mirrors[number]
-        if changed[pixel]:
-            continue
-        row, column = pixel // width, pixel % width
-        depth = float(depth_m[pixel])
-        x = (float(ahead[row, 0]) + right[column, 0]) * depth
-        y = (float(ahead[row, 1]) + right[column, 1]) * depth
-        z = (float(ahead[row, 2]) + right[column, 2]) * depth
+        row, column = mirrors[number] // width, mirrors[number] % width
+        at = _times(_ray(right, ahead, row, column), float(depth_m[row, column]))
         way = mirrored[number]
+        to = float(way[0]), float(way[1]), float(way[2])
         for index in range(len(boxes)):
-            if _meets(boxes[index], x, y, z, float(way[0]), float(way[1]), float(way[2]), math.inf):
-                changed[pixel] = True
-                break
+            if not changed[row, column]:
+                changed[row, column] = _meets(boxes[index], at, to, math.inf)
