@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.actors import PlacedActor
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import IntArray
 from geometry.files import take_number
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
@@ -76,7 +76,7 @@ _CLASSES = (
 class Shot:
     """All that a picture is made from."""
 
-    R_world_camera: FloatArray  # (3, 3)
+    pose: Pose
     camera: CameraModel
     mesh: FrameMesh  # its origin is at the camera
     things: Things  # of the mesh, as arrays
@@ -184,7 +184,7 @@ def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, Float
     focal = camera.focal_length_px
     across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
     down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
-    rotation = shot.R_world_camera
+    rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
     return (
         (across[:, None] * rotation[:, 0]).astype(np.float32),
         (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32),
@@ -198,7 +198,8 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
     in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
     in_camera[:, 2] = 1.0
-    return in_camera @ shot.R_world_camera.T.astype(np.float32)
+    rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
+    return in_camera @ rotation.T.astype(np.float32)
 
 
 def _find_hits(
@@ -390,7 +391,7 @@ def draw_picture(
         image = shade_image(shot, whole_image(camera), pool)
         edges = np.flatnonzero(find_edges(image.radiance))
         smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
-        rgb = expose_image(shot, image.radiance, pose, [compute.seed, frame_index], pool)
+        rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
     return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
 
 
@@ -419,7 +420,7 @@ def build_shot(
             lamps += build_headlights(run.encounter.vut, pose_vut, keeps_left=backdrop.keeps_left)
     materials = materials or load_materials()
     return Shot(
-        R_world_camera=camera_rotation(pose.yaw_deg, pose.pitch_deg),
+        pose=pose,
         camera=camera,
         mesh=mesh,
         things=build_things(mesh.things, materials),
@@ -480,7 +481,7 @@ def smooth_image(
 
 
 def expose_image(
-    shot: Shot, radiance: FloatRays, pose: Pose, seed: list[int], pool: ThreadPoolExecutor
+    shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
     from .exposure import (  # loads the compiler
@@ -492,13 +493,13 @@ def expose_image(
     )
 
     size = radiance.shape[:2]
-    add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster)
+    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
     add_rain(
         radiance,
         shot.camera,
         shot.weather,
         shot.sky,
-        pitch_deg=pose.pitch_deg,
+        pitch_deg=shot.pose.pitch_deg,
         exposure_s=load_imager()["rain_exposure_s"],
         rng=np.random.default_rng([*seed, *size]),
     )

@@ -79,7 +79,6 @@ class Still:
     """Image of what stands still, in one weather; drawn by :func:`draw_still`."""
 
     backdrop: Backdrop
-    pose: Pose
     shot: Shot
     window: Window  # what is drawn of the image: (h, w) is its size
     raw: Shades  # (h, w): through the middles of the pixels
@@ -143,7 +142,6 @@ def draw_still(
     mirrors = np.flatnonzero(mirrored.any(axis=1))
     return Still(
         backdrop=backdrop,
-        pose=pose,
         shot=shot,
         window=window,
         raw=raw,
@@ -160,14 +158,8 @@ def scan_onto(
 ) -> PointCloud:
     """Scan a frame of a run by a LiDAR at the place of a still's camera."""
     moving = build_moving_meshes(run, frame_index, with_vut=True)
-    return scan_mesh(
-        add_moving_meshes(still.shot.mesh, moving),
-        run,
-        still.pose,
-        lidar,
-        weather=still.shot.weather,
-        seed=[seed, frame_index],
-    )
+    mesh, shot = add_moving_meshes(still.shot.mesh, moving), still.shot
+    return scan_mesh(mesh, run, shot.pose, lidar, weather=shot.weather, seed=[seed, frame_index])
 
 
 def draw_onto(
@@ -180,7 +172,7 @@ def draw_onto(
     """
     with start_pool(compute) as pool:
         shot, image, smooth = add_moving(still, run, frame_index, each=pool.map)
-        rgb = expose_image(shot, smooth, still.pose, [compute.seed, frame_index], pool)
+        rgb = expose_image(shot, smooth, [compute.seed, frame_index], pool)
     return Picture(
         rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(shot.mesh)
     )
@@ -199,7 +191,7 @@ def add_moving(
     shot = build_shot(
         still.backdrop,
         add_moving_meshes(base.mesh, moving),
-        still.pose,
+        base.pose,
         base.camera,
         base.weather,
         run=run,
@@ -386,7 +378,7 @@ def draw_crop(
     )
     edges = np.flatnonzero(find_edges(image.radiance))
     smooth_image(shot, window, image.radiance, edges, map)
-    return _expose(shot, image, image.radiance, pose, window, white_cd_m2, [seed, frame_index])
+    return _expose(shot, image, image.radiance, window, white_cd_m2, [seed, frame_index])
 
 
 def crop_onto(
@@ -403,15 +395,13 @@ def crop_onto(
     Only what moves changes is drawn anew; see :func:`placement.imaging.stills.draw_onto`.
     """
     shot, image, smooth = add_moving(still, run, frame_index, with_vut=with_vut)
-    seeds = [seed, frame_index]
-    return _expose(shot, image, smooth, still.pose, still.window, white_cd_m2, seeds)
+    return _expose(shot, image, smooth, still.window, white_cd_m2, [seed, frame_index])
 
 
 def _expose(
     shot: Shot,
     image: Shades,
     radiance: FloatRays,
-    pose: Pose,
     window: Window,
     white_cd_m2: float | None,
     seeds: list[int],
@@ -419,13 +409,13 @@ def _expose(
     """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
     rng = np.random.default_rng([*seeds, *window])
     corner = (window.left, window.top)
-    add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
+    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
     add_rain(
         radiance,
         _window_camera(shot.camera, window),
         shot.weather,
         shot.sky,
-        pitch_deg=pose.pitch_deg,
+        pitch_deg=shot.pose.pitch_deg,
         exposure_s=load_imager()["rain_exposure_s"],
         rng=rng,
     )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.actors import Actor, MovingActor, PlacedActor, Shape
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.poses import body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
@@ -94,14 +94,10 @@ def shape_caster(shape: Shape, rays: str) -> RayCaster:
 
 
 @lru_cache(maxsize=256)
-def _shape_box_m(shape: Shape) -> FloatArray:
-    return np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
-
-
 def _box_m(shape: Shape) -> FloatArray:
     """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    box: FloatArray = _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
-    return box
+    box = np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
+    return freeze(box + [[-AROUND_BODY_M], [AROUND_BODY_M]])
 
 
 def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
@@ -285,7 +281,11 @@ def build_shared_scene(
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     places = build_places(scene, runs, origin, n_points=n_points, seed=seed)
-    n_places = len(places.yaw_deg)
+    n_places, n_frames = len(places.yaw_deg), len(places.place_of_frame)
+
+    def of_places() -> HiddenPoints | None:
+        return None if caches == "nothing" else HiddenPoints(n_places, n_points)
+
     return SharedScene(
         origin_m=origin,
         caster=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
@@ -298,11 +298,9 @@ def build_shared_scene(
         vehicles=(
             _build_vehicles(runs, origin, rays, terrain_of(scene)) if caches == "all" else None
         ),
-        hidden_by_scene=None if caches == "nothing" else HiddenPoints(n_places, n_points),
-        hidden_by_itself=None if caches == "nothing" else HiddenPoints(n_places, n_points),
-        hidden_by_vehicles=(
-            HiddenPoints(len(places.place_of_frame), n_points) if caches == "all" else None
-        ),
+        hidden_by_scene=of_places(),
+        hidden_by_itself=of_places(),
+        hidden_by_vehicles=HiddenPoints(n_frames, n_points) if caches == "all" else None,
     )
 
 
@@ -346,7 +344,10 @@ def cast_sight(
     frames, behind = _hidden_by_vehicles(world, eye, row_of_frame, blocked, near_m=near_m)
     rows = row_of_frame[frames]
 
-    is_cast = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
+    # In or right next to a body the body may hide all of itself.
+    away_m = np.linalg.norm(views.middle_m[near_views] - eye, axis=1)
+    is_close = away_m < 2.0 * views.radius_m[near_views]
+    is_cast = is_left & (for_lidar | (n_blocked > 0) | is_close)
     is_cast[rows] = True
     faces_eye = np.ones(blocked.shape, dtype=bool)
     asked = np.flatnonzero(is_cast)
@@ -377,13 +378,6 @@ def cast_sight(
         visible_share=n_shown / n_facing[shown_rows],
         entry_of_frame=entry_of_frame,
     )
-
-
-def _is_close(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
-    """Views from in or right next to the body: it may hide all of itself."""
-    distance = np.linalg.norm(world.views.middle_m[view_index] - eye_m, axis=1)
-    is_close: BoolArray = distance < 2.0 * world.views.radius_m[view_index]
-    return is_close
 
 
 def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
