@@ -423,7 +423,7 @@ def render(
     from placement.layout import check_layout
 
     from ..export.watched import find_run
-    from . import render as job
+    from . import drawing as job
 
     around = load_scene(scene)
     check_layout(layout, around)

@@ -61,7 +61,8 @@ class GeometricDetector:
             "A road user counts as detected in a frame if the box around its visible part overlaps "
             f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
             f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
-            f"contrast of at least {100.0 * self.min_contrast:g} %.{_in_points(self.lidar)}"
+            f"contrast of at least {100.0 * self.min_contrast:g} %."
+            f"{self.lidar.description if self.lidar else ''}"
         )
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
@@ -87,16 +88,7 @@ class GeometricDetector:
     def fingerprint(self) -> tuple[object, ...]:
         """Everything that it depends on."""
         numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
-        return ("geometric", *numbers, *_fingerprint(self.lidar))
-
-
-def _in_points(lidar: LidarTable | None) -> str:
-    return "" if lidar is None else lidar.description
-
-
-def _fingerprint(lidar: LidarTable | None) -> tuple[object, ...]:
-    """Of what LiDARs find; nothing for the rule, which is none of the detector's."""
-    return () if lidar is None else (lidar,)
+        return ("geometric", *numbers, *([self.lidar] if self.lidar else []))
 
 
 # ---------- by probability
@@ -190,7 +182,7 @@ class ResponseDetector:
             "seen, its class, the side that it shows and its contrast in light and weather. The "
             "detection table counts on frames with a probability of at least "
             f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
-            f"{_in_points(self.lidar)}"
+            f"{self.lidar.description if self.lidar else ''}"
         )
 
     def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
@@ -287,7 +279,7 @@ class ResponseDetector:
             "response",
             *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
             *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
-            *_fingerprint(self.lidar),
+            *([self.lidar] if self.lidar else []),
         )
 
     def _noise(self, draws: IntArray, rng: np.random.Generator) -> FloatArray:
@@ -355,6 +347,7 @@ LIDAR_NAMES = ("pointrcnn-2019",)
 _FILE, _NETWORK_FILE = "detectors.toml", "vru.onnx"
 # Tables fitted to what a detector found: on rendered pictures, and on real recordings.
 _TABLE_FILES = {
+    "response": _FILE,
     "cnn-table": "vru.toml",
     "pole-2015": "pole-2015.toml",
     "car-2019": "car-2019.toml",
@@ -407,11 +400,8 @@ def is_drawn(name: str) -> bool:
     >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
     (True, True, False)
     """
-    return name.rpartition("+")[2] in (
-        *LIDAR_NAMES,
-        "response",
-        *_TABLE_FILES,
-    ) or name.endswith(".toml")
+    last = name.rpartition("+")[2]
+    return last in LIDAR_NAMES or last in _TABLE_FILES or last.endswith(".toml")
 
 
 @cache
@@ -434,8 +424,6 @@ def _load_shipped_network() -> Detector:
     from .network import NetworkDetector, load_onnx_model
 
     limits = read_table(_defaults()["cnn"], dict[str, float], f"{_FILE}: cnn")
-    table = load_planning_detector("cnn-table")
-    assert isinstance(table, ResponseDetector)
     with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
         model = load_onnx_model(path)
     return NetworkDetector(
@@ -445,20 +433,28 @@ def _load_shipped_network() -> Detector:
         min_confidence=limits["min_confidence"],
         looks_at_crops=True,
         plans_with="cnn-table",
-        alarm_words=table.alarm_words,
+        alarm_words=_load_table("cnn-table").alarm_words,
     )
+
+
+def built_in_response() -> ResponseDetector:
+    """The built-in table "response"."""
+    return _load_table("response")
+
+
+@cache
+def _load_table(name: str) -> ResponseDetector:
+    """A built-in response table."""
+    source = files(__package__) / "data" / _TABLE_FILES[name]
+    return _read_response(source, load_toml(source), name=name)
 
 
 @cache
 def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     """One of the built-in detectors but "cnn"."""
     if name in _TABLE_FILES:
-        source = files(__package__) / "data" / _TABLE_FILES[name]
-        return _read_response(source, load_toml(source), name=name)
-    table = take(_defaults(), name, _FILE)
-    if name == "response":
-        return _read_response(_source(), _defaults(), name=name)
-    limits = read_table(table, dict[str, float], f"{_FILE}: {name}")
+        return _load_table(name)
+    limits = read_table(take(_defaults(), name, _FILE), dict[str, float], f"{_FILE}: {name}")
     return GeometricDetector(
         min_iou=load_min_iou(),
         min_box_height_px=limits["min_box_height_px"],
@@ -466,13 +462,9 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     )
 
 
-def _source() -> Traversable:
-    return files(__package__) / "data" / _FILE
-
-
 @cache
 def _defaults() -> dict[str, Any]:
-    return load_toml(_source())
+    return load_toml(files(__package__) / "data" / _FILE)
 
 
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:

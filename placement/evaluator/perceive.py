@@ -26,8 +26,8 @@ from geometry.weather import Weather
 
 from ..detectors import VRU_CLASSES, Evidence, aspects_deg
 from .pixels import Image, Placed, Sights, blank_sights, see
-from .solids import Solid
 from .surroundings import (
+    Solid,
     Surroundings,
     VutCamera,
     find_sights,

@@ -1,21 +1,27 @@
-"""Everything that can be seen in the frames of some runs."""
+"""Everything that can be seen in the frames of some runs, ready for pixels and for LiDAR beams.
+
+A *road pose* is a row of four numbers: east and north in metres, yaw in degrees, and height of the
+ground in metres. It places the frame of a :class:`Solid` in the frame in which a sensor stands.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cache
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, cached_property
 from importlib.resources import files
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.actors import Actor
+from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.files import load_toml, pick, take_number, take_text
 from geometry.lidar import LidarModel, load_lidars
-from geometry.poses import Pose, body_rotation, wrap_deg
+from geometry.poses import Pose, body_rotation, to_world, wrap_deg
+from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import Terrain, on_ground, pitch_on_ground_deg, terrain_of
@@ -23,13 +29,140 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
-from .solids import Solid, build_body, build_scene_mesh, build_static
 
 if TYPE_CHECKING:
-    from .pixels import Vehicles
+    from .pixels import Skin, Tree, Vehicles
 
 _WHERE = "vut_camera.toml"
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
+
+# ---------- triangles
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles (n_triangles, 3), rows of vertices (n_vertices, 3) in metres.
+
+    Tree and skin are built when they are first asked for: only LiDARs do without.
+    """
+
+    vertices_m: FloatArray
+    triangles: IntArray
+    _lock: RLock = field(default_factory=RLock, repr=False)
+
+    @cached_property
+    def corners_m(self) -> FloatArray:
+        """Corners of the triangles, (n_triangles, 3, 3)."""
+        corners: FloatArray = np.ascontiguousarray(self.vertices_m[self.triangles])
+        return corners
+
+    @cached_property
+    def skin(self) -> "Skin":
+        """Its triangles, shuffled for drawing."""
+        from .pixels import Skin  # loads the compiler
+
+        rng, n_vertices = np.random.default_rng(0), len(self.vertices_m)
+        order = rng.permutation(n_vertices)
+        place = np.empty(n_vertices, dtype=np.int64)
+        place[order] = np.arange(n_vertices)
+        triangles = place[rng.permutation(self.triangles)]
+        corners = triangles.ravel()
+        return Skin(
+            vertices_m=np.ascontiguousarray(self.vertices_m[order]),
+            triangles=triangles,
+            fan_start=np.append(0, np.cumsum(np.bincount(corners, minlength=n_vertices))),
+            fans=np.argsort(corners, kind="stable") // 3,
+        )
+
+    @property
+    def tree(self) -> "Tree":
+        """Boxes around its triangles; safe to ask for from several threads."""
+        with self._lock:
+            return self._tree
+
+    @cached_property
+    def _tree(self) -> "Tree":
+        from .pixels import build_tree  # loads the compiler
+
+        return build_tree(self.corners_m)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solid:
+    """Triangles that keep together, in their own frame."""
+
+    # One of a road user; of the static world, what always stands there and what is parked in a run.
+    # A mesh may belong to several solids.
+    meshes: tuple[Mesh, ...]
+    hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
+    library: str | None = None  # casts rays; see geometry.raycast.build_caster
+    _lock: RLock = field(default_factory=RLock, repr=False)
+
+    @property
+    def caster(self) -> RayCaster:
+        """For rays against its triangles, mesh after mesh; safe to ask for from several threads."""
+        with self._lock:
+            return self._caster
+
+    @cached_property
+    def _caster(self) -> RayCaster:
+        """Built when a LiDAR asks for it: a camera's pixels need no rays."""
+        starts = np.cumsum([0, *(len(mesh.vertices_m) for mesh in self.meshes)])
+        triangles = [
+            mesh.triangles + start for mesh, start in zip(self.meshes, starts, strict=False)
+        ]
+        vertices = [mesh.vertices_m for mesh in self.meshes]
+        return build_caster(
+            np.concatenate(vertices), np.concatenate(triangles), library=self.library
+        )
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Unit normals of the triangles, (n_triangles, 3), mesh after mesh."""
+        corners = np.concatenate([mesh.corners_m for mesh in self.meshes])
+        a, b, c = np.moveaxis(corners, 1, 0)
+        across = np.cross(b - a, c - a)
+        normals: FloatArray = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
+        return normals
+
+
+def build_body(shape: Shape, *, library: str | None = None) -> Solid:
+    """A road user at one instant of its gait, in its body frame."""
+    from scipy.spatial import ConvexHull  # loaded when something is drawn
+
+    hull = ConvexHull(shape.vertices_m).vertices
+    mesh = Mesh(vertices_m=np.array(shape.vertices_m), triangles=shape.triangles.astype(np.int64))
+    return Solid(meshes=(mesh,), hull_m=shape.vertices_m[hull], library=library)
+
+
+def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
+    """The scene's triangles, with the origin at `middle_m`, (2,) in the world frame [m].
+
+    So coordinates are small where rays are cast in single precision: its road pose in the world is
+    (*middle_m, 0, 0).
+    """
+    return Mesh(
+        vertices_m=scene.vertices_m - [*middle_m, 0.0],
+        triangles=np.asarray(scene.triangles, dtype=np.int64),
+    )
+
+
+def build_static(
+    standing: Mesh,
+    obstruction: Sequence[PlacedActor],
+    *,
+    middle_m: FloatArray,
+    library: str | None = None,
+) -> Solid:
+    """Everything that stands still: a scene's mesh with the same origin, and parked bodies."""
+    vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
+    for body in obstruction:
+        shape = body.actor.shapes[0]
+        triangles.append(shape.triangles.astype(np.int64) + sum(map(len, vertices)))
+        vertices.append(to_world(shape.vertices_m, body.pose) - [*middle_m, 0.0])
+    parked = Mesh(vertices_m=np.concatenate(vertices), triangles=np.concatenate(triangles))
+    return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)), library=library)
+
 
 # ---------- surroundings of runs
 

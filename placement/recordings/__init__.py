@@ -2,12 +2,11 @@
 
 ``read`` reads a folder strictly, cuts its frames into drives that end at the impact, and counts
 what it leaves out; ``evaluate`` matches, confirms and brakes. ``files`` knows the layout, from
-``data/carla_ncap_format.toml``, and writes such a folder. ``boxes`` has the value of annotated
-tracks and detections that ``formats`` reads in other formats, ``calibrations`` reads cameras;
+``data/carla_ncap_format.toml``, and writes such a folder. ``formats`` has annotated tracks and
+detections in other formats, ``calibrations`` reads cameras;
 ``pairs`` lays annotations and detections side by side.
 """
 
-from .boxes import RecordedBoxes
 from .evaluate import (
     RecordedEvaluation,
     evaluate_recording,
@@ -16,7 +15,7 @@ from .evaluate import (
     take_units,
 )
 from .files import FrameKey, WrittenDrive, load_format, write_folder, write_recording
-from .formats import find_format, read_boxes
+from .formats import RecordedBoxes, find_format, read_boxes
 from .read import Drive, Recording, read_recording
 
 __all__ = [

@@ -17,8 +17,8 @@ from geometry.files import read_text
 from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
 from geometry.untrusted_files import read_xml
 
-from .boxes import xml_number
 from .files import read_lines
+from .formats import xml_number
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

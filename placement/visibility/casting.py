@@ -68,15 +68,11 @@ class Bodies:
     members: IntArray  # (m,): bodies, group by group
     first: IntArray  # (n_groups + 1,): where each group begins in `members`
 
-    def of_group(self, group: int) -> IntArray:
-        """Bodies of a group."""
-        return self.members[self.first[group] : self.first[group + 1]]
-
     def first_hits(
         self, group: int, origins_m: FloatRays, vectors_m: FloatRays
     ) -> Iterator[tuple[int, FloatRays]]:
         """Bodies of a group, each with the share of every ray up to its first hit on it."""
-        for body in self.of_group(group).tolist():
+        for body in self.members[self.first[group] : self.first[group + 1]].tolist():
             rotation = self.rotation[body]
             yield (
                 body,

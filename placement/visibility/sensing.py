@@ -170,7 +170,7 @@ def cast_for(
             if world.shared.hidden_by_scene is None
             else _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
         ),
-        for_lidar=has_lidar([candidate for candidate, _ in looks]),
+        for_lidar=any(isinstance(candidate.sensor, LidarModel) for candidate, _ in looks),
     )
 
 
@@ -206,11 +206,6 @@ def _may_detect(
             may_detect,
         )
     return may_detect
-
-
-def has_lidar(candidates: Sequence[CandidatePose]) -> bool:
-    """True if a LiDAR is among the sensors: it counts points that a camera need not know."""
-    return any(isinstance(candidate.sensor, LidarModel) for candidate in candidates)
 
 
 def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from geometry.weather import pick_weather
 from placement.compute import Compute
-from placement.detectors import Evidence, ResponseDetector, load_planning_detector
+from placement.detectors import Evidence, ResponseDetector
+from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
 from placement.detectors.fitting import LabelledPicture, fit_response, gather_sightings
 
@@ -97,8 +98,6 @@ def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> st
 
 def _assumed(crops: Crops, keep: NDArray[np.bool_]) -> float:
     """Mean probability of the response model at full contrast, from the side."""
-    response = load_planning_detector("response")
-    assert isinstance(response, ResponseDetector)
     n = int(keep.sum())
     evidence = Evidence(
         visible_px=crops.box_px[keep],
@@ -110,7 +109,7 @@ def _assumed(crops: Crops, keep: NDArray[np.bool_]) -> float:
         vru_class=crops.vru_class[keep],
         draw_index=np.arange(n),
     )
-    return float(response.probability(evidence).mean())
+    return float(built_in_response().probability(evidence).mean())
 
 
 def _score(
@@ -174,15 +173,10 @@ def fit_table(crops: Crops, found: Found, *, source: str, command: str, compute:
     pictures = [_picture(crops, row, by_class) for row, by_class in enumerate(found)]
     sightings, _ = gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
     fit = fit_response(sightings, name="vru.toml", seed=compute.seed)
-    builtin = load_planning_detector("response")
-    assert isinstance(builtin, ResponseDetector)
-    detector = replace(
-        fit.detector,
-        cyclist_end_on=builtin.cyclist_end_on,
-        frame_correlation=builtin.frame_correlation,
-    )
-    builtins = {key: getattr(builtin, key) for key in ("cyclist_end_on", "frame_correlation")}
+    keys = ("cyclist_end_on", "frame_correlation")
+    builtins = {key: getattr(built_in_response(), key) for key in keys}
     intervals = {key: Interval(value, value, value) for key, value in builtins.items()}
+    detector: ResponseDetector = replace(fit.detector, **builtins)
     fit = replace(fit, detector=detector, intervals={**fit.intervals, **intervals})
     return table_text(
         fit, source=source, command=command, unknown=_UNKNOWN, false_tracks_per_hour=None

@@ -256,7 +256,7 @@ def train(
         network.train()
         rng = np.random.default_rng([recipe.seed, number])
         shown = crops() if callable(crops) else crops
-        labels, losses = _labels(shown), []
+        labels, losses = (class_of(shown), counted(shown) & _stands_out(shown)), []
         done = number * recipe.round_steps
         for part in _draw_rows(
             len(shown), min(recipe.round_steps, recipe.steps - done), recipe.batch, rng
@@ -349,10 +349,6 @@ def _stands_out(crops: Crops) -> NDArray[np.bool_]:
         coarse = grey[:high, :wide].reshape(high // 2, 2, wide // 2, 2).mean(axis=(1, 3))
         stands[row] = coarse.std() >= _LEAST_SPREAD
     return stands
-
-
-def _labels(crops: Crops) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    return class_of(crops), counted(crops) & _stands_out(crops)
 
 
 def _batch(

@@ -7,9 +7,8 @@ from readers import READERS
 from geometry.errors import InputError
 from geometry.lenses import project_distorted
 from placement.recordings import find_format, read_recording
-from placement.recordings.boxes import IGNORE
 from placement.recordings.calibrations import read_kitti_camera, read_opencv_camera, read_tsai
-from placement.recordings.formats import read_boxes, read_wildtrack
+from placement.recordings.formats import IGNORE, read_boxes, read_wildtrack
 
 
 def put(tmp_path, reader, kind):
