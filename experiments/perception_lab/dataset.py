@@ -219,20 +219,19 @@ def _build_record(
 ) -> DatasetRecord:
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     by_id = {found.id: found for found in calibrations(layout, "dataset")} if cameras else {}
-    units = []
-    for viewer in viewers:
-        found, camera = by_id.get(viewer.id), viewer.camera
-        units.append(
-            DatasetUnit(
-                folder=viewer.folder,
-                id=viewer.id,
-                width_px=camera.width_px,
-                height_px=camera.height_px,
-                camera_matrix=_rows(camera_matrix(camera)),
-                world_to_camera=_rows(found.world_to_camera) if found else None,
-                translation_m=tuple(found.translation_m.tolist()) if found else None,
-            )
+    units = [
+        DatasetUnit(
+            folder=viewer.folder,
+            id=viewer.id,
+            width_px=viewer.camera.width_px,
+            height_px=viewer.camera.height_px,
+            camera_matrix=_rows(camera_matrix(viewer.camera)),
+            world_to_camera=_rows(found.world_to_camera) if found else None,
+            translation_m=tuple(found.translation_m.tolist()) if found else None,
         )
+        for viewer in viewers
+        for found in [by_id.get(viewer.id)]
+    ]
     scenario: dict[tuple[str, ...], int] = {}
     numbers = itertools.accumulate((len(run.time_s) for run in setting.runs), initial=0)
     drives = [
@@ -273,11 +272,8 @@ def _is_begun(out: Path, record: DatasetRecord) -> bool:
         other = getattr(found, name)
         if other != getattr(record, name):
             what = f"other {name}" if isinstance(other, tuple) else f"{name} {other}"
-            raise InputError(
-                "--out",
-                Unquoted(f"{out}, a dataset with {what}"),
-                "a new folder, or the same dataset",
-            )
+            got = Unquoted(f"{out}, a dataset with {what}")
+            raise InputError("--out", got, "a new folder, or the same dataset")
     return True
 
 

@@ -340,13 +340,8 @@ class OnnxModel:
     """A detector from an ONNX file; several threads may use it at once."""
 
     path: Path
-    _session: _Session
-    _export: Export
-
-    @property
-    def kinds(self) -> Mapping[int, str]:
-        """Class to one of ``KINDS``; others are left out."""
-        return self._export.kinds
+    session: _Session
+    export: Export
 
     def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
         """Find what the network knows in an RGB image (h, w, 3) uint8; boxes are in its pixels.
@@ -356,9 +351,9 @@ class OnnxModel:
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
             got = Unquoted(f"{image.dtype} of shape {image.shape}")
             raise InputError("image", got, "uint8 of shape (height, width, 3)")
-        fitted = _fit(image, self._session, self._export.stride_px)
-        outputs = self._session.run(fitted.pixels, is_imagenet=self._export.is_imagenet)
-        boxes, class_ids, confidence = self._export.read(outputs)
+        fitted = _fit(image, self.session, self.export.stride_px)
+        outputs = self.session.run(fitted.pixels, is_imagenet=self.export.is_imagenet)
+        boxes, class_ids, confidence = self.export.read(outputs)
         # NaN stays, and is reported below.
         is_sure = ~(confidence < onnx_setting("min_confidence"))
         boxes = boxes[is_sure].astype(np.float64)
@@ -366,17 +361,17 @@ class OnnxModel:
         confidence = confidence[is_sure].astype(np.float64)
         if not (np.isfinite(boxes).all() and np.isfinite(confidence).all()):
             raise InputError(str(self.path), Unquoted("a box that is not a number"), "finite boxes")
-        if self._export.is_relative:
+        if self.export.is_relative:
             height, width = fitted.pixels.shape[:2]
             boxes = boxes * [width, height, width, height]
         height, width = image.shape[:2]
         boxes = clip_boxes(fitted.to_image(boxes), width_px=width, height_px=height)
         order = np.argsort(-confidence, kind="stable")
         order = order[(boxes[order, :2] < boxes[order, 2:]).all(axis=1)]  # some lie in the padding
-        if not self._export.is_suppressed:
+        if not self.export.is_suppressed:
             left = suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
             order = order[left]
-        found = ImageBoxes(boxes, class_ids, confidence, self._export.kinds)
+        found = ImageBoxes(boxes, class_ids, confidence, self.export.kinds)
         return found.take(order)
 
 
@@ -397,7 +392,7 @@ def load_onnx_model(path: Path) -> OnnxModel:
     grey = np.full(shape, onnx_setting("fill"), dtype=np.uint8)
     outputs = session.run(grey, is_imagenet=False)
     export = recognise_export(outputs, path=path, names=session.class_names)
-    return OnnxModel(path=path, _session=session, _export=export)
+    return OnnxModel(path=path, session=session, export=export)
 
 
 def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, FloatArray]:
@@ -574,7 +569,7 @@ class NetworkDetector:
     def check_classes(self, classes: Iterable[str]) -> None:
         """Raise InputError where the network has not learnt one of ``VRU_CLASSES``."""
         for name in classes:
-            if not set(_KINDS_OF_CLASS[name]) & set(self.model.kinds.values()):
+            if not set(_KINDS_OF_CLASS[name]) & set(self.model.export.kinds.values()):
                 expected = f"a network that knows {' or '.join(_KINDS_OF_CLASS[name])}"
                 raise InputError(f"detector {self.name}", Unquoted(f"runs with a {name}"), expected)
 

@@ -106,22 +106,20 @@ def build_frame_mesh(
 def build_moving_meshes(run: Run, frame_index: int, *, with_vut: bool) -> tuple[Mesh, ...]:
     """Moving things of a frame, each in a mesh of its own; see :func:`build_frame_mesh`."""
     bodies = [
-        _body_mesh(
-            f"driving-{number}",
-            body.actor,
-            body.actor.shapes[0],
-            _road_pose(run, body.position_m[frame_index], body.yaw_deg[frame_index]),
-        )
-        for number, body in enumerate(run.traffic, start=1)
+        (f"driving-{n}", body.actor, 0, body.position_m[frame_index], body.yaw_deg[frame_index])
+        for n, body in enumerate(run.traffic, start=1)
         if body.is_there[frame_index]
     ]
+    vut, vru = run.encounter.vut, run.encounter.vru
     if with_vut:
-        vut = run.encounter.vut
-        bodies.append(_body_mesh("vut", vut, vut.shapes[0], vut_pose(run, frame_index)))
-    vru = run.encounter.vru
-    shape = vru.shapes[int(run.vru_shape[frame_index])]
-    bodies.append(_body_mesh("vru", vru, shape, vru_pose(run, frame_index)))
-    return tuple(bodies)
+        where = run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index]
+        bodies.append(("vut", vut, 0, *where))
+    where = run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index]
+    bodies.append(("vru", vru, int(run.vru_shape[frame_index]), *where))
+    return tuple(
+        _body_mesh(name, actor, actor.shapes[shape], _road_pose(run, position_m, yaw_deg))
+        for name, actor, shape, position_m, yaw_deg in bodies
+    )
 
 
 def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
@@ -211,11 +209,6 @@ class _TwoCasters:
 def vut_pose(run: Run, frame_index: int) -> Pose:
     """Body frame of the VUT in a frame."""
     return _road_pose(run, run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index])
-
-
-def vru_pose(run: Run, frame_index: int) -> Pose:
-    """Body frame of the VRU in a frame."""
-    return _road_pose(run, run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index])
 
 
 def _road_pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:

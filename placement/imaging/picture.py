@@ -250,9 +250,7 @@ def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[F
         sky_share=sky_share,
         ground_albedo=ground_albedo(),
     )
-    light: FloatRays = lux * coat.albedo
-    light *= np.float32(1.0 / np.pi)
-    light += coat.glow
+    light: FloatRays = lux * coat.albedo * np.float32(1.0 / np.pi) + coat.glow
     mirrored = _add_mirrored(shot, light, coat, hits, ahead)
     return light, Surfaces(coat.albedo, lux, hits.normals, mirrored)
 
@@ -305,11 +303,10 @@ def _add_mirrored(
     facing = shot.mesh.normals[met, 0]
     upness = facing[:, 2:]
     sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
-    lux = (0.5 + 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
-    lux += ground_albedo() * (0.5 - 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
+    sky_lux = shot.sky.sky_lux.astype(np.float32)
+    lux = (0.5 + 0.5 * upness) * sky_lux + ground_albedo() * (0.5 - 0.5 * upness) * sky_lux
     lux += sun * shot.sky.sun_lux.astype(np.float32)
-    albedo = shot.things.mean_albedo[shot.mesh.triangle_thing[met]]
-    lux *= albedo * np.float32(1.0 / np.pi)
+    lux *= shot.things.mean_albedo[shot.mesh.triangle_thing[met]] * np.float32(1.0 / np.pi)
     shot.sky.fade(lux, distance[things])
     seen[things] = lux
     light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen

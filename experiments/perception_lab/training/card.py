@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.image_boxes import box_height_px
 from geometry.weather import pick_weather
 from placement.compute import Compute
 from placement.detectors import Evidence, ResponseDetector
@@ -69,7 +70,7 @@ def _groups(
 ) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
     """Name, crops (n,), and heights of each group."""
     anything = (0.0, np.inf)
-    height = crops.box_px[:, 3] - crops.box_px[:, 1]
+    height = box_height_px(crops.box_px)
     yield "all", np.ones(len(crops), dtype=bool), anything
     for number, name in enumerate(("adults", "children", "cyclists")):
         yield name, crops.vru_class == number, anything
@@ -87,12 +88,8 @@ def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> st
     if not scored.n_labels:
         return ""
     share = (scored.is_true & (scored.confidence >= MIN_CONFIDENCE)).sum() / scored.n_labels
-    figures = (
-        f"{average_precision(scored):.3f}",
-        f"{100.0 * log_average_miss_rate(scored):.1f} %",
-        f"{100.0 * share:.1f} %",
-        f"{100.0 * _assumed(crops, keep & counted(crops)):.1f} %",
-    )
+    shares = log_average_miss_rate(scored), share, _assumed(crops, keep & counted(crops))
+    figures = [f"{average_precision(scored):.3f}", *(f"{100.0 * one:.1f} %" for one in shares)]
     return f"| {name} | {scored.n_labels} | {' | '.join(figures)} |"
 
 
@@ -120,28 +117,24 @@ def _score(
 ) -> Scored:
     """How boxes match the labels of crops in `keep` (n,), both classes together."""
     low, high = heights_px[0] / _LOOSE, heights_px[1] * _LOOSE
-    nothing, counts = np.zeros((0, 4)), keep & counted(crops)
+    counts = keep & counted(crops)
     parts = []
     for number in range(len(CLASSES)):
-        own = class_of(crops) == number
+        own = [slice(row, row + is_own) for row, is_own in enumerate(class_of(crops) == number)]
         boxes, sure = [], []
         for by_class in found:
-            height = by_class[number][0][:, 3] - by_class[number][0][:, 1]
+            height = box_height_px(by_class[number][0])
             in_range = (height >= low) & (height <= high)
             boxes.append(by_class[number][0][in_range])
             sure.append(by_class[number][1][in_range])
         parts.append(
             match_boxes(
-                boxes,
-                sure,
-                [
-                    box[None] if is_own else nothing
-                    for box, is_own in zip(crops.box_px, own, strict=True)
-                ],
-                [
-                    counts[[row]] if is_own else np.zeros(0, dtype=bool)
-                    for row, is_own in enumerate(own)
-                ],
+                *(
+                    boxes,
+                    sure,
+                    [crops.box_px[rows] for rows in own],
+                    [counts[rows] for rows in own],
+                ),
                 min_iou=0.5,
                 n_pictures=len(crops) * CROP_PX**2 / _PICTURE_PX,
             )
