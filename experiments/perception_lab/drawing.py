@@ -241,9 +241,7 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
     left = dict(enumerate(tasks))
     for attempt in range(1, _TRIES + 1):
         executor = ProcessPoolExecutor(
-            n_workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=follow_parent,
+            n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=follow_parent
         )
         pending: dict[Future[int], int] = {}
         try:

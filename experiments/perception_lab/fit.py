@@ -472,10 +472,7 @@ def _load_json(path: Path) -> Any:
 
 
 def _coco_pictures(
-    labels: _Labels,
-    results: Sequence[_Result],
-    kinds: dict[int, str | None],
-    min_confidence: float,
+    labels: _Labels, results: Sequence[_Result], kinds: dict[int, str | None], min_confidence: float
 ) -> Iterator[LabelledPicture]:
     of_image: dict[int, tuple[list[_Annotation], list[_Result]]] = {
         image.id: ([], []) for image in labels.images

@@ -109,20 +109,11 @@ _FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LastingNoise:
-    """What decides a frame, as far as it is the same in all frames of a run.
+    """What decides a frame, as far as it is the same in all frames of a run; all noise has 1."""
 
-    Attributes
-    ----------
-    person : (n,) float
-        Noise of whoever is there, the same for all units, by `draw_index`; its variance is
-        `person_share`.
-    person_share, unit_person_share : float
-        Variance of it, and of what one unit and one person have in common; all noise has 1.
-    """
-
-    person: FloatArray
-    person_share: float
-    unit_person_share: float
+    person: FloatArray  # (n,): noise of whoever is there, for all units, by `draw_index`
+    person_share: float  # variance of it
+    unit_person_share: float  # variance of what one unit and one person have in common
 
     @property
     def frame_share(self) -> float:

@@ -75,7 +75,6 @@ class Sightings:
             amodal_px=box,
             contrast=self.contrast,
             visible_share=self.seen_share,
-            inside_share=np.ones(len(self)),
             aspect_deg=self.aspect_deg,
             vru_class=self.vru_class,
             draw_index=np.arange(len(self)),
@@ -441,11 +440,7 @@ def _log_chance(values: FloatArray, evidence: Evidence, found: BoolArray) -> Flo
 
 
 def _table_spread(
-    sightings: Sightings,
-    best: FloatArray,
-    free: BoolArray,
-    draws: int,
-    rng: np.random.Generator,
+    sightings: Sightings, best: FloatArray, free: BoolArray, draws: int, rng: np.random.Generator
 ) -> dict[str, FloatArray]:
     """Figures of the table for parameters drawn around the best ones, by name.
 

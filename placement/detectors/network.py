@@ -44,10 +44,7 @@ _KINDS_OF_CLASS = {
     "car": ("car",),
 }
 # What riders ride, and both in one.
-_RIDDEN = {
-    "cyclist": ("bicycle", "cyclist"),
-    "motorcyclist": ("motorcycle", "motorcyclist"),
-}
+_RIDDEN = {"cyclist": ("bicycle", "cyclist"), "motorcyclist": ("motorcycle", "motorcyclist")}
 
 _EXPECTED = (
     "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes); "

@@ -32,14 +32,7 @@ from ..imaging.mesh import (
     vut_pose,
 )
 from ..imaging.picture import Picture, Window
-from ..imaging.stills import (
-    Still,
-    crop_onto,
-    draw_crop,
-    draw_still,
-    meter,
-    window_around,
-)
+from ..imaging.stills import Still, crop_onto, draw_crop, draw_still, meter, window_around
 from ..layout import Layout
 from .surroundings import VutCamera, load_vut_camera, load_vut_lidar, vut_pitch_deg
 

@@ -353,11 +353,7 @@ def vut_pitch_deg(
 ) -> FloatArray:
     """Pitch of a VUT on its way, (n,); see :func:`geometry.terrain.pitch_on_ground_deg`."""
     return pitch_on_ground_deg(
-        position_m,
-        yaw_deg,
-        terrain,
-        front_m=vut.front_axle_ahead_m,
-        wheelbase_m=vut.wheelbase_m,
+        position_m, yaw_deg, terrain, front_m=vut.front_axle_ahead_m, wheelbase_m=vut.wheelbase_m
     )
 
 

@@ -26,14 +26,7 @@ from geometry.weather import Weather
 from scenarios.runs import Run
 
 from ..compute import DEFAULT_COMPUTE, Compute
-from .exposure import (
-    add_glare,
-    add_rain,
-    develop,
-    find_edges,
-    load_imager,
-    white_luminance,
-)
+from .exposure import add_glare, add_rain, develop, find_edges, load_imager, white_luminance
 from .light import HeadLamp, add_headlights
 from .materials import Hits, Materials
 from .mesh import (

@@ -55,40 +55,21 @@ class BoxRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedBoxes:
-    """Boxes (n) in a camera's frames: annotated, or found by a detector.
+    """Boxes (n) in a camera's frames: annotated, or found by a detector."""
 
-    Attributes
-    ----------
-    source : str
-        File that they come from.
-    frame : (n,) int
-        Number of the frame, from 0; consecutive numbers are consecutive frames.
-    box_px : (n, 4) float
-        Left, upper, right, lower side. Without area: not in view. [px]
-    track : (n,) int
-        Whose box it is; -1: not said.
-    score : (n,) float
-        A detector's; not a number where it is annotated.
-    seen_share : (n,) float
-        Share that nothing hides; not a number where it is not said.
-    hidden_level : (n,) int
-        KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said.
-    position_m : (n, 3) float
-        Middle of the body's foot in the recording's own frame; not a number where not said. [m]
-    left_out : mapping of str to int
-        What is not among them, and how often.
-    """
-
-    source: str
-    frame: IntArray
+    source: str  # file that they come from
+    frame: IntArray  # (n,): from 0; consecutive numbers are consecutive frames
     class_name: tuple[str, ...]
+    # (n, 4): left, upper, right, lower side; without area: not in view. [px]
     box_px: FloatArray
-    track: IntArray
-    score: FloatArray
-    seen_share: FloatArray
+    track: IntArray  # (n,): whose box it is; -1: not said
+    score: FloatArray  # (n,): a detector's; not a number where it is annotated
+    seen_share: FloatArray  # (n,): that nothing hides; not a number where it is not said
+    # (n,): KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said
     hidden_level: IntArray
+    # (n, 3): middle of the body's foot in the recording's own frame; not a number: not said. [m]
     position_m: FloatArray
-    left_out: Mapping[str, int] = field(default_factory=dict)
+    left_out: Mapping[str, int] = field(default_factory=dict)  # what is not among them, how often
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -185,13 +166,7 @@ _MOT_LEAST = 7  # the rest is -1, or missing
 _WITH_CLASSES = 9  # fields from 2016 on; in 2015 there were x, y, z in their place
 _PEDESTRIAN = 1
 # Ignored: riders, statues, reflections.
-_MOT_OTHERS = {
-    3: "car",
-    2: IGNORE,
-    7: IGNORE,
-    8: IGNORE,
-    12: IGNORE,
-}
+_MOT_OTHERS = {3: "car", 2: IGNORE, 7: IGNORE, 8: IGNORE, 12: IGNORE}
 
 
 def mot_rows(path: Path) -> Iterator[BoxRow]:

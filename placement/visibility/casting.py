@@ -22,15 +22,7 @@ from geometry.scene import Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
 from scenarios.runs import Run
 
-from .views import (
-    HiddenPoints,
-    Places,
-    Surface,
-    VruViews,
-    build_places,
-    build_views,
-    count_in_rows,
-)
+from .views import HiddenPoints, Places, Surface, VruViews, build_places, build_views, count_in_rows
 
 AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 _OFF_SURFACE_M = 1.0e-3

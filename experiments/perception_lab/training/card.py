@@ -65,9 +65,7 @@ def card_text(
     )
 
 
-def _groups(
-    crops: Crops,
-) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
+def _groups(crops: Crops) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
     """Name, crops (n,), and heights of each group."""
     anything = (0.0, np.inf)
     height = box_height_px(crops.box_px)
@@ -99,9 +97,7 @@ def _assumed(crops: Crops, keep: NDArray[np.bool_]) -> float:
     evidence = Evidence(
         visible_px=crops.box_px[keep],
         amodal_px=crops.box_px[keep],
-        contrast=np.ones(n),
         visible_share=np.minimum(crops.visible_share[keep], 1.0),
-        inside_share=np.ones(n),
         aspect_deg=np.full(n, 90.0),
         vru_class=crops.vru_class[keep],
         draw_index=np.arange(n),
@@ -127,24 +123,14 @@ def _score(
             in_range = (height >= low) & (height <= high)
             boxes.append(by_class[number][0][in_range])
             sure.append(by_class[number][1][in_range])
-        parts.append(
-            match_boxes(
-                *(
-                    boxes,
-                    sure,
-                    [crops.box_px[rows] for rows in own],
-                    [counts[rows] for rows in own],
-                ),
-                min_iou=0.5,
-                n_pictures=len(crops) * CROP_PX**2 / _PICTURE_PX,
-            )
-        )
+        labels = [crops.box_px[rows] for rows in own], [counts[rows] for rows in own]
+        n_pictures = len(crops) * CROP_PX**2 / _PICTURE_PX
+        parts.append(match_boxes(boxes, sure, *labels, min_iou=0.5, n_pictures=n_pictures))
     confidence = np.concatenate([part.confidence for part in parts])
     order = np.argsort(-confidence, kind="stable")
     return Scored(
         confidence=confidence[order],
         is_true=np.concatenate([part.is_true for part in parts])[order],
-        label=np.concatenate([part.label for part in parts])[order],
         n_labels=sum(part.n_labels for part in parts),
         n_pictures=parts[0].n_pictures,
     )

@@ -412,11 +412,7 @@ def judge_command(
     """Let OpenCV's people detector find road users in pictures."""
     judge = load_people_detector()
     text = judge_text(
-        _settings(maps),
-        judge,
-        n_pictures=(adults, children, cyclists),
-        seed=seed,
-        tell=_tell,
+        _settings(maps), judge, n_pictures=(adults, children, cyclists), seed=seed, tell=_tell
     )
     out.write_text(text, encoding="utf-8")
 

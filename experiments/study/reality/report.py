@@ -17,12 +17,7 @@ from geometry.files import load_toml
 from geometry.lidar import load_lidar_detection
 from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import (
-    ResponseFit,
-    fit_lasting_share,
-    fit_response,
-    share_by_track,
-)
+from placement.detectors.fitting import ResponseFit, fit_lasting_share, fit_response, share_by_track
 
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 from ...perception_lab.fit import table_text
