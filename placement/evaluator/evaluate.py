@@ -307,10 +307,6 @@ class Judge:
         # By encounter, which runs that differ by weather alone share, then by onset.
         self._contacts: dict[int, dict[float, _Contact]] = {id(run.encounter): {} for run in runs}
 
-    def verdict(self, parties: Sequence[Party]) -> Verdict:
-        """Verdict on parties that are fused; see :meth:`verdicts`."""
-        return self.verdicts([parties])[0]
-
     def verdicts(self, fused: Sequence[Sequence[Party]]) -> list[Verdict]:
         """Verdicts on groups of parties: in each frame any one of a group may be the detector.
 
