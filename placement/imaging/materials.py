@@ -45,16 +45,6 @@ class Hits:
     distance_m: FloatRays  # (n,), from the camera
     pixel_m: FloatRays  # (n,): size of a pixel on the surface, the mean of its two sides
 
-    def take(self, index: Any) -> "Hits":
-        """Keep some, by index."""
-        return Hits(
-            points_m=self.points_m.take(index, axis=0),
-            normals=self.normals.take(index, axis=0),
-            thing=self.thing.take(index),
-            distance_m=self.distance_m.take(index),
-            pixel_m=self.pixel_m.take(index),
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coat:

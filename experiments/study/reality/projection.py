@@ -61,7 +61,6 @@ class Heights:
 
     distance_m: FloatArray  # (n,): on the ground
     track: IntArray
-    drawn_px: FloatArray
     ratio: FloatArray  # (n,): by the calibrated camera
     pinhole_ratio: FloatArray  # (n,): by this project's pinhole at the same pose
     pole_ratio: FloatArray  # (n,): by an upright pole of 1.70 m, as the first look had it
@@ -86,7 +85,6 @@ def measure_pets_heights(folder: Path) -> Heights:
     return Heights(
         distance_m=np.hypot(*offset.T),
         track=drawn.track,
-        drawn_px=drawn_px,
         ratio=ratio,
         pinhole_ratio=drawn_px / box_height_px(boxes),
         pole_ratio=_pole_ratios(drawn, camera),
