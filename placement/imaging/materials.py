@@ -42,7 +42,6 @@ class Hits:
     points_m: FloatRays  # (n, 3), world frame
     normals: FloatRays  # (n, 3), unit, on the side from which the ray came
     thing: Index  # (n,): index of the thing
-    distance_m: FloatRays  # (n,), from the camera
     pixel_m: FloatRays  # (n,): size of a pixel on the surface, the mean of its two sides
 
 

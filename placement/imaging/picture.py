@@ -218,7 +218,6 @@ def _find_hits(
         points_m=local + mesh.origin_m.astype(np.float32),
         normals=normals,
         thing=mesh.triangle_thing.take(triangle),
-        distance_m=distance,
         pixel_m=pixel,
     )
 

@@ -227,10 +227,6 @@ def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) ->
         list(each(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
 
 
-def _headlights(shot: Shot) -> list[HeadLamp]:
-    return [lamp for lamp in shot.lamps if isinstance(lamp, HeadLamp)]
-
-
 def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatRays) -> FloatRays:
     """Radiance (n, 3) that headlights add to pixels (n,) of a still."""
     assert still.surfaces is not None
@@ -239,16 +235,14 @@ def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatR
     origin = shot.mesh.origin_m.astype(np.float32)
     distance = np.sqrt(np.einsum("ij,ij->i", local, local))
     lux = surfaces.lux.copy()
+    of_light = Hits(
+        points_m=local + origin,
+        normals=surfaces.normals,
+        thing=np.zeros(len(local), dtype=np.int32),
+        pixel_m=distance,
+    )
     add_headlights(
-        lux,
-        Hits(
-            points_m=local + origin,
-            normals=surfaces.normals,
-            thing=np.zeros(len(local), dtype=np.int32),
-            distance_m=distance,
-            pixel_m=distance,
-        ),
-        _headlights(shot),
+        *(lux, of_light, [lamp for lamp in shot.lamps if isinstance(lamp, HeadLamp)]),
         caster=shot.mesh.caster,
         origin_m=origin,
         ground_albedo=ground_albedo(),
@@ -296,7 +290,8 @@ def _find_lit(
     lit = np.zeros(changed.shape, dtype=np.bool_)
     heads = [
         [*(lamp.position_m - shot.mesh.origin_m), lamp.reach_m, *lamp.R_world_lamp[:, 0]]
-        for lamp in _headlights(shot)
+        for lamp in shot.lamps
+        if isinstance(lamp, HeadLamp)
     ]
     if heads:
         _mark_lit(lit, changed, still.raw.depth_m, right, ahead, np.array(heads))
