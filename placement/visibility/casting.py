@@ -6,39 +6,36 @@ taken into the frame of each body that they may meet, and cast against its shape
 is prepared for a shape serves wherever it is.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.actors import Actor, MovingActor, PlacedActor, Shape
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.poses import body_rotation, to_world
+from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
 from scenarios.runs import Run
 
-from .views import HiddenPoints, Places, Surface, VruViews, build_places, build_views, count_in_rows
+from .views import (
+    HiddenPoints,
+    Places,
+    Surface,
+    VruViews,
+    build_places,
+    build_views,
+    count_in_rows,
+    look,
+)
 
 AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 _OFF_SURFACE_M = 1.0e-3
 _ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
-
-
-def build_static_mesh(
-    scene: Scene, obstruction: Sequence[PlacedActor], origin_m: FloatArray
-) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Vertices (n, 3) from an origin, and triangles (m, 3), of a scene with an obstruction."""
-    vertices, triangles = [scene.vertices_m - origin_m], [scene.triangles]
-    for body in obstruction:
-        shape = body.actor.shapes[0]
-        triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
-        vertices.append(to_world(shape.vertices_m, body.pose) - origin_m)
-    return np.concatenate(vertices), np.concatenate(triangles)
 
 
 # ---------- bodies
@@ -94,28 +91,23 @@ def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]
     Those are equal that have the same bodies at the same places.
     """
     keys = {body: body.key for body in {body for run in runs for body in run.obstruction}}
-    numbers: dict[tuple[object, ...], int] = {}
-    found: list[tuple[PlacedActor, ...]] = []
-    index = []
-    for run in runs:
-        key = tuple(keys[body] for body in run.obstruction)
-        if numbers.setdefault(key, len(found)) == len(found):
-            found.append(run.obstruction)
-        index.append(numbers[key])
-    return found, np.array(index)
+    of_runs = [tuple(keys[body] for body in run.obstruction) for run in runs]
+    found: dict[tuple[object, ...], tuple[PlacedActor, ...]] = {}
+    for key, run in zip(of_runs, runs, strict=True):
+        found.setdefault(key, run.obstruction)
+    numbers = {key: number for number, key in enumerate(found)}
+    return [*found.values()], np.array([numbers[key] for key in of_runs])
 
 
 def _build_standing(
-    obstructions: Iterable[tuple[PlacedActor, ...]], origin_m: FloatArray, rays: str
+    obstructions: Sequence[tuple[PlacedActor, ...]], origin_m: FloatArray, rays: str
 ) -> Bodies:
-    numbers: dict[tuple[object, ...], int] = {}
-    placed: list[PlacedActor] = []
-    groups = []
-    for obstruction in obstructions:
-        for body in obstruction:
-            if numbers.setdefault(body.key, len(placed)) == len(placed):
-                placed.append(body)
-        groups.append([numbers[body.key] for body in obstruction])
+    found: dict[tuple[object, ...], PlacedActor] = {}
+    for body in chain(*obstructions):
+        found.setdefault(body.key, body)
+    placed = [*found.values()]
+    numbers = {key: number for number, key in enumerate(found)}
+    groups = [[numbers[body.key] for body in obstruction] for obstruction in obstructions]
     actors = {body.actor.shapes[0]: body.actor for body in placed}
     kinds = {shape: kind for kind, shape in enumerate(actors)}
     poses = [body.pose for body in placed]
@@ -387,11 +379,7 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
         return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if shared.hidden_by_itself is None:
-        hidden = find(asked)
-    else:
-        hidden = shared.hidden_by_itself.look(eye_m.tobytes(), asked, find)
-    return ~hidden[row]
+    return ~look(shared.hidden_by_itself, eye_m.tobytes(), asked, find)[row]
 
 
 def _rays_to_own_points(surface: Surface, eyes_m: FloatArray) -> tuple[FloatRays, FloatRays]:
@@ -435,12 +423,8 @@ def _hidden_by_scene(
         return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if shared.hidden_by_scene is None:
-        return find(asked)[row]
-    if foreseen is not None:
-        foreseen = world.views.place_index[foreseen]
-    eye = near_m, eye_m.tobytes()
-    return shared.hidden_by_scene.look(eye, asked, find, foreseen=foreseen)[row]
+    later = None if foreseen is None else world.views.place_index[foreseen]
+    return look(shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find, foreseen=later)[row]
 
 
 def _find_between(

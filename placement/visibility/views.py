@@ -259,6 +259,18 @@ class HiddenPoints:
         return np.unpackbits(bits[rows], axis=1, count=self._n_points).view(bool)
 
 
+def look(
+    cache: HiddenPoints | None,
+    eye: object,
+    rows: IntArray,
+    find: Find,
+    *,
+    foreseen: IntArray | None = None,
+) -> BoolArray:
+    """Hidden points of rows: found, or those of a cache; see :meth:`HiddenPoints.look`."""
+    return find(rows) if cache is None else cache.look(eye, rows, find, foreseen=foreseen)
+
+
 def count_in_rows(rows: BoolArray) -> IntArray:
     """How many of each row (n, m) are set, (n,); as bits, in less than half of numpy's time."""
     count: IntArray = np.bitwise_count(np.packbits(rows, axis=1)).sum(axis=1, dtype=np.int64)
