@@ -8,7 +8,7 @@ what follows is the same.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ from msgspec.structs import replace as replace_fields
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, read_table
+from geometry.files import read_table
 from geometry.image_boxes import box_height_px, iou
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
@@ -46,7 +46,7 @@ from placement.evaluator.pictures import FrameCamera, PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_boxes, read_recording
-from placement.recordings.files import Box
+from placement.recordings.files import Box, json_of
 from placement.recordings.formats import COCO, MOT_FILES, MOT_FOLDER, find_format
 from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
@@ -438,8 +438,9 @@ class _Labels(msgspec.Struct, frozen=True):
 
 
 def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> _Source:
-    labels = read_table(_load_json(labels_path), _Labels, str(labels_path))
-    results = read_table(_load_json(results_path), tuple[_Result, ...], str(results_path))
+    labels = read_table(json_of(labels_path, max_bytes=_MAX_BYTES), _Labels, str(labels_path))
+    found = json_of(results_path, max_bytes=_MAX_BYTES)
+    results = read_table(found, tuple[_Result, ...], str(results_path))
     known_names = {name: kind for name, kind in kind_of_name().items() if kind in VRU_KINDS}
     kinds = {one.id: known_names.get(one.name.lower()) for one in labels.categories}
     if not any(kinds.values()):
@@ -461,14 +462,6 @@ def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> 
         pictures=_coco_pictures(labels, results, kinds, min_confidence),
         unknown=(*unknown, "contrast", "aspect"),
     )
-
-
-def _load_json(path: Path) -> Any:
-    data = read_bytes(path, max_bytes=_MAX_BYTES)
-    try:
-        return msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(str(path), Unquoted(error), "a JSON file") from None
 
 
 def _coco_pictures(

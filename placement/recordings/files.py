@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from uuid import uuid4
+
+import msgspec
 
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, parse_number, read_table, read_text, write_new
+from geometry.files import load_toml, parse_number, read_bytes, read_table, read_text, write_new
 
 VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
 _MOST_FRAMES = 100_000_000
@@ -97,7 +99,23 @@ class World(NamedTuple):
     vru_speed_mps: float
 
 
-# ---------- lines of text
+# ---------- folders, JSON, lines of text
+
+
+def entries_of(folder: Path, expected: str) -> list[Path]:
+    """What is in a folder; InputError, with what is expected, where it cannot be read."""
+    try:
+        return list(folder.iterdir())
+    except OSError as error:
+        raise InputError(str(folder), Unquoted(error.strerror or error), expected) from None
+
+
+def json_of(path: Path, **limits: int) -> Any:
+    """Content of a JSON file; `limits` are those of :func:`geometry.files.read_bytes`."""
+    try:
+        return msgspec.json.decode(read_bytes(path, **limits))
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(str(path), Unquoted(error), "a JSON file") from None
 
 
 class Fields:

@@ -20,10 +20,10 @@ from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import parse_number, read_bytes, read_table, read_text
+from geometry.files import parse_number, read_table, read_text
 from geometry.untrusted_files import read_xml
 
-from .files import Box, Fields, load_format, read_lines
+from .files import Box, Fields, entries_of, json_of, load_format, read_lines
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -313,11 +313,7 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
     """
     rows: list[list[BoxRow]] = [[] for _ in range(N_VIEWS)]
     for frame, path in enumerate(_files(folder)):
-        try:
-            found = msgspec.json.decode(read_bytes(path))
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise InputError(str(path), Unquoted(error), "a JSON file") from None
-        for person in read_table(found, tuple[_Person, ...], str(path)):
+        for person in read_table(json_of(path), tuple[_Person, ...], str(path)):
             if sorted(view.viewNum for view in person.views) != [*range(N_VIEWS)]:
                 got = Unquoted(f"{len(person.views)} views")
                 expected = f"views 0 to {N_VIEWS - 1}, once each"
@@ -343,11 +339,8 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
 
 def _files(folder: Path) -> list[Path]:
     """Files of the frames, in order."""
-    try:
-        found = {int(m[1]): path for path in folder.iterdir() if (m := _NAME.fullmatch(path.name))}
-    except OSError as error:
-        reason = Unquoted(error.strerror or error)
-        raise InputError(str(folder), reason, "a folder with frames") from None
+    entries = entries_of(folder, "a folder with frames")
+    found = {int(m[1]): path for path in entries if (m := _NAME.fullmatch(path.name))}
     if not found:
         raise InputError(str(folder), Unquoted("no frame"), "files FRAME.json")
     numbers = sorted(found)

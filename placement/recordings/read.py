@@ -23,6 +23,7 @@ from .files import (
     Label,
     RecordingFormat,
     World,
+    entries_of,
     load_format,
     read_detections,
     read_labels,
@@ -286,12 +287,7 @@ def read_recording(folder: Path) -> Recording:
 def _find_units(
     folder: Path, form: RecordingFormat, skipped: Counter[str]
 ) -> tuple[list[str], bool]:
-    try:
-        entries = list(folder.iterdir())
-    except OSError as error:
-        raise InputError(
-            str(folder), Unquoted(error.strerror or error), "a folder with a recording"
-        ) from None
+    entries = entries_of(folder, "a folder with a recording")
     names = {entry.name for entry in entries if entry.is_dir()}
     for name in (form.world_folder, form.eval_folder):
         if name not in names:
@@ -309,17 +305,12 @@ def _find_units(
 def _frames(folder: Path, skipped: Counter[str]) -> Iterator[tuple[FrameKey, Path]]:
     """Frames of a folder, in order."""
     found = {}
-    try:
-        for path in folder.iterdir():
-            match = _FRAME_NAME.fullmatch(path.name)
-            if match:
-                found[FrameKey(int(match[1]), int(match[2]))] = path
-            elif path.suffix not in _OF_FRAMES:
-                skipped[OTHER_NAMES] += 1
-    except OSError as error:
-        raise InputError(
-            str(folder), Unquoted(error.strerror or error), "a folder that can be read"
-        ) from None
+    for path in entries_of(folder, "a folder that can be read"):
+        match = _FRAME_NAME.fullmatch(path.name)
+        if match:
+            found[FrameKey(int(match[1]), int(match[2]))] = path
+        elif path.suffix not in _OF_FRAMES:
+            skipped[OTHER_NAMES] += 1
     if not found:
         raise InputError(str(folder), Unquoted("no frame"), "files SCENARIO_FRAME.txt")
     for key in sorted(found):
