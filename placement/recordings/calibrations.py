@@ -94,22 +94,27 @@ def _camera(record: Mapping[str, Any], where: str, size_px: _Size | None) -> Cal
     fx, cx, fy, cy = K[[0, 2, 4, 5]].tolist()
     width, height = _size(size_px, where, record)
     rotation, position = _stand(record, where)
+    return _calibrated(
+        where,
+        width_px=width,
+        height_px=height,
+        fx_px=fx,
+        fy_px=fy,
+        cx_px=cx,
+        cy_px=cy,
+        R_camera_world=rotation,
+        position_m=position,
+        lens=_lens(record, where),
+    )
+
+
+def _calibrated(where: str, **figures: Any) -> CalibratedCamera:
+    """A camera; errors name the file."""
     try:
-        return CalibratedCamera(
-            width_px=width,
-            height_px=height,
-            fx_px=fx,
-            fy_px=fy,
-            cx_px=cx,
-            cy_px=cy,
-            R_camera_world=rotation,
-            position_m=position,
-            lens=_lens(record, where),
-        )
+        return CalibratedCamera(**figures)
     except InputError as error:
-        raise InputError(
-            f"{where}: {error.where.removeprefix('camera: ')}", error.got, error.expected
-        ) from None
+        field = error.where.removeprefix("camera: ")
+        raise InputError(f"{where}: {field}", error.got, error.expected) from None
 
 
 def _size(size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None) -> _Size:
@@ -196,9 +201,7 @@ def read_opencv_camera(
 # ---------- KITTI
 
 
-def read_kitti_camera(
-    path: Path, *, width_px: int, height_px: int, matrix: str = "P2"
-) -> CalibratedCamera:
+def read_kitti_camera(path: Path, *, width_px: int, height_px: int) -> CalibratedCamera:
     """A camera of a calibration file, in the frame of the rectified camera 0.
 
     The file does not say how large the pictures are. Raises InputError if the matrix is missing, or
@@ -206,19 +209,20 @@ def read_kitti_camera(
     """
     names = ("name", *(f"number {index}" for index in range(1, 13)))
     for fields in read_lines(path, names, separator=None, least=2):
-        if fields.words["name"].rstrip(":") == matrix:
+        if fields.words["name"].rstrip(":") == "P2":
             break
     else:
-        raise InputError(str(path), Unquoted(f"no {matrix}"), f"a line {matrix}: with 12 numbers")
+        raise InputError(str(path), Unquoted("no P2"), "a line P2: with 12 numbers")
     if len(fields.words) != len(names):
         got = Unquoted(f"{len(fields.words) - 1} numbers")
-        raise InputError(f"{fields.place}: {matrix}", got, "12 numbers")
+        raise InputError(f"{fields.place}: P2", got, "12 numbers")
     P = np.array([fields.number(name) for name in names[1:]]).reshape(3, 4)
     K = P[:, :3]
     is_camera = K[0, 0] > 1.0e-3 and K[1, 1] > 1.0e-3
     if not (is_camera and np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1])):
-        raise InputError(f"{fields.place}: {matrix}", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
-    return CalibratedCamera(
+        raise InputError(f"{fields.place}: P2", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
+    return _calibrated(
+        f"{fields.place}: P2",
         width_px=width_px,
         height_px=height_px,
         fx_px=K[0, 0],
@@ -252,20 +256,18 @@ def read_tsai(path: Path) -> CalibratedCamera:
             raise InputError(f"{path}: {name}", values[name], "more than 0")
     turn = _turns(e["rx"], e["ry"], e["rz"])
     shift_m = _MM * np.array([e["tx"], e["ty"], e["tz"]])
-    try:
-        return CalibratedCamera(
-            width_px=round(g["width"]),
-            height_px=round(g["height"]),
-            fx_px=i["focal"] * i["sx"] / g["dpx"],
-            fy_px=i["focal"] / g["dpy"],
-            cx_px=i["cx"],
-            cy_px=i["cy"],
-            R_camera_world=turn,
-            position_m=-turn.T @ shift_m,
-            lens=TsaiRadial(kappa=i["kappa1"] * i["focal"] ** 2),
-        )
-    except InputError as error:
-        raise InputError(f"{path}: {error.where}", error.got, error.expected) from None
+    return _calibrated(
+        str(path),
+        width_px=round(g["width"]),
+        height_px=round(g["height"]),
+        fx_px=i["focal"] * i["sx"] / g["dpx"],
+        fy_px=i["focal"] / g["dpy"],
+        cx_px=i["cx"],
+        cy_px=i["cy"],
+        R_camera_world=turn,
+        position_m=-turn.T @ shift_m,
+        lens=TsaiRadial(kappa=i["kappa1"] * i["focal"] ** 2),
+    )
 
 
 def _attributes(
