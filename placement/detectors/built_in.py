@@ -1,7 +1,7 @@
 """Detectors by boxes alone and by probability, and any detector by its name or file."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import as_file, files
@@ -478,7 +478,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
         return ResponseDetector(
             name=name,
             assumed=assumed,
-            assumed_figures=_read_assumed_figures(table),
+            assumed_figures=_read_names(table, "assumed_figures", _FIGURES),
             false_tracks_per_hour=_read_alarms(document),
             seen_share=shares,
             recall=recall,
@@ -497,25 +497,20 @@ def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     A file need not know the classes that the built-in table assumes: there it has the same factor.
     """
     given = _defaults()["response"]
-    named = take_list({"assumed": [], **table}, "assumed", "response")
-    for name in named:
-        if name not in VRU_CLASSES:
-            raise InputError("assumed", name, "one of " + ", ".join(VRU_CLASSES))
+    named = _read_names(table, "assumed", VRU_CLASSES) or ()
     missing = [name for name in given["assumed"] if name not in table]
     whole = {**{name: given[name] for name in missing}, **table}
     factors = {key: take_number(whole, key, "response") for key in VRU_CLASSES}
     return factors, tuple(name for name in VRU_CLASSES if name in (*named, *missing))
 
 
-def _read_assumed_figures(table: Table) -> tuple[str, ...] | None:
-    key = "assumed_figures"
-    if key not in table:
-        return None
-    names = take_list(table, key, "response")
+def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...] | None:
+    """Names of a list; None where there is none."""
+    names = take_list({key: [], **table}, key, "response")
     for name in names:
-        if name not in _FIGURES:
-            raise InputError(key, name, "one of " + ", ".join(_FIGURES))
-    return tuple(names)
+        if name not in known:
+            raise InputError(key, name, "one of " + ", ".join(known))
+    return tuple(names) if key in table else None
 
 
 def _read_alarms(document: Table) -> Interval | None:

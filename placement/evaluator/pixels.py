@@ -414,9 +414,7 @@ def draw(
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
     is_ahead = _project(image, points, least_depth, pixels)
-    has_backs = False
-    for row in range(len(points)):
-        has_backs = has_backs or points[row, 2] < image.near_m
+    has_backs = points[:, 2].min() < image.near_m
     width = window[2] - window[0]
     middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
@@ -445,13 +443,9 @@ def _draw_all(
     image: Image, points: FloatArray, triangles: IntArray, box: Window, depth_m: FloatArray
 ) -> int:
     """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
-    for pixel in range(len(depth_m)):  # nothing is drawn yet
-        depth_m[pixel] = np.inf
+    depth_m[:] = np.inf  # nothing is drawn yet
     draw(image, points, triangles, box, depth_m)
-    n_pixels = 0
-    for pixel in range(len(depth_m)):
-        n_pixels += depth_m[pixel] < np.inf
-    return n_pixels
+    return int((depth_m < np.inf).sum())
 
 
 @kernel
@@ -648,8 +642,8 @@ def _see_past_vehicles(
                 continue
             if n_pixels == 0:
                 n_pixels = _draw_all(image, body[0], body[1], box, depth_m)
-            for pixel in range(0 if is_hidden else len(depth_m)):
-                left_m[pixel] = depth_m[pixel]
+            if not is_hidden:
+                left_m[:] = depth_m
             is_hidden = True
             hide(*look, left_m)
         if is_hidden:
@@ -679,9 +673,7 @@ def see(
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
-    foot_m, top_m = hull_m[0, 2], hull_m[0, 2]
-    for row in range(len(hull_m)):
-        foot_m, top_m = min(foot_m, hull_m[row, 2]), max(top_m, hull_m[row, 2])
+    foot_m, top_m = hull_m[:, 2].min(), hull_m[:, 2].max()
     for sight in range(len(sights.vru.shift)):  # places of the VRU before what stands still
         turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
@@ -696,9 +688,7 @@ def see(
         for side, edge_px in enumerate(box):
             seen.amodal_px[sight, side] = edge_px
             seen.visible_px[sight, side] = edge_px
-        farthest_m = 0.0
-        for row in range(len(hull)):
-            farthest_m = max(farthest_m, hull[row, 2])
+        farthest_m = max(0.0, hull[:, 2].max())
         area = (box[2] - box[0]) * (box[3] - box[1])
         if len(depth_m) < area:
             depth_m, left_m = np.empty(area), np.empty(area)
@@ -718,8 +708,7 @@ def see(
             n_left = _measure(depth_m, box, seen.visible_px, sight)
             seen.visible_share[sight] = n_left / n_pixels
         for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
-            for side in range(4):
-                seen.frame_visible_px[frame, side] = seen.visible_px[sight, side]
+            seen.frame_visible_px[frame] = seen.visible_px[sight]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
         if n_left != 0:
             _see_past_vehicles(

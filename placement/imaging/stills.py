@@ -192,7 +192,8 @@ def add_moving(
         materials=base.materials,
     )
     right, ahead = ray_parts(shot, window.rows, window.columns)
-    changed = _find_changed(still, shot, moving, right, ahead)
+    view = still.raw.depth_m, right, ahead
+    changed = _find_changed(still, shot, moving, view)
     raw = still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
     radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
@@ -212,7 +213,7 @@ def add_moving(
         smooth.reshape(-1, 3)[part] += more
 
     _in_parts(each, shade, np.flatnonzero(changed))
-    lit = _find_lit(still, shot, changed, right, ahead)
+    lit = _find_lit(shot, changed, view)
     _in_parts(each, shine, np.flatnonzero(lit))
     around = _grown(changed)
     smooth[around] = image.radiance[around]
@@ -263,9 +264,7 @@ def _grown(mask: BoolArray) -> BoolArray:
     return grown
 
 
-def _find_changed(
-    still: Still, shot: Shot, moving: Sequence[Mesh], right: FloatRays, ahead: FloatRays
-) -> BoolArray:
+def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], view: "View") -> BoolArray:
     """Pixels (h, w) that what moves may change, but for the light of its headlights."""
     origin_m = shot.mesh.origin_m
     boxes = np.stack([_box(mesh, origin_m) for mesh in moving])
@@ -277,15 +276,12 @@ def _find_changed(
     x, y, z = shot.sky.to_sun.tolist()
     to_sun = (x, y, z) if shot.sky.sun_lux.any() and z > 0.0 else (0.0, 0.0, 0.0)
     changed = np.zeros(still.raw.depth_m.shape, dtype=np.bool_)
-    seen = changed, still.raw.depth_m, right, ahead, boxes
-    _mark(*seen, to_sun, np.array(lamps).reshape(-1, 4))
-    _mark_mirrored(*seen, still.mirrors, still.mirrored)
+    _mark(changed, view, boxes, to_sun, np.array(lamps).reshape(-1, 4))
+    _mark_mirrored(changed, view, boxes, still.mirrors, still.mirrored)
     return changed
 
 
-def _find_lit(
-    still: Still, shot: Shot, changed: BoolArray, right: FloatRays, ahead: FloatRays
-) -> BoolArray:
+def _find_lit(shot: Shot, changed: BoolArray, view: "View") -> BoolArray:
     """Pixels (h, w) of a still on which headlights may shine."""
     lit = np.zeros(changed.shape, dtype=np.bool_)
     heads = [
@@ -294,7 +290,7 @@ def _find_lit(
         if isinstance(lamp, HeadLamp)
     ]
     if heads:
-        _mark_lit(lit, changed, still.raw.depth_m, right, ahead, np.array(heads))
+        _mark_lit(lit, changed, view, np.array(heads))
     return lit
 
 
@@ -466,11 +462,14 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
 
 
 Point = tuple[float, float, float]  # or a way: in the axes of the world, from the camera
+# Depths in pixels (h, w), and the parts of their rays by column (w, 3) and by row (h, 3).
+View = tuple[FloatRays, FloatRays, FloatRays]
 
 
 @kernel
-def _ray(right: FloatRays, ahead: FloatRays, row: int, column: int) -> Point:
+def _ray(view: View, row: int, column: int) -> Point:
     """The ray through the middle of a pixel, one metre deep."""
+    _, right, ahead = view
     return (
         float(ahead[row, 0]) + right[column, 0],
         float(ahead[row, 1]) + right[column, 1],
@@ -529,20 +528,14 @@ def _meets(box: FloatArray, p: Point, v: Point, most: float) -> bool:
 
 
 @kernel
-def _around(
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    block: tuple[int, int, int, int],
-    sky_m: float,
-) -> tuple[Point, float]:
+def _around(view: View, block: tuple[int, int, int, int], sky_m: float) -> tuple[Point, float]:
     """Middle and radius of a sphere around what a block of pixels sees; the sky is at `sky_m`."""
     top, bottom, first, last = block
     low, high = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
     for row in range(top, bottom):  # pixels of the block
         for column in range(first, last):
-            depth = float(depth_m[row, column])
-            x, y, z = _times(_ray(right, ahead, row, column), sky_m if math.isinf(depth) else depth)
+            depth = float(view[0][row, column])
+            x, y, z = _times(_ray(view, row, column), sky_m if math.isinf(depth) else depth)
             low = min(low[0], x), min(low[1], y), min(low[2], z)
             high = max(high[0], x), max(high[1], y), max(high[2], z)
     size = math.sqrt((high[0] - low[0]) ** 2 + (high[1] - low[1]) ** 2 + (high[2] - low[2]) ** 2)
@@ -580,13 +573,7 @@ def _is_changed(
 
 @kernel
 def _mark(
-    changed: BoolArray,
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    boxes: FloatArray,
-    to_sun: Point,
-    lamps: FloatArray,
+    changed: BoolArray, view: View, boxes: FloatArray, to_sun: Point, lamps: FloatArray
 ) -> None:
     """Mark pixels where a box is seen, or throws a shadow of sun or lamp.
 
@@ -604,7 +591,7 @@ def _mark(
         bottom = min(top + _BLOCK_PX, changed.shape[0])
         for first in range(0, changed.shape[1], _BLOCK_PX):
             last = min(first + _BLOCK_PX, changed.shape[1])
-            at, radius = _around(depth_m, right, ahead, (top, bottom, first, last), sky_m)
+            at, radius = _around(view, (top, bottom, first, last), sky_m)
             for index in range(n_boxes):  # as a whole, by spheres around block and box
                 box = boxes[index]
                 possible[index, 0] = _may_meet(box, at, _times(at, -1.0), radius)
@@ -617,26 +604,19 @@ def _mark(
                 continue
             for row in range(top, bottom):  # then pixel by pixel
                 for column in range(first, last):
-                    ray, depth = _ray(right, ahead, row, column), float(depth_m[row, column])
+                    ray, depth = _ray(view, row, column), float(view[0][row, column])
                     changed[row, column] = _is_changed(ray, depth, boxes, to_sun, lamps, possible)
 
 
 @kernel
-def _mark_lit(
-    lit: BoolArray,
-    changed: BoolArray,
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    heads: FloatArray,
-) -> None:
+def _mark_lit(lit: BoolArray, changed: BoolArray, view: View, heads: FloatArray) -> None:
     """Mark pixels that are not changed and lie before a headlight, in its reach."""
     for row in range(lit.shape[0]):  # pixels, and the headlights that may reach each
         for column in range(lit.shape[1]):
-            depth = float(depth_m[row, column])
+            depth = float(view[0][row, column])
             if changed[row, column] or math.isinf(depth):
                 continue
-            at = _times(_ray(right, ahead, row, column), depth)
+            at = _times(_ray(view, row, column), depth)
             for lamp in range(len(heads)):
                 way, head = _away(heads[lamp], at), heads[lamp]
                 is_ahead = _dot(way, (head[4], head[5], head[6])) < 0.0
@@ -646,19 +626,13 @@ def _mark_lit(
 
 @kernel
 def _mark_mirrored(
-    changed: BoolArray,
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    boxes: FloatArray,
-    mirrors: IntArray,
-    mirrored: FloatRays,
+    changed: BoolArray, view: View, boxes: FloatArray, mirrors: IntArray, mirrored: FloatRays
 ) -> None:
     """Mark pixels whose mirrored ray meets a box."""
-    width = len(right)
+    width = changed.shape[1]
     for number in range(len(mirrors)):  # pixels with a mirrored ray, and the boxes
         row, column = mirrors[number] // width, mirrors[number] % width
-        at = _times(_ray(right, ahead, row, column), float(depth_m[row, column]))
+        at = _times(_ray(view, row, column), float(view[0][row, column]))
         way = mirrored[number]
         to = float(way[0]), float(way[1]), float(way[2])
         for index in range(len(boxes)):
