@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_field, check_one_of
 from geometry.files import Table, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px, iou
 
@@ -45,14 +45,12 @@ class GeometricDetector:
     needs_pictures = False
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.min_iou < 1.0:
-            raise InputError("detector.min_iou", self.min_iou, "0 <= IoU < 1")
-        if not (np.isfinite(self.min_box_height_px) and self.min_box_height_px >= 0.0):
-            raise InputError(
-                "detector.min_box_height_px", self.min_box_height_px, "pixels, at least 0"
-            )
-        if not 0.0 <= self.min_contrast <= 1.0:
-            raise InputError("detector.min_contrast", self.min_contrast, "0 .. 1")
+        for field, is_valid, expected in (
+            ("min_iou", 0.0 <= self.min_iou < 1.0, "0 <= IoU < 1"),
+            ("min_box_height_px", 0.0 <= self.min_box_height_px < np.inf, "pixels, at least 0"),
+            ("min_contrast", 0.0 <= self.min_contrast <= 1.0, "0 .. 1"),
+        ):
+            check_field(self, "detector", field, is_valid, expected)
 
     @property
     def description(self) -> str:
@@ -508,8 +506,7 @@ def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...]
     """Names of a list; None where there is none."""
     names = take_list({key: [], **table}, key, "response")
     for name in names:
-        if name not in known:
-            raise InputError(key, name, "one of " + ", ".join(known))
+        check_one_of(key, name, known)
     return tuple(names) if key in table else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
-from geometry.errors import InputError
+from geometry.errors import InputError, check_one_of
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, to_world
 from geometry.scene import Scene
@@ -370,8 +370,7 @@ def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> 
         pose = vut_camera_pose(mount, run, frame_index)
         return Viewpoint(pose=pose, sensor=own[unit_id.upper()], with_vut=False)
     units = {unit.id: unit for unit in layout.units}
-    if unit_id not in units:
-        raise InputError("unit_id", unit_id, "one of " + ", ".join([*units, *own]))
+    check_one_of("unit_id", unit_id, [*units, *own])
     return Viewpoint(pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True)
 
 

@@ -17,7 +17,7 @@ from uuid import uuid4
 import msgspec
 
 from geometry.arrays import FloatArray, float_array
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import load_toml, parse_number, read_bytes, read_table, read_text, write_new
 
 VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
@@ -247,9 +247,7 @@ def _distinct(path: Path, names: Sequence[str]) -> tuple[list[Fields], int]:
 
 def _class(row: Fields, form: RecordingFormat) -> str:
     word = row.words["actor_type"]
-    if word not in form.actor_types:
-        expected = "one of " + ", ".join(form.actor_types)
-        raise InputError(f"{row.place}: actor_type", word, expected)
+    check_one_of(f"{row.place}: actor_type", word, form.actor_types)
     return form.actor_types[word]
 
 
@@ -287,8 +285,7 @@ class WrittenDrive:
     label_distance_m: Mapping[str, FloatArray]  # (n_frames,): per unit, how far the VRU is. [m]
 
     def __post_init__(self) -> None:
-        if self.vru_class not in _WRITTEN:
-            raise InputError("vru_class", self.vru_class, "one of " + ", ".join(_WRITTEN))
+        check_one_of("vru_class", self.vru_class, _WRITTEN)
         object.__setattr__(self, "distance_m", float_array(self.distance_m, (-1,), "distance_m"))
         n_frames, units = len(self.distance_m), list(self.labels_px)
         for name, shape in (

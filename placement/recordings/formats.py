@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import parse_number, read_table, read_text
 from geometry.untrusted_files import read_xml
 
@@ -209,9 +209,7 @@ def kitti_rows(path: Path) -> Iterator[BoxRow]:
     """Annotated road users; positions are in the frame of the rectified camera 0."""
     for fields in read_lines(path, _LABEL, separator=None):
         word = fields.words["type"]
-        if word not in _CLASSES and word not in _OTHERS:
-            expected = "one of " + ", ".join((*_CLASSES, *_OTHERS))
-            raise InputError(f"{fields.place}: type", word, expected)
+        check_one_of(f"{fields.place}: type", word, (*_CLASSES, *_OTHERS))
         level = fields.whole("occluded", most=3)
         name = _CLASSES.get(word, "other")
         yield BoxRow(
