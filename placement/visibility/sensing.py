@@ -253,13 +253,12 @@ def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) 
     plain_px, part_px = np.empty((n, 4), np.float32), np.empty((n, 8), np.float32)
     inside_share = np.empty(n)
     n_plain, n_part = box_bodies(
-        *(views.axes_m, views.hull_m, views.middle_m, views.radius_m),
-        *(sensing.eye_m.astype(np.float32), sight.view_index, sight.is_visible, sight.is_whole),
-        _lenses(chosen),
-        len(chosen),
-        np.float32(_MIN_DEPTH_M),
-        sensing.detector.min_box_height_px,
-        *(plain, plain_px, part, part_px, inside_share),
+        (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
+        sensing.eye_m.astype(np.float32),
+        (sight.view_index, sight.is_visible, sight.is_whole),
+        (_lenses(chosen), len(chosen)),
+        (np.float32(_MIN_DEPTH_M), sensing.detector.min_box_height_px),
+        (plain, plain_px, part, part_px, inside_share),
     )
     # Copies: what was set aside for the most that there could be is given back.
     return _Boxes(
