@@ -15,8 +15,7 @@ from geometry.image_boxes import mask_box
 from geometry.poses import Pose, body_rotation
 from geometry.raycast import FloatRays, ray_lengths_m
 from geometry.sensors import CameraModel, pixel_rays
-from placement.evaluator.solids import Solid
-from placement.evaluator.surroundings import Surroundings
+from placement.evaluator.surroundings import Solid, Surroundings
 
 STATIC, VRU, VUT = 0, 1, 2  # instance codes; STATIC also where nothing is hit
 

@@ -702,8 +702,7 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
 
 
 def _read_boxes(path: Path) -> Any:
-    from placement.recordings.formats import WILDTRACK, find_format, read_boxes
-    from placement.recordings.wildtrack import read_wildtrack
+    from placement.recordings.formats import WILDTRACK, find_format, read_boxes, read_wildtrack
 
     return read_wildtrack(path) if find_format(path) == WILDTRACK else read_boxes(path)
 
@@ -773,25 +772,19 @@ _FILE_STORAGE = (
 
 
 def _read_calibration(path: Path) -> Any:
-    from placement.recordings.calibrations import read_cameras
-    from placement.recordings.kitti import read_kitti_motion
-    from placement.recordings.wildtrack import read_opencv_camera
+    from placement.recordings.calibrations import read_cameras, read_opencv_camera
 
     if path.name == "intrinsic.xml":
         read_opencv_camera(path, path.with_name("extrinsic.xml"), width_px=1242, height_px=375)
-    if path.name == "oxts.txt":
-        return read_kitti_motion(path)
     return read_cameras(path, size_px=(1242, 375))
 
 
 def _calibrations() -> Mapping[str, tuple[str, Files]]:
     pair = {"intrinsic.xml": _INTRINSIC.encode(), "extrinsic.xml": _EXTRINSIC.encode()}
-    oxts = "49.01 8.42 112.8 0.02 0.01 -1.22 -3.3 1.1 3.5 " + " ".join(["0.5"] * 21) + "\n"
     return {
         "tsai": _one("tsai.xml", _TSAI),
         "opencv": ("intrinsic.xml", pair),
         "kitti": _one("calib.txt", "P0: 1\nP2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\n"),
-        "oxts": _one("oxts.txt", 2 * oxts),
         "ros": _one("ros.yaml", _ROS),
         "filestorage": _one("cameras.yaml", _FILE_STORAGE),
     }
@@ -1122,13 +1115,8 @@ READERS: Mapping[str, Reader] = {
         covers=(
             "placement.recordings.formats.find_format",
             "placement.recordings.formats.read_boxes",
-            "placement.recordings.boxes.read_lines",
-            "placement.recordings.cvml.read_cvml",
-            "placement.recordings.kitti.read_kitti_labels",
-            "placement.recordings.kitti.read_pointrcnn",
-            "placement.recordings.kitti.read_rrc",
-            "placement.recordings.mot.read_mot",
-            "placement.recordings.wildtrack.read_wildtrack",
+            "placement.recordings.files.read_lines",
+            "placement.recordings.formats.read_wildtrack",
         ),
         share=3,
     ),
@@ -1137,10 +1125,9 @@ READERS: Mapping[str, Reader] = {
         seeds=_calibrations,
         covers=(
             "placement.recordings.calibrations.read_cameras",
-            "placement.recordings.cvml.read_tsai",
-            "placement.recordings.kitti.read_kitti_camera",
-            "placement.recordings.kitti.read_kitti_motion",
-            "placement.recordings.wildtrack.read_opencv_camera",
+            "placement.recordings.calibrations.read_tsai",
+            "placement.recordings.calibrations.read_kitti_camera",
+            "placement.recordings.calibrations.read_opencv_camera",
         ),
         share=2,
     ),

@@ -24,7 +24,7 @@ from geometry.scene import Scene
 from geometry.terrain import on_ground
 from placement.compute import Progress, silent
 from placement.evaluator import load_vut_camera
-from placement.visibility.casting import build_static_mesh
+from placement.imaging.mesh import build_static_mesh
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
@@ -149,8 +149,9 @@ class _Stage:
         last_s, motion = run.last_brake_time_s, run.encounter.vut_motion
         self.brake_m = motion.path.at(motion.distance_m(last_s))[0] if np.isfinite(last_s) else None
         self.origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-        vertices, triangles = build_static_mesh(scene, run.obstruction, self.origin)
-        self.caster: RayCaster = build_caster(vertices, triangles, library="embree")
+        still = build_static_mesh(scene, run.obstruction)
+        vertices = still.vertices_m - self.origin
+        self.caster: RayCaster = build_caster(vertices, still.triangles, library="embree")
         vut_camera = load_vut_camera()
         self.camera = vut_camera.camera
         self.lens = vut_camera.pose_on(run.encounter.vut).position_m

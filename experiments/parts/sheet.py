@@ -24,7 +24,7 @@ from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain.tolerances import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
-from placement.imaging import render_picture
+from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
@@ -227,9 +227,15 @@ def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Co
         axes.text(0.5, 0.5, "A LiDAR takes no picture.", ha="center", va="center", fontsize=11)
         return
     run, frame = _shown_frame(unit, setting)
-    weather, looking = pick_weather(run.weather, "weather"), (unit.pose, unit.sensor)
-    picture = render_picture(
-        setting.scene, run, frame, *looking, weather=weather, with_vut=True, compute=compute
+    picture = draw_picture(
+        build_backdrop(setting.scene, run.obstruction),
+        run,
+        frame,
+        unit.pose,
+        unit.sensor,
+        weather=pick_weather(run.weather, "weather"),
+        with_vut=True,
+        compute=compute,
     )
     axes.imshow(picture.rgb)
     when = f"{run.id}, {-run.time_s[frame]:.1f} s before the impact"

@@ -60,7 +60,6 @@ Examples:
 )
 @option(
     "--format",
-    "form",
     type=click.Choice(("carlancap", "coco")),
     default="carlancap",
     show_default=True,
@@ -103,50 +102,36 @@ Examples:
 @click.pass_obj
 def dataset(
     progress: StageProgress,
+    /,
     *,
     layout_names: tuple[str, ...],
     out: Path,
-    form: str,
-    units: str,
-    every: int,
-    lidar: str,
-    masks: bool,
-    depth: bool,
-    vehicles: bool,
-    vary: bool,
     question: Question,
     as_json: bool,
     quiet: bool,
     compute: Compute,
+    **wish: Any,
 ) -> None:
     """Write a dataset: what the cameras of a layout see of all runs, with labels."""
     layout = load_one_layout(layout_names)
     progress.start(quiet=quiet)
-    from . import dataset as job
+    from .dataset import run_dataset
+    from .drawing import DatasetWish
 
     def announce(sentence: str) -> None:
         if not quiet:
             tell(f"place-rsus: {sentence}", err=True)
 
-    summary = job.run_dataset(
+    summary = run_dataset(
         question,
         layout=layout,
-        wish=job.DatasetWish(
-            format=form,
-            units=units,
-            every=every,
-            lidar=lidar,
-            masks=masks,
-            depth=depth,
-            vehicles=vehicles,
-            vary=vary,
-        ),
+        wish=DatasetWish(**wish),
         out=out,
         compute=compute,
         progress=progress,
         tell=announce,
     )
-    print_result(summary, progress, as_json, lambda: _dataset_text(summary, form))
+    print_result(summary, progress, as_json, lambda: _dataset_text(summary, wish["format"]))
 
 
 def _dataset_text(summary: "DatasetSummary", form: str) -> str:
@@ -241,41 +226,29 @@ Examples:
 @click.pass_obj
 def fit(
     progress: StageProgress,
+    /,
     *,
     layout_names: tuple[str, ...],
-    pictures: int,
-    recording: Path | None,
-    labels: Path | None,
-    results: Path | None,
-    frame_rate_hz: float | None,
-    min_confidence: float,
     out: Path | None,
     question: Question,
     as_json: bool,
     quiet: bool,
     compute: Compute,
+    **wish: Any,
 ) -> None:
     """Fit a response table to what a detector really finds.
 
     The table is then what --detector mine/response.toml plans and judges with, in place of the
     built-in assumptions.
     """
-    _check_one_source(layout_names, recording, labels, results)
+    _check_one_source(layout_names, wish["recording"], wish["labels"], wish["results"])
     layout = load_one_layout(layout_names) if layout_names else None
     question = begin(progress, question, quiet=quiet)
     from . import fit as job
 
     result = job.run_detector_fit(
         question,
-        wish=job.FitWish(
-            layout=layout,
-            pictures=pictures,
-            recording=recording,
-            labels=labels,
-            results=results,
-            frame_rate_hz=frame_rate_hz,
-            min_confidence=min_confidence,
-        ),
+        wish=job.FitWish(layout=layout, **wish),
         out=out,
         command=command_line(),
         compute=compute,
@@ -321,11 +294,9 @@ def _check_one_source(
 def fit_text(result: "FitResult", out: Path | None) -> str:
     """How much was found, recall by group, the table, and false alarms."""
     share = percent(result.found / result.frames)
-    lines = [
-        *sentences(
-            f"{share} of {result.frames} frames with a road user are detected ({result.source})."
-        ),
-    ]
+    lines = sentences(
+        f"{share} of {result.frames} frames with a road user are detected ({result.source})."
+    )
     if result.unknown:
         lines += sentences(
             f"Not known from them, and as in the built-in table: {', '.join(result.unknown)}."
@@ -452,7 +423,7 @@ def render(
     from placement.layout import check_layout
 
     from ..export.watched import find_run
-    from . import render as job
+    from . import drawing as job
 
     around = load_scene(scene)
     check_layout(layout, around)

@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +45,10 @@ from scenarios.runs import Run
 from ..export.calibration import calibrations, camera_matrix
 from ..progress import StageProgress
 from ..results.record import Record
-from .drawing import DEPTHS, DRAW, MASKS, DrawTask, Viewer, draw_all
+from .drawing import DEPTHS, DRAW, MASKS, DatasetWish, DrawTask, Viewer, draw_all
 
 MANIFEST = "dataset.json"
 _SCHEMA = "place-rsus/dataset/1"
-FORMATS = ("carlancap", "coco")
 NO_LIDAR = "none"
 _COCO_FILE = "coco.json"
 # What the VUT meets, by class: its category in COCO, and the study's actor type.
@@ -63,21 +62,6 @@ _ACTOR_TYPES = {**_COCO_CLASSES, "cyclist": "bicycle"}
 _TASK_PICTURES = 60  # drawn by one worker before it gives word
 _BYTES_PER_PIXEL = 1.75  # of a PNG with sensor noise, as measured by day
 _BYTES_PER_POINT = 16
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DatasetWish:
-    """Contents of a dataset besides the labels of all frames."""
-
-    format: str = FORMATS[0]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
-    units: str = ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
-    every: int = 1  # pictures of every so many frames of a run; labels and motion are of all
-    lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
-    # masks, depth: pictures of instances and of depths are written, too
-    masks: bool = False
-    depth: bool = False
-    vehicles: bool = False  # vehicles get labels, too, in frames with pictures
-    vary: bool = False  # clothes, paints and facades are drawn at random for each run
 
 
 class DatasetUnit(Record, frozen=True):
@@ -186,13 +170,15 @@ def run_dataset(
     if not _is_begun(out, record):
         _write_texts(out, setting, viewers, record, compute, progress)
     progress.kept = f"the dataset in {out} is not complete; the same command goes on with it"
-    tasks = list(_tasks(out, setting, viewers, record, lidar))
+    tasks = list(_tasks(out, setting, viewers, record, wish, lidar))
     n_each = sum(len(drive.pictured(record.every)) for drive in record.drives)
     n_pictures = n_each * len(viewers)
     n_missing = sum(len(task.frames) for task in tasks)
     tell(_size_sentence(n_pictures, n_missing, out, tasks, lidar))
     n_bytes = draw_all(tasks, compute.workers, progress)
-    _remove_left(out)
+    for left in out.rglob(".*.tmp"):  # of workers that were killed while they wrote
+        if is_abandoned(left, min_age_s=0.0):
+            left.unlink(missing_ok=True)
     if record.vehicles and record.format == "coco":
         _add_vehicles(out)
     progress.kept = f"the dataset is in {out}"
@@ -209,30 +195,16 @@ def run_dataset(
     )
 
 
-def _remove_left(out: Path) -> None:
-    """Remove temporary files of workers that were killed while they wrote."""
-    for left in out.rglob(".*.tmp"):
-        if is_abandoned(left, min_age_s=0.0):
-            left.unlink(missing_ok=True)
-
-
 def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:
     """Cameras by name; folders count the layout's units from 0, as the study does."""
     form = load_format()
     mount = load_vut_camera()
-    known: dict[str, Viewer] = {}
-    for number, unit in enumerate(layout.units):
-        if isinstance(unit.sensor, CameraModel):
-            known[unit.id] = Viewer(
-                folder=str(number),
-                id=unit.id,
-                key=unit_key(unit),
-                pose=unit.pose,
-                camera=unit.sensor,
-            )
-    known[VUT_UNIT] = Viewer(
-        folder=form.vut_folder, id=VUT_UNIT, key=VUT_KEY, pose=None, camera=mount.camera
-    )
+    known = {
+        unit.id: Viewer(str(number), unit.id, unit_key(unit), unit.pose, unit.sensor)
+        for number, unit in enumerate(layout.units)
+        if isinstance(unit.sensor, CameraModel)
+    }
+    known[VUT_UNIT] = Viewer(form.vut_folder, VUT_UNIT, VUT_KEY, None, mount.camera)
     if not names:
         return tuple(known.values())
     wanted = split_names(names, "--units")
@@ -247,20 +219,19 @@ def _build_record(
 ) -> DatasetRecord:
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     by_id = {found.id: found for found in calibrations(layout, "dataset")} if cameras else {}
-    units = []
-    for viewer in viewers:
-        found, camera = by_id.get(viewer.id), viewer.camera
-        units.append(
-            DatasetUnit(
-                folder=viewer.folder,
-                id=viewer.id,
-                width_px=camera.width_px,
-                height_px=camera.height_px,
-                camera_matrix=_rows(camera_matrix(camera)),
-                world_to_camera=_rows(found.world_to_camera) if found else None,
-                translation_m=tuple(found.translation_m.tolist()) if found else None,
-            )
+    units = [
+        DatasetUnit(
+            folder=viewer.folder,
+            id=viewer.id,
+            width_px=viewer.camera.width_px,
+            height_px=viewer.camera.height_px,
+            camera_matrix=_rows(camera_matrix(viewer.camera)),
+            world_to_camera=_rows(found.world_to_camera) if found else None,
+            translation_m=tuple(found.translation_m.tolist()) if found else None,
         )
+        for viewer in viewers
+        for found in [by_id.get(viewer.id)]
+    ]
     scenario: dict[tuple[str, ...], int] = {}
     numbers = itertools.accumulate((len(run.time_s) for run in setting.runs), initial=0)
     drives = [
@@ -280,18 +251,11 @@ def _build_record(
     ]
     return DatasetRecord(
         schema=_SCHEMA,
-        format=wish.format,
         scene=setting.scene.name,
         detector=setting.detector.name,
-        every=wish.every,
-        lidar=wish.lidar,
-        masks=wish.masks,
-        depth=wish.depth,
-        vehicles=wish.vehicles,
-        vary=wish.vary,
         seed=seed,
-        units=tuple(units),
         drives=tuple(drives),
+        **(asdict(wish) | {"units": tuple(units)}),
     )
 
 
@@ -308,11 +272,8 @@ def _is_begun(out: Path, record: DatasetRecord) -> bool:
         other = getattr(found, name)
         if other != getattr(record, name):
             what = f"other {name}" if isinstance(other, tuple) else f"{name} {other}"
-            raise InputError(
-                "--out",
-                Unquoted(f"{out}, a dataset with {what}"),
-                "a new folder, or the same dataset",
-            )
+            got = Unquoted(f"{out}, a dataset with {what}")
+            raise InputError("--out", got, "a new folder, or the same dataset")
     return True
 
 
@@ -332,12 +293,11 @@ def _write_texts(
     surroundings = build_surroundings(setting.scene, setting.runs)
     for n_done, viewer in enumerate(viewers):
         progress("label", n_done, len(viewers))
-        if viewer.pose is None:
-            evidence[viewer.folder] = perceive_from_vut(surroundings, load_vut_camera())
-        else:
-            evidence[viewer.folder] = perceive_from_roadside(
-                surroundings, viewer.pose, viewer.camera
-            )
+        evidence[viewer.folder] = (
+            perceive_from_vut(surroundings, load_vut_camera())
+            if viewer.pose is None
+            else perceive_from_roadside(surroundings, viewer.pose, viewer.camera)
+        )
     progress("write labels", 0, 0)
     out.parent.mkdir(parents=True, exist_ok=True)
     also = {MANIFEST: msgspec.json.format(msgspec.json.encode(record)).decode() + "\n"}
@@ -419,7 +379,6 @@ def _coco(
     """Boxes of what is visible, in the format of the COCO dataset (object detection)."""
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
-    names = list(_COCO_CLASSES)
     for viewer, (index, drive) in itertools.product(viewers, enumerate(record.drives)):
         seen, start = evidence[viewer.folder], setting.axis.frames_of(index).start
         for frame in drive.pictured(record.every):
@@ -437,7 +396,7 @@ def _coco(
             if x_max <= x_min or y_max <= y_min:
                 continue
             share = np.broadcast_to(seen.visible_share, len(seen))[start + frame]
-            category = 1 + names.index(setting.runs[index].encounter.vru.class_name)
+            category = 1 + [*_COCO_CLASSES].index(setting.runs[index].encounter.vru.class_name)
             box_px = (x_min, y_min, x_max, y_max)
             annotation = _annotation(len(annotations) + 1, len(images), category, box_px)
             annotations.append(annotation | {"visible_share": float(share)})
@@ -490,6 +449,7 @@ def _tasks(
     setting: Setting,
     viewers: Sequence[Viewer],
     record: DatasetRecord,
+    wish: DatasetWish,
     lidar: LidarModel | None,
 ) -> Iterator[DrawTask]:
     """Everything that is still to be drawn, in parts for workers."""
@@ -513,11 +473,7 @@ def _tasks(
                     frames=tuple((used.index(index), frame, stem) for index, frame, stem in part),
                     viewer=viewer,
                     lidar=lidar,
-                    masks=record.masks,
-                    depth=record.depth,
-                    vehicles=record.vehicles,
-                    has_labels=record.format == FORMATS[0],
-                    vary=record.vary,
+                    wish=wish,
                     seed=record.seed,
                 )
 
@@ -529,11 +485,8 @@ def _size_sentence(
     for task in tasks:
         camera = task.viewer.camera
         each = _BYTES_PER_PIXEL * camera.width_px * camera.height_px
-        each += (
-            _BYTES_PER_POINT * lidar.points_per_second / lidar.frame_rate_hz
-            if lidar is not None
-            else 0
-        )
+        if lidar is not None:
+            each += _BYTES_PER_POINT * lidar.points_per_second / lidar.frame_rate_hz
         n_bytes += each * len(task.frames)
     free = shutil.disk_usage(out).free
     there = n_pictures - n_missing

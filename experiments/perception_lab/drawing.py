@@ -1,4 +1,4 @@
-"""Pictures and point clouds of many frames, drawn by processes.
+"""Pictures and point clouds as files: of one frame, and of many, drawn by processes.
 
 Each file is written whole or not at all, and what is there already is not drawn again.
 """
@@ -10,14 +10,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text, write_atomically
+from geometry.files import check_target, read_text, write_atomically
+from geometry.image_boxes import mask_box
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.scene import Scene
@@ -33,11 +36,11 @@ from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
 from ..progress import StageProgress, follow_parent
-from .render import cloud_bytes, depth_image, instance_image
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""
 
+FORMATS = ("carlancap", "coco")
 MASKS, DEPTHS = "instances", "depth"
 """Folders of the pictures other than those in colour."""
 
@@ -46,8 +49,10 @@ _MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
 _LEAST_VEHICLE_PX = 20  # pixels; of less a vehicle has no label
 _TRIES = 3  # of a task whose worker dies
 
+Content = str | bytes | Callable[[BinaryIO], object]
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Viewer:
     """A camera of the dataset: a roadside unit, or the VUT's."""
 
@@ -56,6 +61,21 @@ class Viewer:
     key: UnitKey  # with which the evaluator seeds its random numbers
     pose: Pose | None  # None: on the VUT
     camera: CameraModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DatasetWish:
+    """Contents of a dataset besides the labels of all frames."""
+
+    format: str = FORMATS[0]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
+    units: str = ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
+    every: int = 1  # pictures of every so many frames of a run; labels and motion are of all
+    lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
+    # masks, depth: pictures of instances and of depths are written, too
+    masks: bool = False
+    depth: bool = False
+    vehicles: bool = False  # vehicles get labels, too, in frames with pictures
+    vary: bool = False  # clothes, paints and facades are drawn at random for each run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,21 +88,17 @@ class DrawTask:
     frames: tuple[tuple[int, int, str], ...]  # index of the run, frame, name of the files
     viewer: Viewer
     lidar: LidarModel | None
-    masks: bool
-    depth: bool
-    vehicles: bool
-    has_labels: bool  # next to the pictures, of what the VUT meets
-    vary: bool
+    wish: DatasetWish
     seed: int
 
     def files(self, stem: str) -> dict[str, Path]:
         """Files of a frame, by kind; the picture comes last: where it is, all are."""
-        folder = self.viewer.folder
+        folder, wish = self.viewer.folder, self.wish
         wanted = {
             "cloud": self.lidar is not None and self.out / folder / f"{stem}.bin",
-            "masks": self.masks and self.out / MASKS / folder / f"{stem}.png",
-            "depth": self.depth and self.out / DEPTHS / folder / f"{stem}.png",
-            "vehicles": self.vehicles and self.out / folder / f"{stem}.txt",
+            "masks": wish.masks and self.out / MASKS / folder / f"{stem}.png",
+            "depth": wish.depth and self.out / DEPTHS / folder / f"{stem}.png",
+            "vehicles": wish.vehicles and self.out / folder / f"{stem}.txt",
             "picture": self.out / folder / f"{stem}.png",
         }
         return {kind: path for kind, path in wanted.items() if path}
@@ -102,9 +118,8 @@ def draw_task(task: DrawTask) -> int:
         files = task.files(stem)
         if files["picture"].exists():
             continue
-        picture, cloud = draw(task.runs[index], frame)
-        vut_meets = task.runs[index].encounter.vru.class_name
-        for kind, content in _contents(picture, cloud, files, task, vut_meets):
+        run = task.runs[index]
+        for kind, content in _contents(*draw(run, frame), files, task, run):
             write_atomically(files[kind], content)
             n_bytes += files[kind].stat().st_size
     return n_bytes
@@ -123,33 +138,29 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
     def materials(run: Run) -> Materials | None:
         """One and the same for all cameras and weathers."""
-        if not task.vary:
+        if not task.wish.vary:
             return None
         encounter = run.id.removesuffix(f"/{run.weather}")
         return vary_materials(load_materials(), build_rng(task.seed, "look", encounter))
 
-    if pose is not None:
+    def draw_at_roadside(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
+        assert pose is not None
+        look = run.id if task.wish.vary else ""
+        if look not in stills:
+            stills.clear()
+            stills[look] = draw_still(
+                *(backdrop, pose, task.viewer.camera),
+                weather=weather,
+                materials=materials(run),
+                compute=compute,
+            )
+        picture = draw_onto(stills[look], run, frame, compute=compute)
+        if lidar is None:
+            return picture, None
+        return picture, scan_onto(stills[look], run, frame, lidar, seed=task.seed)
 
-        def draw_at_roadside(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
-            look = run.id if task.vary else ""
-            if look not in stills:
-                stills.clear()
-                stills[look] = draw_still(
-                    *(backdrop, pose, task.viewer.camera),
-                    weather=weather,
-                    materials=materials(run),
-                    compute=compute,
-                )
-            picture = draw_onto(stills[look], run, frame, compute=compute)
-            if lidar is None:
-                return picture, None
-            return picture, scan_onto(stills[look], run, frame, lidar, seed=task.seed)
-
-        return draw_at_roadside
-    mount = load_vut_camera()
-
-    def draw(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
-        at = vut_camera_pose(mount, run, frame)
+    def draw_from_vut(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
+        at = vut_camera_pose(load_vut_camera(), run, frame)
         picture = draw_picture(
             *(backdrop, run, frame, at, task.viewer.camera),
             weather=weather,
@@ -162,37 +173,31 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
         mesh = build_frame_mesh(backdrop.mesh, run, frame, at.position_m, with_vut=False)
         return picture, scan_mesh(mesh, run, at, lidar, weather=weather, seed=task.seed)
 
-    return draw
+    return draw_from_vut if pose is None else draw_at_roadside
 
 
 def _contents(
-    picture: Picture,
-    cloud: PointCloud | None,
-    files: Mapping[str, Path],
-    task: DrawTask,
-    vut_meets: str,
-) -> Iterator[tuple[str, Callable[[BinaryIO], object]]]:
+    picture: Picture, cloud: PointCloud | None, files: Mapping[str, Path], task: DrawTask, run: Run
+) -> Iterator[tuple[str, Content]]:
     """Contents of the files of a frame, by kind, in the order of :meth:`DrawTask.files`."""
     if cloud is not None:
-        points = cloud_bytes(cloud)
-        yield "cloud", lambda file: file.write(points)
+        yield "cloud", cloud_bytes(cloud)
     if "masks" in files:
         yield "masks", _png(instance_image(picture))
     if "depth" in files:
         yield "depth", _png(depth_image(picture))
     if "vehicles" in files:
-        lines = _with_vehicles(files["vehicles"], picture, task, vut_meets)
-        yield "vehicles", lambda file: file.write(lines)
+        yield "vehicles", _with_vehicles(files["vehicles"], picture, task, run)
     yield "picture", _png(picture.rgb)
 
 
-def _with_vehicles(path: Path, picture: Picture, task: DrawTask, vut_meets: str) -> bytes:
+def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> str:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
     lines = read_text(path, "labels").splitlines() if path.exists() else []
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
     known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
-    if task.has_labels and vut_meets == _VEHICLE:  # whose line was taken away with the others'
-        known.add("vru")
+    if task.wish.format == FORMATS[0] and run.encounter.vru.class_name == _VEHICLE:
+        known.add("vru")  # whose line was taken away with the others'
     camera = task.viewer.camera
     for index in np.unique(picture.instance[picture.instance >= 0]).tolist():
         name = picture.names[index]
@@ -205,10 +210,10 @@ def _with_vehicles(path: Path, picture: Picture, task: DrawTask, vut_meets: str)
         away_m = picture.depth_m[rows, columns] * np.hypot(1.0, offsets / camera.focal_length_px)
         box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1, away_m.mean())
         lines.append(f"{_VEHICLE} {' '.join(str(float(number)) for number in box)}")
-    return "".join(f"{line}\n" for line in lines).encode()
+    return "".join(f"{line}\n" for line in lines)
 
 
-def _png(pixels: NDArray[Any]) -> Callable[[BinaryIO], object]:
+def _png(pixels: NDArray[Any]) -> Content:
     from PIL import Image
 
     # Noise does not shrink: more effort makes files 7 % smaller in three times the time.
@@ -236,9 +241,7 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
     left = dict(enumerate(tasks))
     for attempt in range(1, _TRIES + 1):
         executor = ProcessPoolExecutor(
-            n_workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=follow_parent,
+            n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=follow_parent
         )
         pending: dict[Future[int], int] = {}
         try:
@@ -259,3 +262,112 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
                 future.cancel()
             executor.shutdown(wait=False)
     return n_bytes
+
+
+# ---------- files that show a frame
+
+
+COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")
+CLOUD_SUFFIXES = (".ply", ".bin")
+_JPEG_QUALITY = 85
+_MAX_CM = 65535  # what 16 bits hold
+
+
+def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
+    """Endings of files that show what a sensor sees, the usual one first."""
+    return CLOUD_SUFFIXES if isinstance(sensor, LidarModel) else COLOUR_SUFFIXES
+
+
+def check_path(path: Path, sensor: Sensor) -> None:
+    """Refuse a file name that ends in none of :func:`suffixes_of`, or is no regular file's."""
+    known = suffixes_of(sensor)
+    if path.suffix.lower() not in known:
+        raise InputError("--out", str(path), "a name that ends in " + ", ".join(known))
+    check_target(path)
+
+
+def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
+    """Write a picture or a point cloud, each file whole or not at all; returns their paths.
+
+    A cloud is ".ply", points in the LiDAR's frame with a colour for each thing, or ".bin", float32
+    x, y, z, intensity, as the study releases them. A picture's colours are ".png", or ".jpg" for a
+    smaller file; "..-instances.png" has a colour for each thing; "..-depth.png" has 16 bits,
+    centimetres, 0 where nothing is hit.
+    """
+    if isinstance(seen, PointCloud):
+        import trimesh
+
+        content = cloud_bytes(seen)
+        if path.suffix.lower() != ".bin":
+            colours = instance_colours(seen.names)[seen.instance]
+            content = trimesh.PointCloud(seen.points_m, colours).export(file_type="ply")
+        write_atomically(path, content)
+        return (path,)
+    from PIL import Image
+
+    png: dict[str, Any] = {"format": "PNG"}
+    is_png = path.suffix.lower() == ".png"
+    images: dict[Path, tuple[NDArray[Any], dict[str, Any]]] = {
+        path: (seen.rgb, png if is_png else {"format": "JPEG", "quality": _JPEG_QUALITY}),
+        path.with_name(f"{path.stem}-instances.png"): (instance_image(seen), png),
+        path.with_name(f"{path.stem}-depth.png"): (depth_image(seen), png),
+    }
+    for file, (pixels, options) in images.items():
+        write_atomically(file, partial(_save, Image.fromarray(pixels), options))
+    return tuple(images)
+
+
+def _save(image: Any, options: dict[str, Any], file: BinaryIO) -> None:
+    image.save(file, **options)
+
+
+def cloud_bytes(cloud: PointCloud) -> bytes:
+    """A point cloud as the study releases them: float32 x, y, z, intensity."""
+    return np.column_stack([cloud.points_m, cloud.intensity]).astype("<f4").tobytes()
+
+
+def instance_image(picture: Picture) -> NDArray[np.uint8]:
+    """A colour for each thing, (h, w, 3)."""
+    return instance_colours(picture.names)[picture.instance]
+
+
+def depth_image(picture: Picture) -> NDArray[np.uint16]:
+    """Depths in centimetres, 0 where nothing is hit, (h, w)."""
+    centimetres = np.where(np.isfinite(picture.depth_m), picture.depth_m * 100.0, 0.0)
+    return np.clip(np.rint(centimetres), 0, _MAX_CM).astype(np.uint16)
+
+
+def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
+    """Colours (n + 1, 3) of things, sRGB, that differ in hue and in lightness.
+
+    The VRU's is the lightest; the last one, for sky, is black.
+    """
+    import colorsys
+
+    golden = 0.6180339887498949  # multiples of it fill a circle evenly, however many there are
+    colours = []
+    for index, name in enumerate(names):
+        if name == "vru":
+            colours.append((1.0, 1.0, 0.2))
+        elif name == "vut":
+            colours.append((1.0, 0.45, 0.45))
+        else:
+            lightness = 0.2 + 0.45 * (index * golden * golden % 1.0)
+            colours.append(colorsys.hls_to_rgb(index * golden % 1.0, lightness, 0.6))
+    colours.append((0.0, 0.0, 0.0))
+    return np.rint(255.0 * np.array(colours)).astype(np.uint8)
+
+
+def vru_sentence(seen: Picture | PointCloud) -> str:
+    """A sentence that says if, and where, the VRU is in view."""
+    is_vru = seen.instance == seen.names.index("vru")
+    if isinstance(seen, PointCloud):
+        return f"VRU: {int(is_vru.sum())} of {len(is_vru)} points."
+    box = mask_box(is_vru)
+    if not box.any():
+        return "VRU: not in view."
+    x_min, y_min, x_max, y_max = box.astype(int).tolist()
+    return (
+        f"VRU: in view, visible box x {x_min} to {x_max}, y {y_min} to {y_max} px "
+        f"({x_max - x_min} x {y_max - y_min})."
+    )

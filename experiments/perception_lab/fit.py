@@ -6,9 +6,9 @@ what follows is the same.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ from msgspec.structs import replace as replace_fields
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, read_table
+from geometry.files import read_table
 from geometry.image_boxes import box_height_px, iou
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
@@ -37,8 +37,8 @@ from placement.detectors.network import (
     VRU_KINDS,
     ImageBoxes,
     NetworkDetector,
+    boxes_of_class,
     kind_of_name,
-    vru_boxes,
 )
 from placement.evaluator import VutCamera, build_surroundings, load_vut_camera
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
@@ -46,6 +46,7 @@ from placement.evaluator.pictures import FrameCamera, PictureSource
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_boxes, read_recording
+from placement.recordings.files import Box, json_of
 from placement.recordings.formats import COCO, MOT_FILES, MOT_FOLDER, find_format
 from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
@@ -114,6 +115,9 @@ class FitResult(Record, frozen=True, kw_only=True):
     versions: dict[str, str]
 
 
+_OF_FIT = ("frames", "found", "tracks", "groups", "calibration")
+
+
 def run_detector_fit(
     question: Question,
     *,
@@ -137,9 +141,7 @@ def run_detector_fit(
     rule = build_rule(question)
     frame_rate_hz = wish.frame_rate_hz or rule.frame_rate_hz
     sightings, alarms = gather_sightings(
-        source.pictures,
-        n_confirmations=rule.n_confirmations,
-        frame_rate_hz=frame_rate_hz,
+        source.pictures, n_confirmations=rule.n_confirmations, frame_rate_hz=frame_rate_hz
     )
     fit = fit_response(
         sightings,
@@ -154,14 +156,10 @@ def run_detector_fit(
     result = FitResult(
         name=fit.detector.name,
         source=source.words,
-        frames=fit.frames,
-        found=fit.found,
-        tracks=fit.tracks,
         unknown=unknown,
         table=fit.intervals,
-        groups=fit.groups,
-        calibration=fit.calibration,
         false_alarms=alarms,
+        **{key: getattr(fit, key) for key in _OF_FIT},
         command=command,
         seconds={},
         versions=versions(),
@@ -244,10 +242,11 @@ def _look(
     cameras.append(load_vut_camera())
     for number, camera in enumerate(cameras):
         progress("label", number, len(cameras))
-        if isinstance(camera, VutCamera):
-            evidence = perceive_from_vut(surroundings, camera, min_height_px=least_px)
-        else:
-            evidence = perceive_from_roadside(surroundings, *camera, min_height_px=least_px)
+        evidence = (
+            perceive_from_vut(surroundings, camera, min_height_px=least_px)
+            if isinstance(camera, VutCamera)
+            else perceive_from_roadside(surroundings, *camera, min_height_px=least_px)
+        )
         crops = source.crops(camera, evidence.amodal_px) if by_crops else None
         views.append((evidence, source.pictures(camera), crops))
     rng = np.random.default_rng([compute.seed, len(views)])
@@ -269,9 +268,8 @@ def _look(
             is_whole = in_crop is None or n_drawn // _BLOCK % _WHOLE == 0
             found = network.look(picture(row)) if in_crop is None or is_whole else in_crop
             is_sure = found.confidence >= wish.min_confidence
-            boxes = vru_boxes(in_crop or found)
             kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])
-            of_class = boxes.of_class(VRU_CLASSES[kind])
+            of_class, how_sure = boxes_of_class(in_crop or found, VRU_CLASSES[kind])
             box = evidence.visible_px[row]
             # Boxes on a road user that is too small to count are no false alarms.
             # Nor are those on cars: the pictures are full of them.
@@ -286,7 +284,7 @@ def _look(
                 seen_share=_row(evidence.visible_share * evidence.inside_share, row, n_labels),
                 contrast=_row(evidence.contrast, row, n_labels),
                 aspect_deg=_row(evidence.aspect_deg, row, n_labels),
-                found_px=of_class.boxes_px[of_class.confidence >= wish.min_confidence],
+                found_px=of_class[how_sure >= wish.min_confidence],
                 alone_px=found.boxes_px[is_sure & is_alone],
                 is_whole=is_whole,
             )
@@ -339,24 +337,18 @@ def _recorded_pictures(recording: Recording, min_confidence: float) -> Iterator[
         all_labels, all_found = recording.labels[name], recording.detections[name]
         for index, drive in enumerate(recording.drives):
             for frame, key in enumerate(drive.frames):
-                labels = [one for one in all_labels.get(key, ()) if one.class_name in _RECORDED]
-                found = [
-                    one
-                    for one in all_found.get(key, ())
-                    if one.confidence >= min_confidence and one.class_name in _RECORDED
-                ]
-                classes = [_RECORDED[one.class_name] for one in labels]
                 yield _plain_picture(
-                    track=number * len(recording.drives) + index,
-                    frame=frame,
-                    label_px=[one.box_px for one in labels],
-                    label_class=classes,
-                    seen_share=[1.0] * len(labels),
-                    found_px=[one.box_px for one in found],
-                    # A rider may be found as a pedestrian, as the study's evaluation allows.
-                    finds=[
-                        [kind == _CYCLIST or one.class_name == "pedestrian" for one in found]
-                        for kind in classes
+                    number * len(recording.drives) + index,
+                    frame,
+                    labels=[
+                        (one.box_px, _RECORDED[one.class_name], 1.0)
+                        for one in all_labels.get(key, ())
+                        if one.class_name in _RECORDED
+                    ],
+                    found=[
+                        (one.box_px, one.class_name == "pedestrian")
+                        for one in all_found.get(key, ())
+                        if one.confidence >= min_confidence and one.class_name in _RECORDED
                     ],
                 )
 
@@ -365,27 +357,29 @@ _RECORDED = {"pedestrian": _PEDESTRIAN, "bicycle": _CYCLIST}
 
 
 def _plain_picture(
-    *,
     track: int,
     frame: int,
-    label_px: Sequence[Sequence[float]],
-    label_class: Sequence[int],
-    seen_share: Sequence[float],
-    found_px: Sequence[Sequence[float]],
-    finds: Sequence[Sequence[bool]],
+    *,
+    labels: Sequence[tuple[Box, int, float]],
+    found: Sequence[tuple[Box, bool]],
 ) -> LabelledPicture:
-    """A picture of which neither contrast nor aspect is known."""
-    n_labels = len(label_px)
+    """A picture of which neither contrast nor aspect is known.
+
+    `labels` have a box, a class and the share that is seen; `found` a box, and if it is a person's.
+    A rider may be found as a person, as the study's evaluation allows.
+    """
+    kinds = np.array([kind for _, kind, _ in labels], dtype=np.int64)
+    is_person = np.array([one for _, one in found], dtype=bool)
     return LabelledPicture(
         track=track,
         frame=frame,
-        label_px=np.array(label_px, dtype=np.float64).reshape(-1, 4),
-        label_class=np.array(label_class, dtype=np.int64),
-        seen_share=np.array(seen_share, dtype=np.float64),
-        contrast=np.ones(n_labels),
-        aspect_deg=np.full(n_labels, _FROM_THE_SIDE_DEG),
-        found_px=np.array(found_px, dtype=np.float64).reshape(-1, 4),
-        finds=np.array(finds, dtype=bool).reshape(n_labels, len(found_px)),
+        label_px=np.array([box for box, _, _ in labels], dtype=np.float64).reshape(-1, 4),
+        label_class=kinds,
+        seen_share=np.array([share for _, _, share in labels], dtype=np.float64),
+        contrast=np.ones(len(labels)),
+        aspect_deg=np.full(len(labels), _FROM_THE_SIDE_DEG),
+        found_px=np.array([box for box, _ in found], dtype=np.float64).reshape(-1, 4),
+        finds=(kinds[:, None] == _CYCLIST) | is_person,
     )
 
 
@@ -444,8 +438,9 @@ class _Labels(msgspec.Struct, frozen=True):
 
 
 def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> _Source:
-    labels = read_table(_load_json(labels_path), _Labels, str(labels_path))
-    results = read_table(_load_json(results_path), tuple[_Result, ...], str(results_path))
+    labels = read_table(json_of(labels_path, max_bytes=_MAX_BYTES), _Labels, str(labels_path))
+    found = json_of(results_path, max_bytes=_MAX_BYTES)
+    results = read_table(found, tuple[_Result, ...], str(results_path))
     known_names = {name: kind for name, kind in kind_of_name().items() if kind in VRU_KINDS}
     kinds = {one.id: known_names.get(one.name.lower()) for one in labels.categories}
     if not any(kinds.values()):
@@ -469,19 +464,8 @@ def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> 
     )
 
 
-def _load_json(path: Path) -> Any:
-    data = read_bytes(path, max_bytes=_MAX_BYTES)
-    try:
-        return msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(str(path), Unquoted(error), "a JSON file") from None
-
-
 def _coco_pictures(
-    labels: _Labels,
-    results: Sequence[_Result],
-    kinds: dict[int, str | None],
-    min_confidence: float,
+    labels: _Labels, results: Sequence[_Result], kinds: dict[int, str | None], min_confidence: float
 ) -> Iterator[LabelledPicture]:
     of_image: dict[int, tuple[list[_Annotation], list[_Result]]] = {
         image.id: ([], []) for image in labels.images
@@ -496,27 +480,23 @@ def _coco_pictures(
     for image in sorted(labels.images, key=lambda image: (image.run, image.file_name, image.id)):
         # Pictures of no run are tracks of their own.
         key = (image.run, Path(image.file_name).parent) if image.run else (image.id,)
-        wanted, found = of_image[image.id]
-        classes = [
-            _PEDESTRIAN if kinds[one.category_id] == "person" else _CYCLIST for one in wanted
-        ]
+        labels_here, found = of_image[image.id]
         yield _plain_picture(
-            track=tracks.setdefault(key, len(tracks)),
-            frame=image.frame,
-            label_px=[_corners(one.bbox) for one in wanted],
-            label_class=classes,
-            seen_share=[
-                1.0 if one.visible_share is None else min(one.visible_share, 1.0) for one in wanted
+            tracks.setdefault(key, len(tracks)),
+            image.frame,
+            labels=[
+                (
+                    _corners(one.bbox),
+                    _PEDESTRIAN if kinds[one.category_id] == "person" else _CYCLIST,
+                    1.0 if one.visible_share is None else min(one.visible_share, 1.0),
+                )
+                for one in labels_here
             ],
-            found_px=[_corners(one.bbox) for one in found],
-            finds=[
-                [kind == _CYCLIST or kinds[one.category_id] == "person" for one in found]
-                for kind in classes
-            ],
+            found=[(_corners(one.bbox), kinds[one.category_id] == "person") for one in found],
         )
 
 
-def _corners(bbox: _CornerAndSize) -> tuple[float, float, float, float]:
+def _corners(bbox: _CornerAndSize) -> Box:
     left, top, width, height = bbox
     return left, top, left + width, top + height
 
@@ -596,10 +576,7 @@ def table_text(
         lines += [
             "",
             "[false_tracks_per_hour] # that one unit confirms, with the 95 % interval",
-            *(
-                f"{key} = {getattr(false_tracks_per_hour, key):.6g}"
-                for key in ("value", "low", "high")
-            ),
+            *(f"{key} = {value:.6g}" for key, value in asdict(false_tracks_per_hour).items()),
         ]
     return "\n".join(lines) + "\n"
 

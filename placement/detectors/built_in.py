@@ -1,7 +1,7 @@
 """Detectors by boxes alone and by probability, and any detector by its name or file."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import as_file, files
@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_field, check_one_of
 from geometry.files import Table, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px, iou
 
@@ -42,18 +42,15 @@ class GeometricDetector:
     name: str = "geometric"
     lidar: LidarTable | None = None
 
-    needs_shares = False
     needs_pictures = False
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.min_iou < 1.0:
-            raise InputError("detector.min_iou", self.min_iou, "0 <= IoU < 1")
-        if not (np.isfinite(self.min_box_height_px) and self.min_box_height_px >= 0.0):
-            raise InputError(
-                "detector.min_box_height_px", self.min_box_height_px, "pixels, at least 0"
-            )
-        if not 0.0 <= self.min_contrast <= 1.0:
-            raise InputError("detector.min_contrast", self.min_contrast, "0 .. 1")
+        for field, is_valid, expected in (
+            ("min_iou", 0.0 <= self.min_iou < 1.0, "0 <= IoU < 1"),
+            ("min_box_height_px", 0.0 <= self.min_box_height_px < np.inf, "pixels, at least 0"),
+            ("min_contrast", 0.0 <= self.min_contrast <= 1.0, "0 .. 1"),
+        ):
+            check_field(self, "detector", field, is_valid, expected)
 
     @property
     def description(self) -> str:
@@ -62,7 +59,8 @@ class GeometricDetector:
             "A road user counts as detected in a frame if the box around its visible part overlaps "
             f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
             f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
-            f"contrast of at least {100.0 * self.min_contrast:g} %.{_in_points(self.lidar)}"
+            f"contrast of at least {100.0 * self.min_contrast:g} %."
+            f"{self.lidar.description if self.lidar else ''}"
         )
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
@@ -88,16 +86,7 @@ class GeometricDetector:
     def fingerprint(self) -> tuple[object, ...]:
         """Everything that it depends on."""
         numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
-        return ("geometric", *numbers, *_fingerprint(self.lidar))
-
-
-def _in_points(lidar: LidarTable | None) -> str:
-    return "" if lidar is None else lidar.description
-
-
-def _fingerprint(lidar: LidarTable | None) -> tuple[object, ...]:
-    """Of what LiDARs find; nothing for the rule, which is none of the detector's."""
-    return () if lidar is None else (lidar,)
+        return ("geometric", *numbers, *([self.lidar] if self.lidar else []))
 
 
 # ---------- by probability
@@ -118,20 +107,11 @@ _FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LastingNoise:
-    """What decides a frame, as far as it is the same in all frames of a run.
+    """What decides a frame, as far as it is the same in all frames of a run; all noise has 1."""
 
-    Attributes
-    ----------
-    person : (n,) float
-        Noise of whoever is there, the same for all units, by `draw_index`; its variance is
-        `person_share`.
-    person_share, unit_person_share : float
-        Variance of it, and of what one unit and one person have in common; all noise has 1.
-    """
-
-    person: FloatArray
-    person_share: float
-    unit_person_share: float
+    person: FloatArray  # (n,): noise of whoever is there, for all units, by `draw_index`
+    person_share: float  # variance of it
+    unit_person_share: float  # variance of what one unit and one person have in common
 
     @property
     def frame_share(self) -> float:
@@ -180,7 +160,6 @@ class ResponseDetector:
     lasting: LastingNoise | None = None  # in a sampled world; None: all noise is that of frames
     lidar: LidarTable | None = None
 
-    needs_shares = True
     needs_pictures = False
 
     @property
@@ -192,7 +171,7 @@ class ResponseDetector:
             "seen, its class, the side that it shows and its contrast in light and weather. The "
             "detection table counts on frames with a probability of at least "
             f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
-            f"{_in_points(self.lidar)}"
+            f"{self.lidar.description if self.lidar else ''}"
         )
 
     def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
@@ -289,7 +268,7 @@ class ResponseDetector:
             "response",
             *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
             *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
-            *_fingerprint(self.lidar),
+            *([self.lidar] if self.lidar else []),
         )
 
     def _noise(self, draws: IntArray, rng: np.random.Generator) -> FloatArray:
@@ -357,6 +336,7 @@ LIDAR_NAMES = ("pointrcnn-2019",)
 _FILE, _NETWORK_FILE = "detectors.toml", "vru.onnx"
 # Tables fitted to what a detector found: on rendered pictures, and on real recordings.
 _TABLE_FILES = {
+    "response": _FILE,
     "cnn-table": "vru.toml",
     "pole-2015": "pole-2015.toml",
     "car-2019": "car-2019.toml",
@@ -409,11 +389,8 @@ def is_drawn(name: str) -> bool:
     >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
     (True, True, False)
     """
-    return name.rpartition("+")[2] in (
-        *LIDAR_NAMES,
-        "response",
-        *_TABLE_FILES,
-    ) or name.endswith(".toml")
+    last = name.rpartition("+")[2]
+    return last in LIDAR_NAMES or last in _TABLE_FILES or last.endswith(".toml")
 
 
 @cache
@@ -436,8 +413,6 @@ def _load_shipped_network() -> Detector:
     from .network import NetworkDetector, load_onnx_model
 
     limits = read_table(_defaults()["cnn"], dict[str, float], f"{_FILE}: cnn")
-    table = load_planning_detector("cnn-table")
-    assert isinstance(table, ResponseDetector)
     with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
         model = load_onnx_model(path)
     return NetworkDetector(
@@ -447,20 +422,28 @@ def _load_shipped_network() -> Detector:
         min_confidence=limits["min_confidence"],
         looks_at_crops=True,
         plans_with="cnn-table",
-        alarm_words=table.alarm_words,
+        alarm_words=_load_table("cnn-table").alarm_words,
     )
+
+
+def built_in_response() -> ResponseDetector:
+    """The built-in table "response"."""
+    return _load_table("response")
+
+
+@cache
+def _load_table(name: str) -> ResponseDetector:
+    """A built-in response table."""
+    source = files(__package__) / "data" / _TABLE_FILES[name]
+    return _read_response(source, load_toml(source), name=name)
 
 
 @cache
 def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     """One of the built-in detectors but "cnn"."""
     if name in _TABLE_FILES:
-        source = files(__package__) / "data" / _TABLE_FILES[name]
-        return _read_response(source, load_toml(source), name=name)
-    table = take(_defaults(), name, _FILE)
-    if name == "response":
-        return _read_response(_source(), _defaults(), name=name)
-    limits = read_table(table, dict[str, float], f"{_FILE}: {name}")
+        return _load_table(name)
+    limits = read_table(take(_defaults(), name, _FILE), dict[str, float], f"{_FILE}: {name}")
     return GeometricDetector(
         min_iou=load_min_iou(),
         min_box_height_px=limits["min_box_height_px"],
@@ -468,13 +451,9 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     )
 
 
-def _source() -> Traversable:
-    return files(__package__) / "data" / _FILE
-
-
 @cache
 def _defaults() -> dict[str, Any]:
-    return load_toml(_source())
+    return load_toml(files(__package__) / "data" / _FILE)
 
 
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:
@@ -497,7 +476,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
         return ResponseDetector(
             name=name,
             assumed=assumed,
-            assumed_figures=_read_assumed_figures(table),
+            assumed_figures=_read_names(table, "assumed_figures", _FIGURES),
             false_tracks_per_hour=_read_alarms(document),
             seen_share=shares,
             recall=recall,
@@ -516,25 +495,19 @@ def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     A file need not know the classes that the built-in table assumes: there it has the same factor.
     """
     given = _defaults()["response"]
-    named = take_list({"assumed": [], **table}, "assumed", "response")
-    for name in named:
-        if name not in VRU_CLASSES:
-            raise InputError("assumed", name, "one of " + ", ".join(VRU_CLASSES))
+    named = _read_names(table, "assumed", VRU_CLASSES) or ()
     missing = [name for name in given["assumed"] if name not in table]
     whole = {**{name: given[name] for name in missing}, **table}
     factors = {key: take_number(whole, key, "response") for key in VRU_CLASSES}
     return factors, tuple(name for name in VRU_CLASSES if name in (*named, *missing))
 
 
-def _read_assumed_figures(table: Table) -> tuple[str, ...] | None:
-    key = "assumed_figures"
-    if key not in table:
-        return None
-    names = take_list(table, key, "response")
+def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...] | None:
+    """Names of a list; None where there is none."""
+    names = take_list({key: [], **table}, key, "response")
     for name in names:
-        if name not in _FIGURES:
-            raise InputError(key, name, "one of " + ", ".join(_FIGURES))
-    return tuple(names)
+        check_one_of(key, name, known)
+    return tuple(names) if key in table else None
 
 
 def _read_alarms(document: Table) -> Interval | None:

@@ -1,7 +1,7 @@
 """Types of image evidence and detections, the interface of detectors, and the matching of boxes."""
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple, Protocol
@@ -90,10 +90,11 @@ class Evidence:
     visible_px: FloatArray
     amodal_px: FloatArray
     # (n,) or (1,): of the VRU against what is behind it, as light and air leave it
-    contrast: FloatArray
+    contrast: FloatArray = field(default_factory=lambda: np.ones(1))
     # (n,) or (1,): share that nothing hides, of what the VRU covers inside the image
-    visible_share: FloatArray
-    inside_share: FloatArray  # (n,) or (1,): share of the VRU that the image's edges do not cut off
+    visible_share: FloatArray = field(default_factory=lambda: np.ones(1))
+    # (n,) or (1,): share of the VRU that the image's edges do not cut off
+    inside_share: FloatArray = field(default_factory=lambda: np.ones(1))
     # (n,) or (1,): between the line of sight and the VRU's heading: 0 from behind or ahead, 90 from
     # the side
     aspect_deg: FloatArray
@@ -217,10 +218,6 @@ class Detector(Protocol):
     @property
     def min_box_height_px(self) -> float:
         """Height below which nothing is ever detected, in pixels."""
-
-    @property
-    def needs_shares(self) -> bool:
-        """True if visible share, cut-off share and aspect matter; else they may be unknown."""
 
     @property
     def needs_pictures(self) -> bool:

@@ -6,8 +6,9 @@ another, so that intervals count such tracks, not frames.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -16,7 +17,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError, Unquoted
 from geometry.image_boxes import box_height_px, iou
 
-from .built_in import ResponseDetector, load_planning_detector
+from .built_in import ResponseDetector, built_in_response
 from .evidence import VRU_CLASSES, Evidence, Interval, load_min_iou
 
 # ---------- sightings and false alarms
@@ -74,7 +75,6 @@ class Sightings:
             amodal_px=box,
             contrast=self.contrast,
             visible_share=self.seen_share,
-            inside_share=np.ones(len(self)),
             aspect_deg=self.aspect_deg,
             vru_class=self.vru_class,
             draw_index=np.arange(len(self)),
@@ -118,13 +118,13 @@ class FalseAlarms:
     per_hour: Interval | None  # of these, by one unit; None without consecutive pictures
 
 
-@dataclass(slots=True)
-class _Open:
-    """Alarms of a track's last picture, and how many pictures each has lasted."""
+class _Last(NamedTuple):
+    """A track's last picture, how many there were in a row, and for how many each alarm lasts."""
 
     frame: int
-    boxes_px: FloatArray
-    lasted: list[int] = field(default_factory=list)
+    n_row: int
+    alarms_px: FloatArray
+    lasted: list[int]
 
 
 def gather_sightings(
@@ -138,8 +138,7 @@ def gather_sightings(
     """
     rows: list[FloatArray] = []
     n_pictures = n_alarms = n_chances = n_confirmed = 0
-    in_a_row: dict[int, tuple[int, int]] = {}  # by track: last frame, and frames in a row
-    open_: dict[int, _Open] = {}
+    last: dict[int, _Last] = {}  # by track
     for one in pictures:
         overlap = iou(one.label_px[:, None], one.found_px[None])
         n_labels = len(one.label_px)
@@ -160,25 +159,27 @@ def gather_sightings(
         alone = one.found_px if one.alone_px is None else one.alone_px
         alarms = alone[~(iou(one.label_px[:, None], alone[None]) > 0.0).any(axis=0)]
         n_alarms += len(alarms)
-        last, n_before = in_a_row.get(one.track, (one.frame, 0))
-        n_row = n_before + 1 if one.frame == last + 1 else 1
-        in_a_row[one.track] = (one.frame, n_row)
+        before = last.get(one.track)
+        if before is None or one.frame != before.frame + 1:
+            before = _Last(0, 0, alarms[:0], [])
+        n_row, lasted = before.n_row + 1, _lasting(before, alarms)
         n_chances += n_row >= n_confirmations
-        lasted = _lasting(open_.get(one.track), one.frame, alarms)
         n_confirmed += lasted.count(n_confirmations)
-        open_[one.track] = _Open(one.frame, alarms, lasted)
+        last[one.track] = _Last(one.frame, n_row, alarms, lasted)
     columns = np.concatenate([np.empty((0, 11)), *rows]).T
-    is_found: BoolArray = np.isfinite(columns[7:]).all(axis=0)
+    height, seen, contrast, aspect = columns[:4]
+    kind, track, frame = columns[4:7].astype(np.int64)
+    box_error = columns[7:].T
     return Sightings(
-        height_px=columns[0],
-        seen_share=columns[1],
-        contrast=columns[2],
-        aspect_deg=columns[3],
-        vru_class=columns[4].astype(np.int64),
-        is_found=is_found,
-        box_error=columns[7:].T,
-        track=columns[5].astype(np.int64),
-        frame=columns[6].astype(np.int64),
+        height_px=height,
+        seen_share=seen,
+        contrast=contrast,
+        aspect_deg=aspect,
+        vru_class=kind,
+        is_found=np.isfinite(box_error).all(axis=1),
+        box_error=box_error,
+        track=track,
+        frame=frame,
     ), FalseAlarms(
         pictures=n_pictures,
         alarms=n_alarms,
@@ -208,15 +209,13 @@ def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:
     return error
 
 
-def _lasting(before: _Open | None, frame: int, alarms_px: FloatArray) -> list[int]:
+def _lasting(before: _Last, alarms_px: FloatArray) -> list[int]:
     """In how many consecutive pictures each alarm has been there, this one included."""
     lasted = [1] * len(alarms_px)
-    if before is None or before.frame != frame - 1 or not len(before.boxes_px):
-        return lasted
-    overlap = iou(alarms_px[:, None], before.boxes_px[None])
+    overlap = iou(alarms_px[:, None], before.alarms_px[None])
     # The best pairs first, each box in one of them.
     for flat in np.argsort(-overlap, axis=None, kind="stable").tolist():
-        new, old = divmod(flat, len(before.boxes_px))
+        new, old = divmod(flat, len(before.alarms_px))
         if overlap[new, old] <= _SAME_ALARM_IOU:
             continue
         lasted[new] = before.lasted[old] + 1
@@ -297,6 +296,10 @@ _DRAWS = 400  # of parameters
 _SHARE_DRAWS = 1000  # of tracks, for the share found
 _MOST_DRAWS = 60  # of tracks
 _STEP = 1.0e-4  # for slopes
+_KEYS = (
+    *("height_half_px", "height_steepness", "min_box_height_px", "cyclist_end_on"),
+    *("contrast_half", "contrast_steepness", "box_noise_share", "frame_correlation"),
+)
 _OTHERS = ("min_box_height_px", "box_noise_share", "frame_correlation")
 _MOST_PER_DRAW = 20_000  # frames
 _PRIOR_FRAMES = 2.0  # how many frames the built-in table weighs: decides what no frame tells
@@ -437,11 +440,7 @@ def _log_chance(values: FloatArray, evidence: Evidence, found: BoolArray) -> Flo
 
 
 def _table_spread(
-    sightings: Sightings,
-    best: FloatArray,
-    free: BoolArray,
-    draws: int,
-    rng: np.random.Generator,
+    sightings: Sightings, best: FloatArray, free: BoolArray, draws: int, rng: np.random.Generator
 ) -> dict[str, FloatArray]:
     """Figures of the table for parameters drawn around the best ones, by name.
 
@@ -483,8 +482,7 @@ def _other_spread(
 
 def _prior() -> FloatArray:
     """The parameters of the built-in table."""
-    table = load_planning_detector("response")
-    assert isinstance(table, ResponseDetector)
+    table = built_in_response()
     recall = np.interp(SEEN_KNOTS[1:], table.seen_share, table.recall)
     ratios = recall / np.append(recall[1:], 1.0)
     factors = np.maximum(table.class_factor, 1.0e-3)
@@ -501,8 +499,7 @@ def _prior() -> FloatArray:
 
 def _detector(values: FloatArray, name: str) -> ResponseDetector:
     """The table of parameters: logits of ratios of recalls and of the end-on factor, logarithms."""
-    table = load_planning_detector("response")
-    assert isinstance(table, ResponseDetector)
+    table = built_in_response()
     shares = 1.0 / (1.0 + np.exp(-values[: _END_ON + 1]))
     # Each recall is a share of the next one, so that recall never falls with what is seen.
     recall = np.cumprod(shares[:_END_ON][::-1])[::-1]
@@ -540,13 +537,9 @@ def _finish(detector: ResponseDetector, sightings: Sightings) -> ResponseDetecto
 
 def _numbers(detector: ResponseDetector) -> dict[str, float]:
     """Fitted figures by their names in the table."""
-    keys = (
-        *("height_half_px", "height_steepness", "min_box_height_px", "cyclist_end_on"),
-        *("contrast_half", "contrast_steepness", "box_noise_share", "frame_correlation"),
-    )
     recall = {f"recall[{index}]": value for index, value in enumerate(detector.recall.tolist())}
     classes = dict(zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True))
-    return recall | classes | {key: float(getattr(detector, key)) for key in keys}
+    return recall | classes | {key: float(getattr(detector, key)) for key in _KEYS}
 
 
 def _draw_tracks(track: IntArray, rng: np.random.Generator) -> IntArray:
@@ -687,10 +680,8 @@ def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float
 def at_frame_rate(fit: ResponseFit, *, from_hz: float, to_hz: float) -> ResponseFit:
     """The fit with the correlation of consecutive frames at another frame rate."""
     key = "frame_correlation"
-    of = fit.intervals[key]
-    there = Interval(
-        *(correlation_at(one, from_hz=from_hz, to_hz=to_hz) for one in (of.value, of.low, of.high))
-    )
+    figures = astuple(fit.intervals[key])
+    there = Interval(*(correlation_at(one, from_hz=from_hz, to_hz=to_hz) for one in figures))
     return replace(
         fit,
         detector=replace(fit.detector, frame_correlation=there.value),

@@ -43,6 +43,8 @@ _KINDS_OF_CLASS = {
     "motorcyclist": ("motorcycle", "motorcyclist"),
     "car": ("car",),
 }
+# What riders ride, and both in one.
+_RIDDEN = {"cyclist": ("bicycle", "cyclist"), "motorcyclist": ("motorcycle", "motorcyclist")}
 
 _EXPECTED = (
     "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes); "
@@ -98,14 +100,10 @@ def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Expo
     return export
 
 
+@cache
 def onnx_setting(key: str) -> Any:
     """Value in ``data/onnx.toml``."""
-    return take(_settings(), key, "onnx.toml")
-
-
-@cache
-def _settings() -> dict[str, Any]:
-    return load_toml(files(__package__) / "data" / "onnx.toml")
+    return take(load_toml(files(__package__) / "data" / "onnx.toml"), key, "onnx.toml")
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
@@ -161,38 +159,24 @@ def _table(outputs: Outputs, numbering: _Numbering) -> Export | None:
         return None
     rows, columns = value.shape[1:]
     is_suppressed = columns == 6 and rows <= onnx_setting("max_suppressed")
-    if is_suppressed:
-        read = _read_suppressed
-    elif columns == 5 + numbering.n_classes:
-        read = _read_with_objectness
-    elif rows == 4 + numbering.n_classes:
-        read = _read_columns
-    else:
+    has_objectness = columns == 5 + numbering.n_classes
+    if not (is_suppressed or has_objectness or rows == 4 + numbering.n_classes):
         return None
+
+    def read(found: Outputs) -> Found:
+        ((table,),) = found.values()
+        if is_suppressed:  # corners, score, class in each row
+            return table[:, :4], table[:, 5], table[:, 4]
+        if has_objectness:  # middle, size, objectness and a score per class in each row
+            return _around(table[:, :4]), *_best(table[:, 5:] * table[:, 4:5])
+        return _around(table[:4].T), *_best(table[4:].T)  # the same in columns, without objectness
+
     return Export(
         kinds=numbering.kinds,
         read=read,
         stride_px=onnx_setting("stride_px"),
         is_suppressed=is_suppressed,
     )
-
-
-def _read_suppressed(outputs: Outputs) -> Found:
-    """Corners, score, class in each row."""
-    ((table,),) = outputs.values()
-    return table[:, :4], table[:, 5], table[:, 4]
-
-
-def _read_with_objectness(outputs: Outputs) -> Found:
-    """Middle, size, objectness and a score per class in each row."""
-    ((table,),) = outputs.values()
-    return _around(table[:, :4]), *_best(table[:, 5:] * table[:, 4:5])
-
-
-def _read_columns(outputs: Outputs) -> Found:
-    """Middle, size and a score per class in each column."""
-    ((table,),) = outputs.values()
-    return _around(table[:4].T), *_best(table[4:].T)
 
 
 def _around(centred: Array) -> Array:
@@ -311,29 +295,6 @@ class ImageBoxes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ScoredBoxes:
-    """Boxes of one kind."""
-
-    boxes_px: FloatArray  # (n, 4)
-    confidence: FloatArray  # (n,), 0 .. 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class VruBoxes:
-    """Boxes of road users in an image."""
-
-    persons: ScoredBoxes  # on bicycles and motorcycles, too
-    cyclists: ScoredBoxes  # see vru_boxes()
-    motorcyclists: ScoredBoxes
-    cars: ScoredBoxes
-
-    def of_class(self, vru_class: str) -> ScoredBoxes:
-        """Those that count for a class of ``VRU_CLASSES``."""
-        others = {"cyclist": self.cyclists, "motorcyclist": self.motorcyclists, "car": self.cars}
-        return others.get(vru_class, self.persons)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Session:
     """A network in the ONNX runtime, whatever it computes."""
 
@@ -376,13 +337,8 @@ class OnnxModel:
     """A detector from an ONNX file; several threads may use it at once."""
 
     path: Path
-    _session: _Session
-    _export: Export
-
-    @property
-    def kinds(self) -> Mapping[int, str]:
-        """Class to one of ``KINDS``; others are left out."""
-        return self._export.kinds
+    session: _Session
+    export: Export
 
     def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
         """Find what the network knows in an RGB image (h, w, 3) uint8; boxes are in its pixels.
@@ -392,9 +348,9 @@ class OnnxModel:
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
             got = Unquoted(f"{image.dtype} of shape {image.shape}")
             raise InputError("image", got, "uint8 of shape (height, width, 3)")
-        fitted = _fit(image, self._session, self._export.stride_px)
-        outputs = self._session.run(fitted.pixels, is_imagenet=self._export.is_imagenet)
-        boxes, class_ids, confidence = self._export.read(outputs)
+        fitted = _fit(image, self.session, self.export.stride_px)
+        outputs = self.session.run(fitted.pixels, is_imagenet=self.export.is_imagenet)
+        boxes, class_ids, confidence = self.export.read(outputs)
         # NaN stays, and is reported below.
         is_sure = ~(confidence < onnx_setting("min_confidence"))
         boxes = boxes[is_sure].astype(np.float64)
@@ -402,17 +358,17 @@ class OnnxModel:
         confidence = confidence[is_sure].astype(np.float64)
         if not (np.isfinite(boxes).all() and np.isfinite(confidence).all()):
             raise InputError(str(self.path), Unquoted("a box that is not a number"), "finite boxes")
-        if self._export.is_relative:
+        if self.export.is_relative:
             height, width = fitted.pixels.shape[:2]
             boxes = boxes * [width, height, width, height]
         height, width = image.shape[:2]
         boxes = clip_boxes(fitted.to_image(boxes), width_px=width, height_px=height)
         order = np.argsort(-confidence, kind="stable")
         order = order[(boxes[order, :2] < boxes[order, 2:]).all(axis=1)]  # some lie in the padding
-        if not self._export.is_suppressed:
+        if not self.export.is_suppressed:
             left = suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
             order = order[left]
-        found = ImageBoxes(boxes, class_ids, confidence, self._export.kinds)
+        found = ImageBoxes(boxes, class_ids, confidence, self.export.kinds)
         return found.take(order)
 
 
@@ -433,42 +389,35 @@ def load_onnx_model(path: Path) -> OnnxModel:
     grey = np.full(shape, onnx_setting("fill"), dtype=np.uint8)
     outputs = session.run(grey, is_imagenet=False)
     export = recognise_export(outputs, path=path, names=session.class_names)
-    return OnnxModel(path=path, _session=session, _export=export)
+    return OnnxModel(path=path, session=session, export=export)
 
 
-def vru_boxes(found: ImageBoxes) -> VruBoxes:
-    """Persons, cyclists, motorcyclists and cars in an image.
+def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, FloatArray]:
+    """Boxes (n, 4) that count for one of ``VRU_CLASSES``, and their confidence (n,).
 
     A network that knows persons and bicycles finds a cyclist as either or both: the box around a
     person and a bicycle that overlap counts as a cyclist, with the lower of the two confidences; so
     does each of them alone, for the other may be missed. The same holds for motorcycles. A
     detection is matched with one road user, so surplus boxes do no harm.
     """
-    persons = _of_kind(found, "person")
-    return VruBoxes(
-        persons=persons,
-        cyclists=_riders(persons, _of_kind(found, "bicycle"), _of_kind(found, "cyclist")),
-        motorcyclists=_riders(
-            persons, _of_kind(found, "motorcycle"), _of_kind(found, "motorcyclist")
-        ),
-        cars=_of_kind(found, "car"),
-    )
 
+    def of_kind(kind: str) -> tuple[FloatArray, FloatArray]:
+        ids = [class_id for class_id, name in found.kinds.items() if name == kind]
+        mine = np.isin(found.class_ids, ids)
+        return found.boxes_px[mine], found.confidence[mine]
 
-def _riders(persons: ScoredBoxes, cycles: ScoredBoxes, riders: ScoredBoxes) -> ScoredBoxes:
-    """Boxes that count for a rider, of persons, what they ride, and both in one."""
-    overlap = iou(persons.boxes_px[:, None], cycles.boxes_px[None]) > 0.0
-    rider, ridden = np.nonzero(overlap)
-    a, b = persons.boxes_px[rider], cycles.boxes_px[ridden]
-    joined = ScoredBoxes(
-        boxes_px=np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
-        confidence=np.minimum(persons.confidence[rider], cycles.confidence[ridden]),
+    if vru_class not in _RIDDEN:
+        return of_kind(_KINDS_OF_CLASS[vru_class][0])
+    cycle, rider = _RIDDEN[vru_class]
+    persons, cycles = of_kind("person"), of_kind(cycle)
+    who, what = np.nonzero(iou(persons[0][:, None], cycles[0][None]) > 0.0)
+    a, b = persons[0][who], cycles[0][what]
+    joined = (
+        np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
+        np.minimum(persons[1][who], cycles[1][what]),
     )
-    parts = (joined, riders, persons, cycles)
-    return ScoredBoxes(
-        boxes_px=np.concatenate([part.boxes_px for part in parts]),
-        confidence=np.concatenate([part.confidence for part in parts]),
-    )
+    boxes, confidence = zip(joined, of_kind(rider), persons, cycles, strict=True)
+    return np.concatenate(boxes), np.concatenate(confidence)
 
 
 def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
@@ -496,12 +445,6 @@ def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterb
         for fixed, side in sides
     )
     return letterbox(image, width_px=across, height_px=down, scale=scale)
-
-
-def _of_kind(found: ImageBoxes, kind: str) -> ScoredBoxes:
-    ids = [class_id for class_id, name in found.kinds.items() if name == kind]
-    mine = found.take(np.flatnonzero(np.isin(found.class_ids, ids)))
-    return ScoredBoxes(boxes_px=mine.boxes_px, confidence=mine.confidence)
 
 
 def _open(path: Path) -> _Session:
@@ -579,7 +522,6 @@ class NetworkDetector:
     alarm_words: str = ""  # how often it confirms what is not there, if that was measured
     lidar: LidarTable | None = None
 
-    needs_shares = False
     needs_pictures = True
 
     @property
@@ -624,7 +566,7 @@ class NetworkDetector:
     def check_classes(self, classes: Iterable[str]) -> None:
         """Raise InputError where the network has not learnt one of ``VRU_CLASSES``."""
         for name in classes:
-            if not set(_KINDS_OF_CLASS[name]) & set(self.model.kinds.values()):
+            if not set(_KINDS_OF_CLASS[name]) & set(self.model.export.kinds.values()):
                 expected = f"a network that knows {' or '.join(_KINDS_OF_CLASS[name])}"
                 raise InputError(f"detector {self.name}", Unquoted(f"runs with a {name}"), expected)
 
@@ -639,10 +581,10 @@ class NetworkDetector:
         confidence: list[np.ndarray] = []
         kinds = np.broadcast_to(evidence.vru_class, len(evidence))
         for row, found in self._find(large, evidence):
-            of_class = vru_boxes(found).of_class(VRU_CLASSES[kinds[row]])
-            is_sure = of_class.confidence >= self.min_confidence
-            boxes.append(of_class.boxes_px[is_sure])
-            confidence.append(of_class.confidence[is_sure])
+            of_class, how_sure = boxes_of_class(found, VRU_CLASSES[kinds[row]])
+            is_sure = how_sure >= self.min_confidence
+            boxes.append(of_class[is_sure])
+            confidence.append(how_sure[is_sure])
             rows += [row] * int(is_sure.sum())
         return Detections(
             row_index=np.array(rows, dtype=np.int64),

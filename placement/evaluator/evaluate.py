@@ -2,13 +2,7 @@
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    Future,
-    ThreadPoolExecutor,
-    as_completed,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_completed, wait
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -20,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, take_number
+from geometry.files import load_toml, read_table
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.poses import wrap_deg
@@ -210,26 +204,25 @@ class _Watcher:
         seen = {key: future.result() for key, future in looks.items()}
         if by_vut:
             seen[VUT_KEY] = _join([future.result() for future in by_vut])
-        poses = {key: unit.pose.position_m[:2] for key, unit in units.items()}
-        scanned = {key: self._find_in_points(key, f.result(), poses) for key, f in scans.items()}
-        return seen, scanned
+        return seen, {
+            key: self._find_in_points(key, future.result(), units.get(key))
+            for key, future in scans.items()
+        }
 
     def _find_in_points(
-        self, key: UnitKey, is_enough: BoolArray, poses: Mapping[UnitKey, FloatArray]
+        self, key: UnitKey, is_enough: BoolArray, unit: CandidatePose | None
     ) -> BoolArray:
         """Of the frames with enough points on the VRU those in which the detector finds it."""
-        table, runs = self._setting.detector.lidar, self._setting.runs
+        table, runs, around = self._setting.detector.lidar, self._setting.runs, self._surroundings
         if table is None:
             return is_enough
-        vru = np.concatenate([run.vru_position_m[:, :2] for run in runs])
-        eye = poses.get(key)
-        if eye is None:
-            eye = np.concatenate([run.vut_position_m[:, :2] for run in runs])
-        around = self._surroundings
+        vru, vut = (
+            np.concatenate([getattr(run, name)[:, :2] for run in runs])
+            for name in ("vru_position_m", "vut_position_m")
+        )
+        distance = np.hypot(*(vru - (vut if unit is None else unit.pose.position_m[:2])).T)
         rng = build_rng(self._seed, key, table.name)
-        distance = np.hypot(*(vru - eye).T)
-        found = table.detect(distance, around.vru_class, around.draw_index, rng)
-        return is_enough & found
+        return is_enough & table.detect(distance, around.vru_class, around.draw_index, rng)
 
     def find(
         self, looks: Mapping[UnitKey, Evidence], units: Mapping[UnitKey, CandidatePose]
@@ -249,9 +242,7 @@ class _Watcher:
         with _pool(self._compute.workers) as pool, closing(source):
             found = {
                 key: pool.submit(
-                    self._detect,
-                    key,
-                    self._with_pictures(evidence, source, units.get(key)),
+                    self._detect, key, self._with_pictures(evidence, source, units.get(key))
                 )
                 for key, evidence in longest_first
             }
@@ -291,11 +282,11 @@ def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
 
 def _join(parts: Sequence[Evidence]) -> Evidence:
     """Evidence of consecutive frames in one."""
-    names = [field.name for field in fields(Evidence) if field.name not in ("picture", "crops")]
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+    values = {one.name: [getattr(part, one.name) for part in parts] for one in fields(Evidence)}
+    arrays: dict[str, Any] = {
+        name: np.concatenate(each) for name, each in values.items() if each[0] is not None
     }
-    return Evidence(**joined)
+    return Evidence(**arrays)
 
 
 # ---------- verdicts: confirmation, braking, contact
@@ -315,10 +306,6 @@ class Judge:
         self.axis, self.levels, self._runs, self._rule = axis, levels, runs, rule
         # By encounter, which runs that differ by weather alone share, then by onset.
         self._contacts: dict[int, dict[float, _Contact]] = {id(run.encounter): {} for run in runs}
-
-    def verdict(self, parties: Sequence[Party]) -> Verdict:
-        """Verdict on parties that are fused; see :meth:`verdicts`."""
-        return self.verdicts([parties])[0]
 
     def verdicts(self, fused: Sequence[Sequence[Party]]) -> list[Verdict]:
         """Verdicts on groups of parties: in each frame any one of a group may be the detector.
@@ -422,8 +409,7 @@ class VamRule:
 @cache
 def load_vam_rule() -> VamRule:
     """The standard's rule, from ``data/vam.toml``."""
-    table = load_toml(files("placement") / "data" / "vam.toml")
-    return VamRule(**{key: take_number(table, key, "vam.toml") for key in VamRule.__annotations__})
+    return read_table(load_toml(files("placement") / "data" / "vam.toml"), VamRule, "vam.toml")
 
 
 def sent_frames(run: Run, rule: VamRule) -> BoolArray:
@@ -492,33 +478,20 @@ def evaluate_layouts(
 ) -> list[Evaluation]:
     """Verdicts of layouts by rendering every frame, detecting, confirming and braking.
 
-    Parameters
-    ----------
-    layouts : sequence of Layout
-        Units at the same pose in several layouts are rendered once.
-    setting : Setting
-        Scene, runs, braking rule, detector, radio.
-    compute : Compute
-        Misses, lost messages and who carries a device are random. The random numbers of a unit
-        depend on its pose, not on the layout that it is part of. For the progress see
-        :func:`watch`.
-
-    Returns
-    -------
-    evaluations : list of Evaluation
-        One per layout.
-
-    Raises
-    ------
-    InputError
-        The setting's axis does not belong to its runs.
+    One per layout; units at the same pose in several layouts are rendered once. Misses, lost
+    messages and who carries a device are random; the random numbers of a unit depend on its pose,
+    not on the layout that it is part of. For the progress see :func:`watch`. Raises InputError: the
+    setting's axis does not belong to its runs.
     """
-    _check(setting)
+    runs, axis = setting.runs, setting.axis
+    times_s = np.concatenate([run.time_s for run in runs])
+    if tuple(run.id for run in runs) != axis.run_ids or not np.array_equal(times_s, axis.time_s):
+        raise InputError("axis", Unquoted("frames of other runs"), "the frame axis of these runs")
     compute.progress(STAGE, 0, 0)
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin
         detected = watch(setting, units, compute=compute)
-    judge = Judge(setting.runs, setting.axis, setting.rule, setting.levels)
+    judge = Judge(runs, axis, setting.rule, setting.levels)
     vam = None
     if setting.radio.vam_rate > 0.0:
         rng = build_rng(compute.seed, "vam")
@@ -536,14 +509,6 @@ def evaluate_layouts(
         ],
         cars=setting.cars,
     )
-
-
-def _check(setting: Setting) -> None:
-    runs, axis = setting.runs, setting.axis
-    if tuple(run.id for run in runs) != axis.run_ids or not np.array_equal(
-        np.concatenate([run.time_s for run in runs]), axis.time_s
-    ):
-        raise InputError("axis", Unquoted("frames of other runs"), "the frame axis of these runs")
 
 
 def _arriving(

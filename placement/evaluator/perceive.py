@@ -8,6 +8,7 @@ sight is drawn, or scanned, once.
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,9 +25,9 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 
 from ..detectors import VRU_CLASSES, Evidence, aspects_deg
-from .pixels import Image, Placed, Seen, Sights, see
-from .solids import Solid
+from .pixels import Image, Placed, Sights, blank_sights, see
 from .surroundings import (
+    Solid,
     Surroundings,
     VutCamera,
     find_sights,
@@ -58,48 +59,31 @@ class _Station:
         """The first frame of each sight, (n_sights,)."""
         return self.order[self.start[:-1]]
 
-
-def _at_roadside(surroundings: Surroundings, pose: Pose) -> _Station:
-    return _build_station(
-        pose,
-        tilt_deg=np.zeros(len(surroundings.vru_poses)),
-        static_poses=surroundings.static_poses,
-        vru_poses=surroundings.vru_poses,
-        vehicle_index=np.insert(surroundings.traffic_index, 0, 0, axis=1),
-        vehicle_poses=np.insert(surroundings.traffic_poses, 0, surroundings.vut_poses, axis=1),
-        sight_index=surroundings.sight_index,
-    )
+    @property
+    def sight_of_frame(self) -> IntArray:
+        """Which sight each frame shows, (n_frames,)."""
+        numbers = np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+        return numbers[np.argsort(self.order)]
 
 
-def _on_vut(surroundings: Surroundings, mount: VutCamera) -> _Station:
-    """The VUT itself is not seen."""
-    pose = mount.pose_on(surroundings.vut_actor)
-    vut_poses = level_carriers(surroundings, pose)
-    static_poses = relative_road_poses(surroundings.static_poses, vut_poses)
-    vru_poses = relative_road_poses(surroundings.vru_poses, vut_poses)
-    return _build_station(
-        pose,
-        tilt_deg=surroundings.vut_pitch_deg,
-        static_poses=static_poses,
-        vru_poses=vru_poses,
-        vehicle_index=surroundings.traffic_index,
-        vehicle_poses=relative_road_poses(surroundings.traffic_poses, vut_poses),
-        sight_index=find_sights(
-            surroundings.static_index, surroundings.vru_index, static_poses, vru_poses
-        ),
-    )
-
-
-def _build_station(
-    pose: Pose,
-    *,
-    tilt_deg: FloatArray,
-    static_poses: FloatArray,
-    vru_poses: FloatArray,
-    vehicle_index: IntArray,
-    vehicle_poses: FloatArray,
-    sight_index: IntArray,
-) -> _Station:
+def _stand(surroundings: Surroundings, at: Pose | VutCamera) -> _Station:
+    """Frames as a fixed sensor has them before it, or one on the VUT, which is not seen then."""
+    static_poses, vru_poses = surroundings.static_poses, surroundings.vru_poses
+    vehicle_index, vehicle_poses = surroundings.traffic_index, surroundings.traffic_poses
+    if isinstance(at, Pose):
+        pose, tilt_deg = at, np.zeros(len(vru_poses))
+        vehicle_index = np.insert(vehicle_index, 0, 0, axis=1)
+        vehicle_poses = np.insert(vehicle_poses, 0, surroundings.vut_poses, axis=1)
+        sight_index = surroundings.sight_index
+    else:
+        pose, tilt_deg = at.pose_on(surroundings.vut_actor), surroundings.vut_pitch_deg
+        vut_poses = level_carriers(surroundings, pose)
+        static_poses, vru_poses, vehicle_poses = (
+            relative_road_poses(poses, vut_poses)
+            for poses in (static_poses, vru_poses, vehicle_poses)
+        )
+        kinds = surroundings.static_index, surroundings.vru_index
+        sight_index = find_sights(*kinds, static_poses, vru_poses)
     order = np.argsort(sight_index, kind="stable")
     start = np.flatnonzero(np.diff(sight_index[order], prepend=-1))
     return _Station(
@@ -141,14 +125,14 @@ def perceive_from_roadside(
 
     Where the VRU's box cannot be `min_height_px` high, nothing is drawn and boxes are zeros.
     """
-    return _perceive(surroundings, _at_roadside(surroundings, pose), camera, min_height_px)
+    return _perceive(surroundings, _stand(surroundings, pose), camera, min_height_px)
 
 
 def perceive_from_vut(
     surroundings: Surroundings, vut_camera: VutCamera, *, min_height_px: float = 0.0
 ) -> Evidence:
     """Evidence of the VUT's own camera; the VUT itself is not drawn."""
-    station = _on_vut(surroundings, vut_camera)
+    station = _stand(surroundings, vut_camera)
     return _perceive(surroundings, station, vut_camera.camera, min_height_px)
 
 
@@ -164,7 +148,7 @@ def _perceive(
     vehicles = _place(pose, station.vehicle_poses[order][is_there], tilts)
     vehicle_kind = station.vehicle_index[order][is_there]
     vehicle_start = np.concatenate([[0], np.cumsum(is_there.sum(axis=1))])
-    seen = _blank(len(first), n_frames)
+    seen = blank_sights(len(first), n_frames)
     image = Image(
         focal_px=camera.focal_length_px,
         width_px=camera.width_px,
@@ -198,8 +182,7 @@ def _perceive(
         )
         of_kind = order[frames]
         distance_m[of_kind] = _distances_m(pose, station.vru_poses[of_kind], body.hull_m)
-    sight = np.empty(n_frames, dtype=np.int64)  # of each frame
-    sight[order] = np.repeat(np.arange(len(first)), np.diff(start))
+    sight = station.sight_of_frame
     visible, shares = np.empty((n_frames, 4)), np.empty(n_frames)
     visible[order], shares[order] = seen.frame_visible_px, seen.frame_visible_share
     sightline_m = station.vru_poses[:, :2] - pose.position_m[:2]
@@ -233,18 +216,6 @@ def _place(pose: Pose, road_poses: FloatArray, tilt_deg: FloatArray) -> Placed:
     )
 
 
-def _blank(n_sights: int, n_frames: int) -> Seen:
-    """Nothing seen yet."""
-    return Seen(
-        amodal_px=np.zeros((n_sights, 4)),
-        inside_share=np.zeros(n_sights),
-        visible_px=np.zeros((n_sights, 4)),
-        visible_share=np.ones(n_sights),
-        frame_visible_px=np.zeros((n_frames, 4)),
-        frame_visible_share=np.ones(n_frames),
-    )
-
-
 # ---------- LiDARs
 
 
@@ -255,18 +226,17 @@ def scan_from_roadside(
 
     The random numbers say which pulses come back.
     """
-    return _scan(surroundings, _at_roadside(surroundings, pose), lidar, rng)
+    return _scan(surroundings, _stand(surroundings, pose), lidar, rng)
 
 
 def scan_from_vut(
     surroundings: Surroundings, mount: VutCamera, lidar: LidarModel, rng: np.random.Generator
 ) -> BoolArray:
     """Frames in which the VUT's own LiDAR detects the VRU; see :func:`scan_from_roadside`."""
-    return _scan(surroundings, _on_vut(surroundings, mount), lidar, rng)
+    return _scan(surroundings, _stand(surroundings, mount), lidar, rng)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Echoes:
+class _Echoes(NamedTuple):
     """Beams that reach the VRU in one sight."""
 
     directions: FloatArray  # (n, 3), unit vectors, in the frame in which the LiDAR stands
@@ -274,11 +244,7 @@ class _Echoes:
     incidence_cos: FloatArray  # (n,)
 
     def take(self, keep: BoolArray) -> "_Echoes":
-        return _Echoes(
-            directions=self.directions[keep],
-            distance_m=self.distance_m[keep],
-            incidence_cos=self.incidence_cos[keep],
-        )
+        return _Echoes(*(numbers[keep] for numbers in self))
 
 
 def _scan(
@@ -289,8 +255,7 @@ def _scan(
     random: dict[int, FloatArray] = {}  # one for all weathers: what differs is the weather's
     beams = beam_directions(lidar).reshape(-1, 3)
     poses = np.concatenate([station.static_poses, station.vru_poses], axis=1)
-    sight_of_frame = np.empty(len(station.order), dtype=np.int64)
-    sight_of_frame[station.order] = np.repeat(np.arange(len(first)), np.diff(station.start))
+    sight_of_frame = station.sight_of_frame
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
         static, vru = surroundings.statics[static_index], surroundings.vrus[vru_index]
         in_parts = np.array_split(first[sights], -(-len(first[sights]) // _SIGHTS_AT_ONCE))
@@ -356,11 +321,7 @@ def _look(
     cosine = np.abs(np.einsum("ni,ni->n", normals, directions))
     ends = np.searchsorted(sight, np.arange(len(poses) + 1))
     for start, end in itertools.pairwise(ends):
-        yield _Echoes(
-            directions=directions[start:end],
-            distance_m=depth[start:end],
-            incidence_cos=cosine[start:end],
-        )
+        yield _Echoes(directions[start:end], depth[start:end], cosine[start:end])
 
 
 def _beams_around(

@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
-from geometry.errors import InputError
+from geometry.errors import InputError, check_one_of
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, to_world
 from geometry.scene import Scene
@@ -22,24 +21,18 @@ from scenarios.runs import Run
 
 from ..compute import Compute
 from ..detectors.evidence import Crop, Image
-from ..imaging import (
-    Backdrop,
-    PointCloud,
-    build_backdrop,
-    draw_picture,
-    render_picture,
-    scan_cloud,
+from ..imaging import Backdrop, PointCloud, build_backdrop, draw_picture
+from ..imaging.mesh import (
+    FrameMesh,
+    build_frame_mesh,
+    build_static_mesh,
+    move_origin,
+    place_mesh,
+    scan_mesh,
+    vut_pose,
 )
-from ..imaging.mesh import FrameMesh, move_origin, place_mesh, vut_pose
 from ..imaging.picture import Picture, Window
-from ..imaging.stills import (
-    Still,
-    crop_onto,
-    draw_crop,
-    draw_still,
-    meter,
-    window_around,
-)
+from ..imaging.stills import Still, crop_onto, draw_crop, draw_still, meter, window_around
 from ..layout import Layout
 from .surroundings import VutCamera, load_vut_camera, load_vut_lidar, vut_pitch_deg
 
@@ -62,8 +55,7 @@ class PictureSource:
         self._scene, self._runs = scene, runs
         self._compute = Compute(seed=seed, workers=1)  # frames are drawn side by side
         self._start = np.concatenate([[0], np.cumsum([len(run.time_s) for run in runs])])
-        self._backdrops: dict[tuple[object, ...], Backdrop] = {}
-        self._still: dict[tuple[object, ...], FrameMesh] = {}
+        self._still: dict[tuple[object, ...], tuple[Backdrop, FrameMesh]] = {}
         self._whites: dict[tuple[object, ...], float] = {}
         self._lock = Lock()
         self._is_closed = False
@@ -95,11 +87,7 @@ class PictureSource:
             raise CancelledError
         run, index = self._find(frame)
         picture = draw_picture(
-            self._backdrop(run.obstruction),
-            run,
-            index,
-            pose,
-            camera,
+            *(self._standing(run)[0], run, index, pose, camera),
             weather=pick_weather(run.weather, "run: weather"),
             with_vut=with_vut,
             compute=self._compute,
@@ -112,11 +100,9 @@ class PictureSource:
         if self._is_closed:
             raise CancelledError
         run, index = self._find(frame)
-        backdrop = self._backdrop(run.obstruction)
-        mesh = self._still_mesh(run.obstruction, backdrop)
-        white = self._white(run, backdrop, mesh, view) if view.is_fixed else None
+        backdrop, mesh = self._standing(run)
+        white = self._white(run, view) if view.is_fixed else None
         small, window = view.small, view.window
-        picture: Picture
         if still is None:
             picture = draw_crop(
                 *(backdrop, mesh, run, index, view.pose, small, window),
@@ -145,8 +131,7 @@ class PictureSource:
         if self._is_closed:
             raise CancelledError
         run, _ = self._find(frame)
-        backdrop = self._backdrop(run.obstruction)
-        mesh = self._still_mesh(run.obstruction, backdrop)
+        backdrop, mesh = self._standing(run)
         return draw_still(
             *(backdrop, view.pose, view.small),
             weather=pick_weather(run.weather, "run: weather"),
@@ -155,7 +140,7 @@ class PictureSource:
             compute=self._compute,
         )
 
-    def _white(self, run: Run, backdrop: Backdrop, still: FrameMesh, view: "_View") -> float | None:
+    def _white(self, run: Run, view: "_View") -> float | None:
         """Exposure of a fixed camera by daylight, when what moves changes little."""
         weather = pick_weather(run.weather, "run: weather")
         if weather.has_lamps:
@@ -163,29 +148,28 @@ class PictureSource:
         pose = view.pose
         key = (
             *(pose.position_m.tobytes(), pose.yaw_deg, pose.pitch_deg, view.camera),
-            *(weather, tuple(parked.key for parked in run.obstruction)),
+            *(weather, _obstruction_key(run)),
         )
         if key not in self._whites:
-            self._whites[key] = meter(backdrop, still, pose, view.camera, weather)
+            self._whites[key] = meter(*self._standing(run), pose, view.camera, weather)
         return self._whites[key]
 
     def _count(self) -> None:
         with self._lock:
             self.n_drawn += 1
 
-    def _backdrop(self, obstruction: tuple[PlacedActor, ...]) -> Backdrop:
-        key = tuple(parked.key for parked in obstruction)
-        with self._lock:
-            if key not in self._backdrops:
-                self._backdrops[key] = build_backdrop(self._scene, obstruction)
-            return self._backdrops[key]
-
-    def _still_mesh(self, obstruction: tuple[PlacedActor, ...], backdrop: Backdrop) -> FrameMesh:
-        key = tuple(parked.key for parked in obstruction)
+    def _standing(self, run: Run) -> tuple[Backdrop, FrameMesh]:
+        """What stands still in a run, to be drawn and ready for rays."""
+        key = _obstruction_key(run)
         with self._lock:
             if key not in self._still:
-                self._still[key] = place_mesh(backdrop.mesh, np.zeros(3))
+                backdrop = build_backdrop(self._scene, run.obstruction)
+                self._still[key] = backdrop, place_mesh(backdrop.mesh, np.zeros(3))
             return self._still[key]
+
+
+def _obstruction_key(run: Run) -> tuple[object, ...]:
+    return tuple(parked.key for parked in run.obstruction)
 
 
 class _View(NamedTuple):
@@ -202,7 +186,9 @@ class _View(NamedTuple):
     @property
     def small(self) -> CameraModel:
         """The camera at the crop's resolution."""
-        return _scaled(self.camera, self.scale)
+        sides = self.camera.width_px, self.camera.height_px
+        width_px, height_px = (round(side / self.scale) for side in sides)
+        return replace(self.camera, width_px=width_px, height_px=height_px)
 
     @property
     def window(self) -> Window:
@@ -218,22 +204,17 @@ class Crops:
     VUT is left out: then all frames with the same road user look the same.
     """
 
-    def __init__(
-        self,
-        source: PictureSource,
-        camera: FrameCamera,
-        boxes_px: FloatArray,
-    ) -> None:
+    def __init__(self, source: PictureSource, camera: FrameCamera, boxes_px: FloatArray) -> None:
         self._source, self._camera, self._boxes_px = source, camera, boxes_px
 
     def key(self, frame: int) -> tuple[object, ...]:
         """Equal for frames whose crops look the same."""
         self._source._count()
         run, index = self._source._find(frame)
-        view = self._view(run, index, frame)
+        view = self._view(frame)
         where = (
             *(run.weather, id(run.encounter.vru), int(run.vru_shape[index])),
-            *(tuple(parked.key for parked in run.obstruction), view.side_px, view.scale),
+            *(_obstruction_key(run), view.side_px, view.scale),
             *(run.vru_position_m[index].tobytes(), float(run.vru_yaw_deg[index])),
         )
         if view.shows_vut or run.traffic or isinstance(self._camera, VutCamera):
@@ -246,11 +227,11 @@ class Crops:
         What stands still is drawn once for the crops of a fixed camera at one scale, if that is
         less than all of them together.
         """
-        views = {frame: self._view(*self._source._find(frame), frame) for frame in frames}
+        views = {frame: self._view(frame) for frame in frames}
         groups: dict[tuple[object, ...], list[int]] = {}
         for frame, view in views.items():
             run, _ = self._source._find(frame)
-            key = (run.weather, tuple(parked.key for parked in run.obstruction), view.scale)
+            key = (run.weather, _obstruction_key(run), view.scale)
             groups.setdefault(key, []).append(frame)
         for group in groups.values():
             windows = [views[frame].window for frame in group]
@@ -262,7 +243,8 @@ class Crops:
             for frame in group:
                 yield frame, self._source._draw_crop(frame, views[frame], still)
 
-    def _view(self, run: Run, index: int, frame: int) -> _View:
+    def _view(self, frame: int) -> _View:
+        run, index = self._source._find(frame)
         pose, camera = _placed(self._camera, run, index)
         box_px = self._boxes_px[frame]
         size_px = float((box_px[2:] - box_px[:2]).max())
@@ -333,17 +315,6 @@ def _cast_corners(run: Run, index: int, weather: Weather) -> FloatArray:
     return np.concatenate(corners)
 
 
-def _scaled(camera: CameraModel, scale: int) -> CameraModel:
-    """A camera with as wide a field of view and fewer pixels."""
-    if scale == 1:
-        return camera
-    return replace(
-        camera,
-        width_px=round(camera.width_px / scale),
-        height_px=round(camera.height_px / scale),
-    )
-
-
 def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
     """Where the VUT's camera is and looks in a frame of a run, world frame."""
     on_vut = mount.pose_on(run.encounter.vut)
@@ -399,8 +370,7 @@ def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> 
         pose = vut_camera_pose(mount, run, frame_index)
         return Viewpoint(pose=pose, sensor=own[unit_id.upper()], with_vut=False)
     units = {unit.id: unit for unit in layout.units}
-    if unit_id not in units:
-        raise InputError("unit_id", unit_id, "one of " + ", ".join([*units, *own]))
+    check_one_of("unit_id", unit_id, [*units, *own])
     return Viewpoint(pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True)
 
 
@@ -408,25 +378,15 @@ def render(
     scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
 ) -> Picture | PointCloud:
     """The picture, or point cloud, of a frame in the run's weather."""
-    weather = pick_weather(run.weather, "weather")
-    if isinstance(viewpoint.sensor, LidarModel):
-        return scan_cloud(
-            scene,
-            run,
-            frame_index,
-            viewpoint.pose,
-            viewpoint.sensor,
-            weather=weather,
-            with_vut=viewpoint.with_vut,
-            seed=compute.seed,
-        )
-    return render_picture(
-        scene,
-        run,
-        frame_index,
-        viewpoint.pose,
-        viewpoint.sensor,
+    weather, pose, sensor = pick_weather(run.weather, "weather"), viewpoint.pose, viewpoint.sensor
+    with_vut = viewpoint.with_vut  # its headlights shine in any case
+    if isinstance(sensor, LidarModel):
+        static = build_static_mesh(scene, run.obstruction)
+        mesh = build_frame_mesh(static, run, frame_index, pose.position_m, with_vut=with_vut)
+        return scan_mesh(mesh, run, pose, sensor, weather=weather, seed=compute.seed)
+    return draw_picture(
+        *(build_backdrop(scene, run.obstruction), run, frame_index, pose, sensor),
         weather=weather,
-        with_vut=viewpoint.with_vut,
+        with_vut=with_vut,
         compute=compute,
     )

@@ -17,7 +17,7 @@ References
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -117,6 +117,14 @@ class Seen(NamedTuple):
     def take(self, sights: slice, frames: slice) -> "Seen":
         """Parts of the same arrays."""
         return Seen(*(part[sights] for part in self[:4]), *(part[frames] for part in self[4:]))
+
+
+def blank_sights(n_sights: int, n_frames: int) -> Seen:
+    """Nothing seen yet."""
+    return Seen(
+        *(np.zeros((n_sights, 4)), np.zeros(n_sights), np.zeros((n_sights, 4)), np.ones(n_sights)),
+        *(np.zeros((n_frames, 4)), np.ones(n_frames)),
+    )
 
 
 # ---------- triangles: their bounds in the image, and their depths
@@ -321,10 +329,10 @@ def _project(image: Image, points: FloatArray, least_depth: float, pixels: Float
 def _bounds(pixels: FloatArray, i: int, j: int, k: int) -> Bounds:
     """Of a triangle whose corners are all ahead: the same as those of :func:`find_span`."""
     return (
-        min(min(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
-        min(min(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
-        max(max(pixels[i, 0], pixels[j, 0]), pixels[k, 0]),
-        max(max(pixels[i, 1], pixels[j, 1]), pixels[k, 1]),
+        min(pixels[i, 0], pixels[j, 0], pixels[k, 0]),
+        min(pixels[i, 1], pixels[j, 1], pixels[k, 1]),
+        max(pixels[i, 0], pixels[j, 0], pixels[k, 0]),
+        max(pixels[i, 1], pixels[j, 1], pixels[k, 1]),
     )
 
 
@@ -406,9 +414,7 @@ def draw(
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
     is_ahead = _project(image, points, least_depth, pixels)
-    has_backs = False
-    for row in range(len(points)):
-        has_backs = has_backs or points[row, 2] < image.near_m
+    has_backs = points[:, 2].min() < image.near_m
     width = window[2] - window[0]
     middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
@@ -437,13 +443,9 @@ def _draw_all(
     image: Image, points: FloatArray, triangles: IntArray, box: Window, depth_m: FloatArray
 ) -> int:
     """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
-    for pixel in range(len(depth_m)):  # nothing is drawn yet
-        depth_m[pixel] = np.inf
+    depth_m[:] = np.inf  # nothing is drawn yet
     draw(image, points, triangles, box, depth_m)
-    n_pixels = 0
-    for pixel in range(len(depth_m)):
-        n_pixels += depth_m[pixel] < np.inf
-    return n_pixels
+    return int((depth_m < np.inf).sum())
 
 
 @kernel
@@ -458,11 +460,10 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
                 n_pixels += 1
                 x_min, x_max = min(x_min, x), max(x_max, x + 1)
                 y_min, y_max = min(y_min, y), max(y_max, y + 1)
-    has_any = n_pixels > 0
-    found[row, 0] = window[0] + x_min if has_any else 0
-    found[row, 1] = window[1] + y_min if has_any else 0
-    found[row, 2] = window[0] + x_max if has_any else 0
-    found[row, 3] = window[1] + y_max if has_any else 0
+    found[row] = 0.0
+    if n_pixels > 0:
+        found[row, 0], found[row, 1] = window[0] + x_min, window[1] + y_min
+        found[row, 2], found[row, 3] = window[0] + x_max, window[1] + y_max
     return n_pixels
 
 
@@ -641,8 +642,8 @@ def _see_past_vehicles(
                 continue
             if n_pixels == 0:
                 n_pixels = _draw_all(image, body[0], body[1], box, depth_m)
-            for pixel in range(0 if is_hidden else len(depth_m)):
-                left_m[pixel] = depth_m[pixel]
+            if not is_hidden:
+                left_m[:] = depth_m
             is_hidden = True
             hide(*look, left_m)
         if is_hidden:
@@ -672,9 +673,7 @@ def see(
     hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
-    foot_m, top_m = hull_m[0, 2], hull_m[0, 2]
-    for row in range(len(hull_m)):
-        foot_m, top_m = min(foot_m, hull_m[row, 2]), max(top_m, hull_m[row, 2])
+    foot_m, top_m = hull_m[:, 2].min(), hull_m[:, 2].max()
     for sight in range(len(sights.vru.shift)):  # places of the VRU before what stands still
         turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
@@ -689,9 +688,7 @@ def see(
         for side, edge_px in enumerate(box):
             seen.amodal_px[sight, side] = edge_px
             seen.visible_px[sight, side] = edge_px
-        farthest_m = 0.0
-        for row in range(len(hull)):
-            farthest_m = max(farthest_m, hull[row, 2])
+        farthest_m = max(0.0, hull[:, 2].max())
         area = (box[2] - box[0]) * (box[3] - box[1])
         if len(depth_m) < area:
             depth_m, left_m = np.empty(area), np.empty(area)
@@ -711,8 +708,7 @@ def see(
             n_left = _measure(depth_m, box, seen.visible_px, sight)
             seen.visible_share[sight] = n_left / n_pixels
         for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
-            for side in range(4):
-                seen.frame_visible_px[frame, side] = seen.visible_px[sight, side]
+            seen.frame_visible_px[frame] = seen.visible_px[sight]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
         if n_left != 0:
             _see_past_vehicles(
@@ -729,9 +725,7 @@ def build_tree(corners_m: FloatArray) -> Tree:
     n = len(corners_m)
     n_nodes = max(0, 2 * n - 1)
     tree = Tree(
-        corners_m=corners_m,
-        low_m=np.full((n_nodes, 3), np.inf),
-        high_m=np.full((n_nodes, 3), -np.inf),
+        *(corners_m, np.full((n_nodes, 3), np.inf), np.full((n_nodes, 3), -np.inf)),
         second=np.full(n_nodes, -1, dtype=np.int64),
         start=np.zeros(n_nodes, dtype=np.int64),
         end=np.zeros(n_nodes, dtype=np.int64),
@@ -739,14 +733,8 @@ def build_tree(corners_m: FloatArray) -> Tree:
     order = np.arange(n)
     centres_m = 0.5 * (corners_m.min(axis=1) + corners_m.max(axis=1))
     n_used = _fill(tree, order, centres_m)
-    return Tree(
-        corners_m=corners_m[order],
-        low_m=tree.low_m[:n_used].copy(),
-        high_m=tree.high_m[:n_used].copy(),
-        second=tree.second[:n_used].copy(),
-        start=tree.start[:n_used].copy(),
-        end=tree.end[:n_used].copy(),
-    )
+    used: list[Any] = [numbers[:n_used].copy() for numbers in tree[1:]]
+    return Tree(corners_m[order], *used)
 
 
 def join_vehicles(trees: Sequence[Tree], reach_m: FloatArray) -> Vehicles:

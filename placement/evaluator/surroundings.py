@@ -1,21 +1,27 @@
-"""Everything that can be seen in the frames of some runs."""
+"""Everything that can be seen in the frames of some runs, ready for pixels and for LiDAR beams.
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cache
+A *road pose* is a row of four numbers: east and north in metres, yaw in degrees, and height of the
+ground in metres. It places the frame of a :class:`Solid` in the frame in which a sensor stands.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, cached_property
 from importlib.resources import files
+from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.actors import Actor
+from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.files import load_toml, pick, take_number, take_text
 from geometry.lidar import LidarModel, load_lidars
-from geometry.poses import Pose, body_rotation, wrap_deg
+from geometry.poses import Pose, body_rotation, to_world, wrap_deg
+from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import Terrain, on_ground, pitch_on_ground_deg, terrain_of
@@ -23,12 +29,140 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 from ..detectors import VRU_CLASSES, vru_class
-from .solids import Solid, build_body, build_scene_mesh, build_static
 
 if TYPE_CHECKING:
-    from .pixels import Vehicles
+    from .pixels import Skin, Tree, Vehicles
 
+_WHERE = "vut_camera.toml"
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
+
+# ---------- triangles
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles (n_triangles, 3), rows of vertices (n_vertices, 3) in metres.
+
+    Tree and skin are built when they are first asked for: only LiDARs do without.
+    """
+
+    vertices_m: FloatArray
+    triangles: IntArray
+    _lock: RLock = field(default_factory=RLock, repr=False)
+
+    @cached_property
+    def corners_m(self) -> FloatArray:
+        """Corners of the triangles, (n_triangles, 3, 3)."""
+        corners: FloatArray = np.ascontiguousarray(self.vertices_m[self.triangles])
+        return corners
+
+    @cached_property
+    def skin(self) -> "Skin":
+        """Its triangles, shuffled for drawing."""
+        from .pixels import Skin  # loads the compiler
+
+        rng, n_vertices = np.random.default_rng(0), len(self.vertices_m)
+        order = rng.permutation(n_vertices)
+        place = np.empty(n_vertices, dtype=np.int64)
+        place[order] = np.arange(n_vertices)
+        triangles = place[rng.permutation(self.triangles)]
+        corners = triangles.ravel()
+        return Skin(
+            vertices_m=np.ascontiguousarray(self.vertices_m[order]),
+            triangles=triangles,
+            fan_start=np.append(0, np.cumsum(np.bincount(corners, minlength=n_vertices))),
+            fans=np.argsort(corners, kind="stable") // 3,
+        )
+
+    @property
+    def tree(self) -> "Tree":
+        """Boxes around its triangles; safe to ask for from several threads."""
+        with self._lock:
+            return self._tree
+
+    @cached_property
+    def _tree(self) -> "Tree":
+        from .pixels import build_tree  # loads the compiler
+
+        return build_tree(self.corners_m)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solid:
+    """Triangles that keep together, in their own frame."""
+
+    # One of a road user; of the static world, what always stands there and what is parked in a run.
+    # A mesh may belong to several solids.
+    meshes: tuple[Mesh, ...]
+    hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
+    library: str | None = None  # casts rays; see geometry.raycast.build_caster
+    _lock: RLock = field(default_factory=RLock, repr=False)
+
+    @property
+    def caster(self) -> RayCaster:
+        """For rays against its triangles, mesh after mesh; safe to ask for from several threads."""
+        with self._lock:
+            return self._caster
+
+    @cached_property
+    def _caster(self) -> RayCaster:
+        """Built when a LiDAR asks for it: a camera's pixels need no rays."""
+        starts = np.cumsum([0, *(len(mesh.vertices_m) for mesh in self.meshes)])
+        triangles = [
+            mesh.triangles + start for mesh, start in zip(self.meshes, starts, strict=False)
+        ]
+        vertices = [mesh.vertices_m for mesh in self.meshes]
+        return build_caster(
+            np.concatenate(vertices), np.concatenate(triangles), library=self.library
+        )
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """Unit normals of the triangles, (n_triangles, 3), mesh after mesh."""
+        corners = np.concatenate([mesh.corners_m for mesh in self.meshes])
+        a, b, c = np.moveaxis(corners, 1, 0)
+        across = np.cross(b - a, c - a)
+        normals: FloatArray = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
+        return normals
+
+
+def build_body(shape: Shape, *, library: str | None = None) -> Solid:
+    """A road user at one instant of its gait, in its body frame."""
+    from scipy.spatial import ConvexHull  # loaded when something is drawn
+
+    hull = ConvexHull(shape.vertices_m).vertices
+    mesh = Mesh(vertices_m=np.array(shape.vertices_m), triangles=shape.triangles.astype(np.int64))
+    return Solid(meshes=(mesh,), hull_m=shape.vertices_m[hull], library=library)
+
+
+def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
+    """The scene's triangles, with the origin at `middle_m`, (2,) in the world frame [m].
+
+    So coordinates are small where rays are cast in single precision: its road pose in the world is
+    (*middle_m, 0, 0).
+    """
+    return Mesh(
+        vertices_m=scene.vertices_m - [*middle_m, 0.0],
+        triangles=np.asarray(scene.triangles, dtype=np.int64),
+    )
+
+
+def build_static(
+    standing: Mesh,
+    obstruction: Sequence[PlacedActor],
+    *,
+    middle_m: FloatArray,
+    library: str | None = None,
+) -> Solid:
+    """Everything that stands still: a scene's mesh with the same origin, and parked bodies."""
+    vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
+    for body in obstruction:
+        shape = body.actor.shapes[0]
+        triangles.append(shape.triangles.astype(np.int64) + sum(map(len, vertices)))
+        vertices.append(to_world(shape.vertices_m, body.pose) - [*middle_m, 0.0])
+    parked = Mesh(vertices_m=np.concatenate(vertices), triangles=np.concatenate(triangles))
+    return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)), library=library)
+
 
 # ---------- surroundings of runs
 
@@ -66,9 +200,9 @@ class Surroundings:
         """Keep some frames, by index."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         per_frame: dict[str, Any] = {
-            name: one for name, one in values.items() if isinstance(one, np.ndarray)
+            name: one[frames] for name, one in values.items() if isinstance(one, np.ndarray)
         }
-        return replace(self, **{name: one[frames] for name, one in per_frame.items()})
+        return replace(self, **per_frame)
 
     def contrast(self, distance_m: FloatArray) -> FloatArray:
         """Contrast of the VRU at a distance in every frame's weather, (n_frames,)."""
@@ -219,11 +353,7 @@ def vut_pitch_deg(
 ) -> FloatArray:
     """Pitch of a VUT on its way, (n,); see :func:`geometry.terrain.pitch_on_ground_deg`."""
     return pitch_on_ground_deg(
-        position_m,
-        yaw_deg,
-        terrain,
-        front_m=vut.front_axle_ahead_m,
-        wheelbase_m=vut.wheelbase_m,
+        position_m, yaw_deg, terrain, front_m=vut.front_axle_ahead_m, wheelbase_m=vut.wheelbase_m
     )
 
 
@@ -264,22 +394,24 @@ class VutCamera:
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
+def _vut_table() -> Mapping[str, Any]:
+    return load_toml(files("placement") / "data" / _WHERE)
+
+
 @cache
 def load_vut_camera() -> VutCamera:
     """The study's camera, from ``data/vut_camera.toml``."""
-    where = "vut_camera.toml"
-    table = load_toml(files("placement") / "data" / where)
+    table = _vut_table()
     return VutCamera(
-        camera=pick_camera(take_text(table, "camera", where), f"{where}: camera"),
-        ahead_per_half_length=take_number(table, "ahead_per_half_length", where),
-        up_per_half_height=take_number(table, "up_per_half_height", where),
+        camera=pick_camera(take_text(table, "camera", _WHERE), f"{_WHERE}: camera"),
+        ahead_per_half_length=take_number(table, "ahead_per_half_length", _WHERE),
+        up_per_half_height=take_number(table, "up_per_half_height", _WHERE),
     )
 
 
 @cache
 def load_vut_lidar() -> LidarModel:
     """The study's LiDAR, at the camera's place, from ``data/vut_camera.toml``."""
-    where = "vut_camera.toml"
-    table = load_toml(files("placement") / "data" / where)
-    lidar: LidarModel = pick(load_lidars(), take_text(table, "lidar", where), f"{where}: lidar")
+    name = take_text(_vut_table(), "lidar", _WHERE)
+    lidar: LidarModel = pick(load_lidars(), name, f"{_WHERE}: lidar")
     return lidar

@@ -6,15 +6,7 @@ of one frame, ``stills`` those of many by one camera, or of a part; ``exposure``
 drops, and exposes.
 """
 
-from .mesh import PointCloud, scan_cloud
-from .picture import Backdrop, Picture, build_backdrop, draw_picture, render_picture
+from .mesh import PointCloud
+from .picture import Backdrop, Picture, build_backdrop, draw_picture
 
-__all__ = [
-    "Backdrop",
-    "Picture",
-    "PointCloud",
-    "build_backdrop",
-    "draw_picture",
-    "render_picture",
-    "scan_cloud",
-]
+__all__ = ["Backdrop", "Picture", "PointCloud", "build_backdrop", "draw_picture"]

@@ -7,7 +7,7 @@ length, half width.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -30,13 +30,11 @@ def build_road(scene: Scene) -> FloatArray:
 
     What the junction's outline encloses is road, too, but is no rectangle.
     """
-    return _stack(
-        rectangle
-        for lane in scene.lanes
-        for rectangle in _strip(
-            lane.centreline_m, 0.0, lane.width_m + 2.0 * _OVERLAP_M, _solid(lane.centreline_m)
-        )
-    )
+    rectangles: list[list[float]] = []
+    for lane in scene.lanes:
+        line, width_m = lane.centreline_m, lane.width_m + 2.0 * _OVERLAP_M
+        rectangles += _strip(line, 0.0, width_m, _solid(line))
+    return np.array(rectangles, dtype=np.float64).reshape(-1, 5)
 
 
 def build_markings(scene: Scene, marks: Mapping[str, float]) -> FloatArray:
@@ -44,15 +42,8 @@ def build_markings(scene: Scene, marks: Mapping[str, float]) -> FloatArray:
 
     `marks` is ``[markings]`` of ``data/materials.toml``.
     """
-    return _stack(
-        rectangle
-        for part in (_lane_lines(scene, marks), _stop_lines(scene, marks), _zebras(scene, marks))
-        for rectangle in part
-    )
-
-
-def _stack(rectangles: Iterator[list[float]]) -> FloatArray:
-    return np.array(list(rectangles), dtype=np.float64).reshape(-1, 5)
+    parts = (_lane_lines(scene, marks), _stop_lines(scene, marks), _zebras(scene, marks))
+    return np.array(list(chain(*parts)), dtype=np.float64).reshape(-1, 5)
 
 
 def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
@@ -101,8 +92,8 @@ def _stop_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
         end_m = _lengths(lane.centreline_m)[-1] - 0.5 * marks["stop_line_m"]
         point, ahead = _at(lane.centreline_m, end_m, 0.0)
         if lane.kind == "driving" and polygon_distance(point, scene.outline_m) < _MOUTH_M:
-            yaw = float(np.arctan2(ahead[1], ahead[0]))
-            yield [*point.tolist(), yaw, 0.5 * marks["stop_line_m"], 0.5 * lane.width_m - 0.15]
+            half_width_m = 0.5 * lane.width_m - 0.15
+            yield _rectangle(point, ahead, 0.5 * marks["stop_line_m"], half_width_m)
 
 
 def _zebras(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
@@ -110,13 +101,18 @@ def _zebras(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
     for start, end in scene.crosswalks_m:
         length_m = float(np.linalg.norm(end - start))
         ahead = (end - start) / length_m
-        yaw = float(np.arctan2(ahead[1], ahead[0]))
         n_bars = int(length_m / pitch_m)
         first_m = 0.5 * (length_m - (n_bars - 1) * pitch_m)
         for bar in range(n_bars):
             middle = start + (first_m + bar * pitch_m) * ahead
-            half_sides = [0.5 * marks["zebra_bar_m"], 0.5 * marks["zebra_length_m"]]
-            yield [*middle.tolist(), yaw, *half_sides]
+            half_sides = 0.5 * marks["zebra_bar_m"], 0.5 * marks["zebra_length_m"]
+            yield _rectangle(middle, ahead, *half_sides)
+
+
+def _rectangle(
+    middle: FloatArray, ahead: FloatArray, half_length: float, half_width: float
+) -> list[float]:
+    return [*middle.tolist(), float(np.arctan2(ahead[1], ahead[0])), half_length, half_width]
 
 
 def _lengths(line: FloatArray) -> FloatArray:
@@ -155,8 +151,7 @@ def _strip(
     """Pieces of a strip along a line."""
     for start_m, end_m in dashes:
         middle, ahead = _at(line, 0.5 * (start_m + end_m), offset_m)
-        yaw = float(np.arctan2(ahead[1], ahead[0]))
-        yield [*middle.tolist(), yaw, 0.5 * (end_m - start_m), 0.5 * width_m]
+        yield _rectangle(middle, ahead, 0.5 * (end_m - start_m), 0.5 * width_m)
 
 
 # ---------- the map
@@ -228,7 +223,8 @@ def build_ground_map(
     )
     for thing in things:
         if thing.class_name in _SHADERS:
-            rectangle = thing_rectangle(thing)
+            yaw = np.radians(thing.pose.yaw_deg)
+            rectangle = np.array([*thing.pose.position_m[:2], yaw, *(0.5 * thing.size_m[:2])])
             window, points = _window(origin_m, ground.layers, _corners(rectangle), _SHADE_REACH_M)
             distance = rectangle_distance(points, rectangle)
             ground.layers[*window, SKY] *= sky_left(distance, thing)
@@ -265,13 +261,6 @@ def _road_and_paint(
     layers[..., PAINT] = np.maximum(layers[..., PAINT], layers[..., ROAD])
     layers.setflags(write=False)
     return low, layers
-
-
-def thing_rectangle(thing: Thing) -> FloatArray:
-    """Footprint of a thing as a rectangle (5,)."""
-    east, north, _ = thing.pose.position_m.tolist()
-    half_length, half_width = (0.5 * thing.size_m[:2]).tolist()
-    return np.array([east, north, np.radians(thing.pose.yaw_deg), half_length, half_width])
 
 
 def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
@@ -361,8 +350,8 @@ def _window(
     n_north, n_east = layers.shape[:2]
     columns = slice(max(0, low[0]), max(0, min(n_east, high[0] + 1)))
     rows = slice(max(0, low[1]), max(0, min(n_north, high[1] + 1)))
-    east = origin_m[0] + _STEP_M * np.arange(columns.start, max(columns.start, columns.stop))
-    north = origin_m[1] + _STEP_M * np.arange(rows.start, max(rows.start, rows.stop))
+    east = origin_m[0] + _STEP_M * np.arange(n_east)[columns]
+    north = origin_m[1] + _STEP_M * np.arange(n_north)[rows]
     return (rows, columns), np.stack(np.meshgrid(east, north), axis=-1)
 
 

@@ -288,8 +288,7 @@ def illuminance(
     lux: FloatRays = above[:, None] * sky.sky_lux.astype(np.float32)
     level = sky.sky_lux + max(float(sky.to_sun[2]), 0.0) * sky.sun_lux
     below = np.float32(ground_albedo) * (0.5 - 0.5 * upness)
-    starts: FloatRays = hits.points_m - origin_m
-    starts += np.float32(_OFF_SURFACE_M) * hits.normals
+    starts = _off_surfaces(hits, origin_m)
     if (level > 0.0).any() and not (upness > 0.999).all():
         lux += below[:, None] * level.astype(np.float32)
     if (sky.sun_lux > 0.0).any() and sky.to_sun[2] > 0.0:
@@ -299,10 +298,8 @@ def illuminance(
         free = facing[~caster.is_blocked(starts[facing], way)]
         lux[free] += cosine[free, None] * sky.sun_lux.astype(np.float32)
     # Lamps that drive come last: pictures of what stands still are made without them.
-    for group in (
-        [lamp for lamp in lamps if not isinstance(lamp, HeadLamp)],
-        [lamp for lamp in lamps if isinstance(lamp, HeadLamp)],
-    ):
+    for kind in (StreetLamp, HeadLamp):
+        group = [lamp for lamp in lamps if isinstance(lamp, kind)]
         if group:
             _add_lamps(lux, hits, starts, caster, group, below)
     return lux
@@ -318,10 +315,15 @@ def add_headlights(
     ground_albedo: float,
 ) -> None:
     """Add the light of headlights to what falls on surfaces without them, (n, 3), in place."""
+    below = np.float32(ground_albedo) * (0.5 - 0.5 * hits.normals[:, 2])
+    _add_lamps(lux, hits, _off_surfaces(hits, origin_m), caster, headlights, below)
+
+
+def _off_surfaces(hits: Hits, origin_m: FloatRays) -> FloatRays:
+    """Points just off surfaces, (n, 3), from an origin (3,): rays towards the light start there."""
     starts: FloatRays = hits.points_m - origin_m
     starts += np.float32(_OFF_SURFACE_M) * hits.normals
-    below = np.float32(ground_albedo) * (0.5 - 0.5 * hits.normals[:, 2])
-    _add_lamps(lux, hits, starts, caster, headlights, below)
+    return starts
 
 
 def _add_lamps(
@@ -343,20 +345,14 @@ def _add_lamps(
         if np.linalg.norm(position - np.clip(position, low, high)) > lamp.reach_m:
             continue
         away = points - position[:, None]
-        square = away[0] * away[0]
-        square += away[1] * away[1]
-        square += away[2] * away[2]
+        square = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
         away *= 1.0 / np.sqrt(square)
         strength = lamp.intensity_cd(away)
         strength /= square
         strength *= square < np.float32(lamp.reach_m**2)
         # Light on the ground below comes back from it.
-        glow = np.minimum(away[2], 0.0)
-        glow *= strength
-        glow *= below
-        cosine = away[0] * normals[0]
-        cosine += away[1] * normals[1]
-        cosine += away[2] * normals[2]
+        glow = np.minimum(away[2], 0.0) * strength * below
+        cosine = away[0] * normals[0] + away[1] * normals[1] + away[2] * normals[2]
         strength *= np.maximum(-cosine, 0.0)
         total += strength
         direct.append((lamp, strength))

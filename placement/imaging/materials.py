@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geometry.arrays import float_array
+from geometry.arrays import BoolArray, float_array
 from geometry.errors import InputError
 from geometry.files import load_toml, read_table
 from geometry.raycast import FloatRays
@@ -42,18 +42,7 @@ class Hits:
     points_m: FloatRays  # (n, 3), world frame
     normals: FloatRays  # (n, 3), unit, on the side from which the ray came
     thing: Index  # (n,): index of the thing
-    distance_m: FloatRays  # (n,), from the camera
     pixel_m: FloatRays  # (n,): size of a pixel on the surface, the mean of its two sides
-
-    def take(self, index: Any) -> "Hits":
-        """Keep some, by index."""
-        return Hits(
-            points_m=self.points_m.take(index, axis=0),
-            normals=self.normals.take(index, axis=0),
-            thing=self.thing.take(index),
-            distance_m=self.distance_m.take(index),
-            pixel_m=self.pixel_m.take(index),
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -352,9 +341,7 @@ def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
     front, rear = facing[:, 0] > 0.3, facing[:, 0] < -0.3
     is_upright, level = facing[:, 2] < 0.84, z / height
     is_van = height > 1.8
-    albedo = materials.albedo
-    coat = blank_coat(len(x))
-    coat.albedo[...] = things.colours[hits.thing, 0]
+    coat = _dressed(hits, things)
     coat.mirror[...] = materials.gloss["lacquer"]
     is_side = np.abs(facing[:, 1]) > 0.6
     pane_low = np.where(is_van, np.float32(0.60), np.float32(0.675))
@@ -364,27 +351,18 @@ def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
     closed = is_van & (x < 0.16 * length)
     pane &= np.where(is_side, ~(pillar | closed), side < 0.385 * width)
     pane &= is_side | front | (rear & ~is_van)
-    for name, where in (
-        ("pane", pane),
-        ("trim", level < 0.155),
-        ("trim", front & (side < 0.30 * width) & (level > 0.22) & (level < 0.40)),
-        ("plate", (front | rear) & (side < 0.26) & (level > 0.27) & (level < 0.345)),
-        (
-            "head-lamp",
-            front & (x > 0.36 * length) & (side > 0.26 * width) & (level > 0.40) & (level < 0.50),
-        ),
-        (
-            "tail-lamp",
-            rear & (x < -0.4 * length) & (side > 0.30 * width) & (level > 0.47) & (level < 0.62),
-        ),
-    ):
-        coat.albedo[where] = albedo[name]
+    head = front & (x > 0.36 * length) & (side > 0.26 * width) & (level > 0.40) & (level < 0.50)
+    tail = rear & (x < -0.4 * length) & (side > 0.30 * width) & (level > 0.47) & (level < 0.62)
     is_dull = level < 0.155
+    grille = front & (side < 0.30 * width) & (level > 0.22) & (level < 0.40)
+    plate = (front | rear) & (side < 0.26) & (level > 0.27) & (level < 0.345)
+    _paint(coat, materials, pane=pane, trim=is_dull | grille, plate=plate)
+    _paint(coat, materials, head_lamp=head, tail_lamp=tail)
     for axle in things.axles_m[hits.thing].T:
         from_hub = np.hypot(x - axle, z - np.float32(_WHEEL_M))
         is_wheel = (from_hub < _WHEEL_M + 0.012) & (side > 0.5 * width - 0.32)
-        coat.albedo[is_wheel] = albedo["tyre"]
-        coat.albedo[is_wheel & (from_hub < _RIM_SHARE * _WHEEL_M)] = albedo["rim"]
+        is_rim = is_wheel & (from_hub < _RIM_SHARE * _WHEEL_M)
+        _paint(coat, materials, tyre=is_wheel, rim=is_rim)
         is_dull |= is_wheel
     coat.mirror[is_dull] = 0.0
     return coat
@@ -394,78 +372,74 @@ def coat_pedestrian(hits: Hits, things: Things, materials: Materials) -> Coat:
     """Shoes, trousers, top, hands, face, hair: by height."""
     x, y, z, _ = _into_body(hits, things)
     _, width, height = things.size_m[hits.thing].T
-    level, albedo = z / height, materials.albedo
-    coat = blank_coat(len(x))
-    coat.albedo[...] = things.colours[hits.thing, 0]
-    is_leg = level < 0.50
+    level = z / height
     # Arms reach down to the hips: sleeves down to the wrists, then hands.
     is_arm = (np.abs(y) > 0.36 * width) & (level > 0.34)
-    coat.albedo[is_leg & ~is_arm] = things.colours[hits.thing, 1][is_leg & ~is_arm]
-    coat.albedo[is_arm & (level < 0.435)] = albedo["skin"]
-    coat.albedo[level < 0.045] = albedo["shoes"]
-    coat.albedo[level > 0.835] = albedo["skin"]
+    coat = _dressed(hits, things, is_leg=(level < 0.50) & ~is_arm)
     is_hair = (level > 0.945) | ((level > 0.875) & (x < 0.012 * height))
-    coat.albedo[is_hair] = albedo["hair"]
+    _paint(coat, materials, skin=is_arm & (level < 0.435), shoes=level < 0.045)
+    _paint(coat, materials, skin=level > 0.835, hair=is_hair)
     return coat
 
 
 def coat_cyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     """Bicycle, shoes, trousers, top, hands, face, helmet."""
     x, y, z, _ = _into_body(hits, things)
-    side, albedo = np.abs(y), materials.albedo
+    side = np.abs(y)
     is_bicycle = (z < 0.86) & ((side < 0.055) | (x > 0.30))
     is_tyre = is_bicycle & (np.minimum(np.abs(x - 0.59), np.abs(x + 0.62)) < 0.37) & (side < 0.03)
-    coat = blank_coat(len(x))
-    coat.albedo[...] = things.colours[hits.thing, 0]
-    is_leg = (z < 1.06) & (x < 0.30)
-    coat.albedo[is_leg] = things.colours[hits.thing, 1][is_leg]
-    coat.albedo[(z < 0.32) & (side > 0.055)] = albedo["shoes"]
-    coat.albedo[is_bicycle] = albedo["bicycle"]
-    coat.albedo[is_tyre] = albedo["tyre"]
-    coat.albedo[(x > 0.30) & (z > 0.86) & (z < 1.2)] = albedo["bicycle"]
-    coat.albedo[(x > 0.30) & (side > 0.165) & (z > 1.04) & (z < 1.2)] = albedo["skin"]
-    coat.albedo[z > 1.52] = albedo["skin"]
-    coat.albedo[z > 1.695] = albedo["helmet"]
+    is_grip = (x > 0.30) & (z < 1.2)
+    coat = _dressed(hits, things, is_leg=(z < 1.06) & (x < 0.30))
+    shoes = (z < 0.32) & (side > 0.055)
+    _paint(coat, materials, shoes=shoes, bicycle=is_bicycle, tyre=is_tyre)
+    _paint(coat, materials, bicycle=is_grip & (z > 0.86))
+    _paint(coat, materials, skin=(is_grip & (side > 0.165) & (z > 1.04)) | (z > 1.52))
+    _paint(coat, materials, helmet=z > 1.695)
     return coat
 
 
 def coat_motorcyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     """Motorcycle, its tyres, tank, lamps and plate; boots, trousers, jacket, gloves, helmet."""
     x, y, z, facing = _into_body(hits, things)
-    axles = things.axles_m[hits.thing]
-    side, albedo = np.abs(y), materials.albedo
-    coat = blank_coat(len(x))
-    jacket, trousers = things.colours[hits.thing].swapaxes(0, 1)
-    coat.albedo[...] = jacket
+    side = np.abs(y)
     # Legs hang outside the engine, from the seat to the foot rests.
     is_rider = ((z > 0.83) & (x < 0.28) & (x > -0.45)) | (z > 1.1)
     is_leg = (side > 0.125) & (x > -0.40) & (x < 0.22) & (z > 0.26)
     is_leg |= is_rider & (z < 0.92)
     is_machine = ~is_rider & ~is_leg
-    coat.albedo[is_leg] = trousers[is_leg]
-    coat.albedo[is_leg & (z < 0.42)] = albedo["shoes"]
-    coat.albedo[is_machine] = albedo["trim"]
+    coat = _dressed(hits, things, is_leg=is_leg)
     tank = is_machine & (z > 0.62) & (z < 0.95) & (x > -0.02) & (x < 0.50) & (side < 0.19)
-    tail = is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55)
-    is_painted = tank | tail
-    coat.albedo[is_painted] = albedo["motorcycle"]
-    coat.mirror[is_painted] = materials.gloss["lacquer"]
-    coat.albedo[is_machine & (x > 0.55) & (z > 0.72) & (z < 0.96)] = albedo["head-lamp"]
+    is_painted = tank | (is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55))  # and the tail
     is_rear = is_machine & (facing[:, 0] < -0.3) & (x < -0.90)
-    coat.albedo[is_rear & (z > 0.76)] = albedo["tail-lamp"]
-    coat.albedo[is_rear & (z < 0.72)] = albedo["plate"]
-    for axle in axles.T:
+    is_head = is_machine & (x > 0.55) & (z > 0.72) & (z < 0.96)
+    shoes = is_leg & (z < 0.42)
+    _paint(coat, materials, shoes=shoes, trim=is_machine, motorcycle=is_painted, head_lamp=is_head)
+    _paint(coat, materials, tail_lamp=is_rear & (z > 0.76), plate=is_rear & (z < 0.72))
+    for axle in things.axles_m[hits.thing].T:
         from_hub = np.hypot(x - axle, z - np.float32(0.307))
         is_wheel = is_machine & (from_hub < 0.325) & (side < 0.09)
-        coat.albedo[is_wheel] = albedo["tyre"]
-        coat.albedo[is_wheel & (from_hub < 0.22)] = albedo["rim"]
-    coat.albedo[(x > 0.31) & (side > 0.25) & (z > 0.93) & (z < 1.02)] = albedo["shoes"]  # gloves
+        _paint(coat, materials, tyre=is_wheel, rim=is_wheel & (from_hub < 0.22))
     is_helmet = z > 1.42
-    coat.albedo[is_helmet] = albedo["helmet"]
-    coat.mirror[is_helmet] = materials.gloss["lacquer"]
-    is_visor = is_helmet & (z > 1.49) & (z < 1.60) & (facing[:, 0] > 0.55)
-    coat.albedo[is_visor] = albedo["pane"]
+    gloves = (x > 0.31) & (side > 0.25) & (z > 0.93) & (z < 1.02)
+    visor = is_helmet & (z > 1.49) & (z < 1.60) & (facing[:, 0] > 0.55)
+    _paint(coat, materials, shoes=gloves, helmet=is_helmet, pane=visor)
+    coat.mirror[is_painted | is_helmet] = materials.gloss["lacquer"]
     return coat
+
+
+def _dressed(hits: Hits, things: Things, *, is_leg: BoolArray | None = None) -> Coat:
+    """A coat in the colours of things: of the top, and of legs where these are."""
+    coat = blank_coat(len(hits.thing))
+    coat.albedo[...] = things.colours[hits.thing, 0]
+    if is_leg is not None:
+        coat.albedo[is_leg] = things.colours[hits.thing, 1][is_leg]
+    return coat
+
+
+def _paint(coat: Coat, materials: Materials, **parts: BoolArray) -> None:
+    """Paint masks of hits, one over the other, each with the albedo of its name."""
+    for name, where in parts.items():
+        coat.albedo[where] = materials.albedo[name.replace("_", "-")]
 
 
 def _into_body(hits: Hits, things: Things) -> tuple[FloatRays, FloatRays, FloatRays, FloatRays]:

@@ -106,22 +106,20 @@ def build_frame_mesh(
 def build_moving_meshes(run: Run, frame_index: int, *, with_vut: bool) -> tuple[Mesh, ...]:
     """Moving things of a frame, each in a mesh of its own; see :func:`build_frame_mesh`."""
     bodies = [
-        _body_mesh(
-            f"driving-{number}",
-            body.actor,
-            body.actor.shapes[0],
-            _road_pose(run, body.position_m[frame_index], body.yaw_deg[frame_index]),
-        )
-        for number, body in enumerate(run.traffic, start=1)
+        (f"driving-{n}", body.actor, 0, body.position_m[frame_index], body.yaw_deg[frame_index])
+        for n, body in enumerate(run.traffic, start=1)
         if body.is_there[frame_index]
     ]
+    vut, vru = run.encounter.vut, run.encounter.vru
     if with_vut:
-        vut = run.encounter.vut
-        bodies.append(_body_mesh("vut", vut, vut.shapes[0], vut_pose(run, frame_index)))
-    vru = run.encounter.vru
-    shape = vru.shapes[int(run.vru_shape[frame_index])]
-    bodies.append(_body_mesh("vru", vru, shape, vru_pose(run, frame_index)))
-    return tuple(bodies)
+        where = run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index]
+        bodies.append(("vut", vut, 0, *where))
+    where = run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index]
+    bodies.append(("vru", vru, int(run.vru_shape[frame_index]), *where))
+    return tuple(
+        _body_mesh(name, actor, actor.shapes[shape], _road_pose(run, position_m, yaw_deg))
+        for name, actor, shape, position_m, yaw_deg in bodies
+    )
 
 
 def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
@@ -211,11 +209,6 @@ class _TwoCasters:
 def vut_pose(run: Run, frame_index: int) -> Pose:
     """Body frame of the VUT in a frame."""
     return _road_pose(run, run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index])
-
-
-def vru_pose(run: Run, frame_index: int) -> Pose:
-    """Body frame of the VRU in a frame."""
-    return _road_pose(run, run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index])
 
 
 def _road_pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
@@ -350,27 +343,6 @@ class PointCloud:
     names: tuple[str, ...]  # the scene's instances, "parked-1" .., "vut" if it is there, "vru"
 
 
-def scan_cloud(
-    scene: Scene,
-    run: Run,
-    frame_index: int,
-    pose: Pose,
-    lidar: LidarModel,
-    *,
-    weather: Weather,
-    with_vut: bool = True,
-    seed: int = 0,
-) -> PointCloud:
-    """Scan one frame of a run: one point for each pulse that comes back.
-
-    The VUT's own LiDAR does not see the VUT (`with_vut`). The seed is that of noise, and of which
-    pulses come back.
-    """
-    static = build_static_mesh(scene, run.obstruction)
-    mesh = build_frame_mesh(static, run, frame_index, pose.position_m, with_vut=with_vut)
-    return scan_mesh(mesh, run, pose, lidar, weather=weather, seed=seed)
-
-
 def scan_mesh(
     mesh: FrameMesh,
     run: Run,
@@ -380,7 +352,10 @@ def scan_mesh(
     weather: Weather,
     seed: int | Sequence[int] = 0,
 ) -> PointCloud:
-    """Scan a frame's mesh, whose origin is at the LiDAR; see :func:`scan_cloud`."""
+    """Scan a frame's mesh, whose origin is at the LiDAR: one point for each pulse that comes back.
+
+    The seed is that of noise, and of which pulses come back.
+    """
     beams = beam_directions(lidar).reshape(-1, 3)
     ways = beams @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
     starts = lidar.near_m * ways
@@ -388,8 +363,14 @@ def scan_mesh(
     hits = triangle >= 0
     triangle, distance = triangle[hits], share[hits].astype(np.float64) + lidar.near_m
     instance = mesh.triangle_thing[triangle]
-    reflectivity = _reflectivity(mesh, run)[instance]
-    cosine = np.abs(np.einsum("ni,ni->n", _normals(mesh)[triangle], ways[hits]))
+    by_class = load_surface_reflectivity()
+    of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
+    of_things = [of_vru if t.name == "vru" else by_class[t.class_name] for t in mesh.things]
+    reflectivity = np.array(of_things)[instance]
+    a, b, c = np.moveaxis(mesh.corners_m[triangle].astype(np.float64), 1, 0)
+    across = np.cross(b - a, c - a)
+    normals = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
+    cosine = np.abs(np.einsum("ni,ni->n", normals, ways[hits]))
     rng = np.random.default_rng(seed)
     probability = return_probability(
         lidar,
@@ -406,20 +387,3 @@ def scan_mesh(
         instance=instance[returns].astype(np.int32),
         names=tuple(thing.name for thing in mesh.things),
     )
-
-
-def _reflectivity(mesh: FrameMesh, run: Run) -> FloatArray:
-    """Reflectivity of each thing, (n_things,)."""
-    by_class = load_surface_reflectivity()
-    of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
-    return np.array(
-        [of_vru if thing.name == "vru" else by_class[thing.class_name] for thing in mesh.things]
-    )
-
-
-def _normals(mesh: FrameMesh) -> FloatArray:
-    """Flat unit normals of the triangles, (m, 3)."""
-    a, b, c = np.moveaxis(mesh.corners_m.astype(np.float64), 1, 0)
-    across = np.cross(b - a, c - a)
-    normals: FloatArray = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
-    return normals

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.actors import PlacedActor
-from geometry.arrays import FloatArray, IntArray
+from geometry.arrays import IntArray
 from geometry.files import take_number
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
@@ -76,7 +76,7 @@ _CLASSES = (
 class Shot:
     """All that a picture is made from."""
 
-    R_world_camera: FloatArray  # (3, 3)
+    pose: Pose
     camera: CameraModel
     mesh: FrameMesh  # its origin is at the camera
     things: Things  # of the mesh, as arrays
@@ -157,7 +157,8 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     radiance[nothing] = sky.luminance(ways[nothing, 2] / length[nothing])
     met = np.flatnonzero(is_hit)
     instance[met] = mesh.triangle_thing.take(triangle[met])
-    kinds = _kinds(shot)[instance]
+    classes = [_CLASSES.index(thing.class_name) for thing in mesh.things]
+    kinds = np.array(classes, dtype=np.int8)[instance]
     for kind in np.unique(kinds[met]).tolist():
         index = np.flatnonzero(is_hit & (kinds == kind))
         ahead = ways[index] / length[index, None]
@@ -171,15 +172,10 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     return Shades(radiance, instance, depth), surfaces
 
 
-def _kinds(shot: Shot) -> NDArray[np.int8]:
-    """Class of each thing, as an index into ``_CLASSES``."""
-    return np.array([_CLASSES.index(thing.class_name) for thing in shot.mesh.things], dtype=np.int8)
-
-
 def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
     """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
     right, ahead = ray_parts(shot, rows, columns)
-    return (ahead[:, None] + right[None]).reshape(-1, 3)
+    return (ahead[:, None] + right).reshape(-1, 3)
 
 
 def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, FloatRays]:
@@ -188,7 +184,7 @@ def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, Float
     focal = camera.focal_length_px
     across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
     down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
-    rotation = shot.R_world_camera
+    rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
     return (
         (across[:, None] * rotation[:, 0]).astype(np.float32),
         (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32),
@@ -202,7 +198,8 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
     in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
     in_camera[:, 2] = 1.0
-    return in_camera @ shot.R_world_camera.T.astype(np.float32)
+    rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
+    return in_camera @ rotation.T.astype(np.float32)
 
 
 def _find_hits(
@@ -221,7 +218,6 @@ def _find_hits(
         points_m=local + mesh.origin_m.astype(np.float32),
         normals=normals,
         thing=mesh.triangle_thing.take(triangle),
-        distance_m=distance,
         pixel_m=pixel,
     )
 
@@ -243,13 +239,7 @@ def _interpolated_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays
 
 def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[FloatRays, Surfaces]:
     """Luminance of surfaces towards the camera, (n, 3), in cd/m^2."""
-    sky_share = None
-    if class_name == "ground":
-        coat, sky_share = coat_ground(
-            hits, shot.ground, shot.materials, wetness=shot.weather.wetness
-        )
-    else:
-        coat = _coat(shot, class_name, hits)
+    coat, sky_share = _coat(shot, class_name, hits)
     lux = illuminance(
         hits,
         caster=shot.mesh.caster,
@@ -259,29 +249,30 @@ def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[F
         sky_share=sky_share,
         ground_albedo=ground_albedo(),
     )
-    light: FloatRays = lux * coat.albedo
-    light *= np.float32(1.0 / np.pi)
-    light += coat.glow
+    light: FloatRays = lux * coat.albedo * np.float32(1.0 / np.pi) + coat.glow
     mirrored = _add_mirrored(shot, light, coat, hits, ahead)
     return light, Surfaces(coat.albedo, lux, hits.normals, mirrored)
 
 
-def _coat(shot: Shot, class_name: str, hits: Hits) -> Coat:
+def _coat(shot: Shot, class_name: str, hits: Hits) -> tuple[Coat, FloatRays | None]:
+    """Coat of surfaces, and the share of skylight that reaches them, (n,), where not all does."""
     materials, ground = shot.materials, shot.ground
-    match class_name:
-        case "building":
-            return coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps)
-        case "wall":
-            return coat_wall(hits, ground, materials)
-        case "pedestrian":
-            return coat_pedestrian(hits, shot.things, materials)
-        case "cyclist":
-            return coat_cyclist(hits, shot.things, materials)
-        case "motorcyclist":
-            return coat_motorcyclist(hits, shot.things, materials)
-        case "vehicle" | "parked vehicle" | "car":
-            return coat_vehicle(hits, shot.things, materials)
-    return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")])
+    if class_name == "ground":
+        return coat_ground(hits, ground, materials, wetness=shot.weather.wetness)
+    if class_name == "building":
+        return coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps), None
+    if class_name == "wall":
+        return coat_wall(hits, ground, materials), None
+    if class_name in _BODY_COATS:
+        return _BODY_COATS[class_name](hits, shot.things, materials), None
+    return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")]), None
+
+
+_BODY_COATS = {
+    "pedestrian": coat_pedestrian,
+    "cyclist": coat_cyclist,
+    "motorcyclist": coat_motorcyclist,
+} | dict.fromkeys(("vehicle", "parked vehicle", "car"), coat_vehicle)
 
 
 def _add_mirrored(
@@ -311,11 +302,10 @@ def _add_mirrored(
     facing = shot.mesh.normals[met, 0]
     upness = facing[:, 2:]
     sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
-    lux = (0.5 + 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
-    lux += ground_albedo() * (0.5 - 0.5 * upness) * shot.sky.sky_lux.astype(np.float32)
+    sky_lux = shot.sky.sky_lux.astype(np.float32)
+    lux = (0.5 + 0.5 * upness) * sky_lux + ground_albedo() * (0.5 - 0.5 * upness) * sky_lux
     lux += sun * shot.sky.sun_lux.astype(np.float32)
-    albedo = shot.things.mean_albedo[shot.mesh.triangle_thing[met]]
-    lux *= albedo * np.float32(1.0 / np.pi)
+    lux *= shot.things.mean_albedo[shot.mesh.triangle_thing[met]] * np.float32(1.0 / np.pi)
     shot.sky.fade(lux, distance[things])
     seen[things] = lux
     light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen
@@ -367,30 +357,6 @@ def build_backdrop(scene: Scene, obstruction: Sequence[PlacedActor]) -> Backdrop
     )
 
 
-def render_picture(
-    scene: Scene,
-    run: Run,
-    frame_index: int,
-    pose: Pose,
-    camera: CameraModel,
-    *,
-    weather: Weather,
-    with_vut: bool = True,
-    compute: Compute = DEFAULT_COMPUTE,
-) -> Picture:
-    """Render one frame of a run; for many frames see :func:`draw_picture`."""
-    return draw_picture(
-        build_backdrop(scene, run.obstruction),
-        run,
-        frame_index,
-        pose,
-        camera,
-        weather=weather,
-        with_vut=with_vut,
-        compute=compute,
-    )
-
-
 def draw_picture(
     backdrop: Backdrop,
     run: Run,
@@ -421,7 +387,7 @@ def draw_picture(
         image = shade_image(shot, whole_image(camera), pool)
         edges = np.flatnonzero(find_edges(image.radiance))
         smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
-        rgb = expose_image(shot, image.radiance, pose, [compute.seed, frame_index], pool)
+        rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
     return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
 
 
@@ -450,7 +416,7 @@ def build_shot(
             lamps += build_headlights(run.encounter.vut, pose_vut, keeps_left=backdrop.keeps_left)
     materials = materials or load_materials()
     return Shot(
-        R_world_camera=camera_rotation(pose.yaw_deg, pose.pitch_deg),
+        pose=pose,
         camera=camera,
         mesh=mesh,
         things=build_things(mesh.things, materials),
@@ -484,15 +450,11 @@ def shade_image(
     )
 
     def shade(tile: tuple[slice, slice]) -> None:
-        rows, columns = tile
-        shades, met = shade_rays(
-            shot,
-            tile_rays(
-                shot,
-                slice(rows.start + window.top, rows.stop + window.top),
-                slice(columns.start + window.left, columns.stop + window.left),
-            ),
+        rows, columns = (
+            slice(part.start + first, part.stop + first)
+            for part, first in zip(tile, (window.top, window.left), strict=True)
         )
+        shades, met = shade_rays(shot, tile_rays(shot, rows, columns))
         wholes, parts = (image, shades) if surfaces is None else (image + surfaces, shades + met)
         for whole, part in zip(wholes, parts, strict=True):
             whole[tile] = part.reshape(whole[tile].shape)
@@ -515,7 +477,7 @@ def smooth_image(
 
 
 def expose_image(
-    shot: Shot, radiance: FloatRays, pose: Pose, seed: list[int], pool: ThreadPoolExecutor
+    shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
     from .exposure import (  # loads the compiler
@@ -527,13 +489,13 @@ def expose_image(
     )
 
     size = radiance.shape[:2]
-    add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster)
+    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
     add_rain(
         radiance,
         shot.camera,
         shot.weather,
         shot.sky,
-        pitch_deg=pose.pitch_deg,
+        pitch_deg=shot.pose.pitch_deg,
         exposure_s=load_imager()["rain_exposure_s"],
         rng=np.random.default_rng([*seed, *size]),
     )

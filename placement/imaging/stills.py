@@ -11,8 +11,10 @@ set by fewer pixels of the whole image.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
@@ -24,14 +26,7 @@ from geometry.weather import Weather
 from scenarios.runs import Run
 
 from ..compute import DEFAULT_COMPUTE, Compute
-from .exposure import (
-    add_glare,
-    add_rain,
-    develop,
-    find_edges,
-    load_imager,
-    white_luminance,
-)
+from .exposure import add_glare, add_rain, develop, find_edges, load_imager, white_luminance
 from .light import HeadLamp, add_headlights
 from .materials import Hits, Materials
 from .mesh import (
@@ -77,7 +72,6 @@ class Still:
     """Image of what stands still, in one weather; drawn by :func:`draw_still`."""
 
     backdrop: Backdrop
-    pose: Pose
     shot: Shot
     window: Window  # what is drawn of the image: (h, w) is its size
     raw: Shades  # (h, w): through the middles of the pixels
@@ -96,19 +90,17 @@ class Still:
         )
         down, across = np.divmod(self.mirrors[first:last], self.window.width)
         inside = np.flatnonzero((across >= left) & (across < left + window.width))
-        surfaces = self.surfaces
+
+        def cut(array: NDArray[Any]) -> NDArray[Any]:
+            return np.ascontiguousarray(array[part])
+
         return replace(
             self,
             window=window,
-            raw=Shades(
-                np.ascontiguousarray(self.raw.radiance[part]),
-                np.ascontiguousarray(self.raw.instance[part]),
-                np.ascontiguousarray(self.raw.depth_m[part]),
-            ),
-            surfaces=surfaces
-            and Surfaces(*(np.ascontiguousarray(array[part]) for array in surfaces)),
-            is_edge=np.ascontiguousarray(self.is_edge[part]),
-            smooth=np.ascontiguousarray(self.smooth[part]),
+            raw=Shades(*map(cut, self.raw)),
+            surfaces=self.surfaces and Surfaces(*map(cut, self.surfaces)),
+            is_edge=cut(self.is_edge),
+            smooth=cut(self.smooth),
             mirrors=(down[inside] - top) * window.width + across[inside] - left,
             mirrored=self.mirrored[first:last][inside],
         )
@@ -143,7 +135,6 @@ def draw_still(
     mirrors = np.flatnonzero(mirrored.any(axis=1))
     return Still(
         backdrop=backdrop,
-        pose=pose,
         shot=shot,
         window=window,
         raw=raw,
@@ -160,14 +151,8 @@ def scan_onto(
 ) -> PointCloud:
     """Scan a frame of a run by a LiDAR at the place of a still's camera."""
     moving = build_moving_meshes(run, frame_index, with_vut=True)
-    return scan_mesh(
-        add_moving_meshes(still.shot.mesh, moving),
-        run,
-        still.pose,
-        lidar,
-        weather=still.shot.weather,
-        seed=[seed, frame_index],
-    )
+    mesh, shot = add_moving_meshes(still.shot.mesh, moving), still.shot
+    return scan_mesh(mesh, run, shot.pose, lidar, weather=shot.weather, seed=[seed, frame_index])
 
 
 def draw_onto(
@@ -180,7 +165,7 @@ def draw_onto(
     """
     with start_pool(compute) as pool:
         shot, image, smooth = add_moving(still, run, frame_index, each=pool.map)
-        rgb = expose_image(shot, smooth, still.pose, [compute.seed, frame_index], pool)
+        rgb = expose_image(shot, smooth, [compute.seed, frame_index], pool)
     return Picture(
         rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(shot.mesh)
     )
@@ -199,7 +184,7 @@ def add_moving(
     shot = build_shot(
         still.backdrop,
         add_moving_meshes(base.mesh, moving),
-        still.pose,
+        base.pose,
         base.camera,
         base.weather,
         run=run,
@@ -207,7 +192,8 @@ def add_moving(
         materials=base.materials,
     )
     right, ahead = ray_parts(shot, window.rows, window.columns)
-    changed = _find_changed(still, shot, moving, right, ahead)
+    view = still.raw.depth_m, right, ahead
+    changed = _find_changed(still, shot, moving, view)
     raw = still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
     radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
@@ -227,7 +213,7 @@ def add_moving(
         smooth.reshape(-1, 3)[part] += more
 
     _in_parts(each, shade, np.flatnonzero(changed))
-    lit = _find_lit(still, shot, changed, right, ahead)
+    lit = _find_lit(shot, changed, view)
     _in_parts(each, shine, np.flatnonzero(lit))
     around = _grown(changed)
     smooth[around] = image.radiance[around]
@@ -242,10 +228,6 @@ def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) ->
         list(each(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
 
 
-def _headlights(shot: Shot) -> list[HeadLamp]:
-    return [lamp for lamp in shot.lamps if isinstance(lamp, HeadLamp)]
-
-
 def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatRays) -> FloatRays:
     """Radiance (n, 3) that headlights add to pixels (n,) of a still."""
     assert still.surfaces is not None
@@ -254,16 +236,14 @@ def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatR
     origin = shot.mesh.origin_m.astype(np.float32)
     distance = np.sqrt(np.einsum("ij,ij->i", local, local))
     lux = surfaces.lux.copy()
+    of_light = Hits(
+        points_m=local + origin,
+        normals=surfaces.normals,
+        thing=np.zeros(len(local), dtype=np.int32),
+        pixel_m=distance,
+    )
     add_headlights(
-        lux,
-        Hits(
-            points_m=local + origin,
-            normals=surfaces.normals,
-            thing=np.zeros(len(local), dtype=np.int32),
-            distance_m=distance,
-            pixel_m=distance,
-        ),
-        _headlights(shot),
+        *(lux, of_light, [lamp for lamp in shot.lamps if isinstance(lamp, HeadLamp)]),
         caster=shot.mesh.caster,
         origin_m=origin,
         ground_albedo=ground_albedo(),
@@ -284,50 +264,33 @@ def _grown(mask: BoolArray) -> BoolArray:
     return grown
 
 
-def _find_changed(
-    still: Still, shot: Shot, moving: Sequence[Mesh], right: FloatRays, ahead: FloatRays
-) -> BoolArray:
+def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], view: "View") -> BoolArray:
     """Pixels (h, w) that what moves may change, but for the light of its headlights."""
-    boxes = np.stack([_box(mesh, shot.mesh.origin_m) for mesh in moving])
+    origin_m = shot.mesh.origin_m
+    boxes = np.stack([_box(mesh, origin_m) for mesh in moving])
     lamps = [
-        [*(lamp.position_m - shot.mesh.origin_m), lamp.reach_m]
+        [*(lamp.position_m - origin_m), lamp.reach_m]
         for lamp in shot.lamps
         if not isinstance(lamp, HeadLamp)
     ]
-    has_sun = bool(shot.sky.sun_lux.any()) and shot.sky.to_sun[2] > 0.0
+    x, y, z = shot.sky.to_sun.tolist()
+    to_sun = (x, y, z) if shot.sky.sun_lux.any() and z > 0.0 else (0.0, 0.0, 0.0)
     changed = np.zeros(still.raw.depth_m.shape, dtype=np.bool_)
-    _mark(
-        changed,
-        still.raw.depth_m,
-        right,
-        ahead,
-        boxes,
-        shot.sky.to_sun if has_sun else np.zeros(3),
-        np.array(lamps).reshape(-1, 4),
-    )
-    _mark_mirrored(
-        changed.reshape(-1),
-        still.raw.depth_m.reshape(-1),
-        right,
-        ahead,
-        boxes,
-        still.mirrors,
-        still.mirrored,
-    )
+    _mark(changed, view, boxes, to_sun, np.array(lamps).reshape(-1, 4))
+    _mark_mirrored(changed, view, boxes, still.mirrors, still.mirrored)
     return changed
 
 
-def _find_lit(
-    still: Still, shot: Shot, changed: BoolArray, right: FloatRays, ahead: FloatRays
-) -> BoolArray:
+def _find_lit(shot: Shot, changed: BoolArray, view: "View") -> BoolArray:
     """Pixels (h, w) of a still on which headlights may shine."""
     lit = np.zeros(changed.shape, dtype=np.bool_)
     heads = [
         [*(lamp.position_m - shot.mesh.origin_m), lamp.reach_m, *lamp.R_world_lamp[:, 0]]
-        for lamp in _headlights(shot)
+        for lamp in shot.lamps
+        if isinstance(lamp, HeadLamp)
     ]
     if heads:
-        _mark_lit(lit, changed, still.raw.depth_m, right, ahead, np.array(heads))
+        _mark_lit(lit, changed, view, np.array(heads))
     return lit
 
 
@@ -399,7 +362,7 @@ def draw_crop(
     )
     edges = np.flatnonzero(find_edges(image.radiance))
     smooth_image(shot, window, image.radiance, edges, map)
-    return _expose(shot, image, image.radiance, pose, window, white_cd_m2, [seed, frame_index])
+    return _expose(shot, image, image.radiance, window, white_cd_m2, [seed, frame_index])
 
 
 def crop_onto(
@@ -416,15 +379,13 @@ def crop_onto(
     Only what moves changes is drawn anew; see :func:`placement.imaging.stills.draw_onto`.
     """
     shot, image, smooth = add_moving(still, run, frame_index, with_vut=with_vut)
-    seeds = [seed, frame_index]
-    return _expose(shot, image, smooth, still.pose, still.window, white_cd_m2, seeds)
+    return _expose(shot, image, smooth, still.window, white_cd_m2, [seed, frame_index])
 
 
 def _expose(
     shot: Shot,
     image: Shades,
     radiance: FloatRays,
-    pose: Pose,
     window: Window,
     white_cd_m2: float | None,
     seeds: list[int],
@@ -432,13 +393,13 @@ def _expose(
     """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
     rng = np.random.default_rng([*seeds, *window])
     corner = (window.left, window.top)
-    add_glare(radiance, pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
+    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
     add_rain(
         radiance,
         _window_camera(shot.camera, window),
         shot.weather,
         shot.sky,
-        pitch_deg=pose.pitch_deg,
+        pitch_deg=shot.pose.pitch_deg,
         exposure_s=load_imager()["rain_exposure_s"],
         rng=rng,
     )
@@ -500,138 +461,119 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
 # ---------- kernels
 
 
+Point = tuple[float, float, float]  # or a way: in the axes of the world, from the camera
+# Depths in pixels (h, w), and the parts of their rays by column (w, 3) and by row (h, 3).
+View = tuple[FloatRays, FloatRays, FloatRays]
+
+
 @kernel
-def _may_meet(
-    box: FloatArray,
-    px: float,
-    py: float,
-    pz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    radius: float,
-) -> bool:
+def _ray(view: View, row: int, column: int) -> Point:
+    """The ray through the middle of a pixel, one metre deep."""
+    _, right, ahead = view
+    return (
+        float(ahead[row, 0]) + right[column, 0],
+        float(ahead[row, 1]) + right[column, 1],
+        float(ahead[row, 2]) + right[column, 2],
+    )
+
+
+@kernel
+def _times(p: Point, factor: float) -> Point:
+    return p[0] * factor, p[1] * factor, p[2] * factor
+
+
+@kernel
+def _away(row: FloatArray, p: Point) -> Point:
+    """From a point to the one whose coordinates a row of numbers begins with."""
+    return row[0] - p[0], row[1] - p[1], row[2] - p[2]
+
+
+@kernel
+def _dot(p: Point, q: Point) -> float:
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@kernel
+def _may_meet(box: FloatArray, p: Point, v: Point, radius: float) -> bool:
     """True if rays along v from within a radius of p may meet the sphere around a box.
 
     All rays are parallel, or all end where p + v is: then they come nearer to one another.
     """
-    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
-    along = dx * vx + dy * vy + dz * vz
-    away = dx * dx + dy * dy + dz * dz - (box[8] + radius) ** 2
-    if away <= 0.0:
-        return True
-    return bool(along >= 0.0 and away * (vx * vx + vy * vy + vz * vz) <= along * along)
+    d = _away(box, p)
+    along, away = _dot(d, v), _dot(d, d) - (box[8] + radius) ** 2
+    return bool(away <= 0.0 or (along >= 0.0 and away * _dot(v, v) <= along * along))
 
 
 @kernel
-def _meets(
-    box: FloatArray,
-    px: float,
-    py: float,
-    pz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    most: float,
-) -> bool:
+def _meets(box: FloatArray, p: Point, v: Point, most: float) -> bool:
     """True if a ray from p along v meets a box before `most` times v."""
-    if not _may_meet(box, px, py, pz, vx, vy, vz, 0.0):
+    if not _may_meet(box, p, v, 0.0):
         return False
-    dx, dy, dz = box[0] - px, box[1] - py, box[2] - pz
-    cos, sin = box[3], box[4]
+    d, cos, sin = _away(box, p), box[3], box[4]
     near, far = 0.0, most
-    for axis in range(3):  # the two faces of the box across each of its axes
-        if axis == 0:
-            middle, way = cos * dx + sin * dy, cos * vx + sin * vy
-        elif axis == 1:
-            middle, way = cos * dy - sin * dx, cos * vy - sin * vx
-        else:
-            middle, way = dz, vz
-        half = box[5 + axis]
+    for middle, way, half in (  # the two faces of the box across each of its axes
+        (cos * d[0] + sin * d[1], cos * v[0] + sin * v[1], box[5]),
+        (cos * d[1] - sin * d[0], cos * v[1] - sin * v[0], box[6]),
+        (d[2], np.float64(v[2]), box[7]),
+    ):
         if abs(way) < 1e-12:
             if abs(middle) > half:
                 return False
             continue
         first, second = (middle - half) / way, (middle + half) / way
-        if first > second:
-            first, second = second, first
-        near, far = max(near, first), min(far, second)
+        near, far = max(near, min(first, second)), min(far, max(first, second))
         if near > far:
             return False
     return True
 
 
 @kernel
-def _around(
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    rows: tuple[int, int],
-    columns: tuple[int, int],
-    sky_m: float,
-) -> tuple[float, float, float, float]:
+def _around(view: View, block: tuple[int, int, int, int], sky_m: float) -> tuple[Point, float]:
     """Middle and radius of a sphere around what a block of pixels sees; the sky is at `sky_m`."""
-    low_x = low_y = low_z = math.inf
-    high_x = high_y = high_z = -math.inf
-    for row in range(rows[0], rows[1]):  # pixels of the block
-        for column in range(columns[0], columns[1]):
-            depth = float(depth_m[row, column])
-            if math.isinf(depth):
-                depth = sky_m
-            x = (float(ahead[row, 0]) + right[column, 0]) * depth
-            y = (float(ahead[row, 1]) + right[column, 1]) * depth
-            z = (float(ahead[row, 2]) + right[column, 2]) * depth
-            low_x, high_x = min(low_x, x), max(high_x, x)
-            low_y, high_y = min(low_y, y), max(high_y, y)
-            low_z, high_z = min(low_z, z), max(high_z, z)
-    size = math.sqrt((high_x - low_x) ** 2 + (high_y - low_y) ** 2 + (high_z - low_z) ** 2)
-    middle = 0.5 * (low_x + high_x), 0.5 * (low_y + high_y), 0.5 * (low_z + high_z)
-    return middle[0], middle[1], middle[2], 0.5 * size + 1e-3
+    top, bottom, first, last = block
+    low, high = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
+    for row in range(top, bottom):  # pixels of the block
+        for column in range(first, last):
+            depth = float(view[0][row, column])
+            x, y, z = _times(_ray(view, row, column), sky_m if math.isinf(depth) else depth)
+            low = min(low[0], x), min(low[1], y), min(low[2], z)
+            high = max(high[0], x), max(high[1], y), max(high[2], z)
+    size = math.sqrt((high[0] - low[0]) ** 2 + (high[1] - low[1]) ** 2 + (high[2] - low[2]) ** 2)
+    middle = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
+    return middle, 0.5 * size + 1e-3
 
 
 @kernel
 def _is_changed(
-    vx: float,
-    vy: float,
-    vz: float,
+    ray: Point,
     depth: float,
     boxes: FloatArray,
-    to_sun: FloatArray,
+    to_sun: Point,
     lamps: FloatArray,
     possible: BoolArray,
 ) -> bool:
     """True if one of the possible boxes is seen in a pixel, or throws a shadow there."""
-    x, y, z = vx * depth, vy * depth, vz * depth
     for index in range(len(boxes)):  # boxes that may be seen there
-        if possible[index, 0] and _meets(boxes[index], 0.0, 0.0, 0.0, vx, vy, vz, depth):
+        if possible[index, 0] and _meets(boxes[index], (0.0, 0.0, 0.0), ray, depth):
             return True
     if math.isinf(depth):
         return False
+    at = _times(ray, depth)
     for index in range(len(boxes)):  # boxes that may hide the sun, or a lamp
-        if possible[index, 1] and _meets(
-            boxes[index], x, y, z, to_sun[0], to_sun[1], to_sun[2], math.inf
-        ):
+        if possible[index, 1] and _meets(boxes[index], at, to_sun, math.inf):
             return True
         for lamp in range(len(lamps)):
-            if not possible[index, 2 + lamp]:
-                continue
-            lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
-            if lx * lx + ly * ly + lz * lz <= lamps[lamp, 3] ** 2 and _meets(
-                boxes[index], x, y, z, lx, ly, lz, 1.0
-            ):
-                return True
+            if possible[index, 2 + lamp]:
+                way = _away(lamps[lamp], at)
+                is_lit = _dot(way, way) <= lamps[lamp, 3] ** 2
+                if is_lit and _meets(boxes[index], at, way, 1.0):
+                    return True
     return False
 
 
 @kernel
 def _mark(
-    changed: BoolArray,
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    boxes: FloatArray,
-    to_sun: FloatArray,
-    lamps: FloatArray,
+    changed: BoolArray, view: View, boxes: FloatArray, to_sun: Point, lamps: FloatArray
 ) -> None:
     """Mark pixels where a box is seen, or throws a shadow of sun or lamp.
 
@@ -649,85 +591,50 @@ def _mark(
         bottom = min(top + _BLOCK_PX, changed.shape[0])
         for first in range(0, changed.shape[1], _BLOCK_PX):
             last = min(first + _BLOCK_PX, changed.shape[1])
-            x, y, z, radius = _around(depth_m, right, ahead, (top, bottom), (first, last), sky_m)
-            n_possible = 0
+            at, radius = _around(view, (top, bottom, first, last), sky_m)
             for index in range(n_boxes):  # as a whole, by spheres around block and box
                 box = boxes[index]
-                possible[index, 0] = _may_meet(box, x, y, z, -x, -y, -z, radius)
-                possible[index, 1] = to_sun[2] > 0.0 and _may_meet(
-                    box, x, y, z, to_sun[0], to_sun[1], to_sun[2], radius
-                )
+                possible[index, 0] = _may_meet(box, at, _times(at, -1.0), radius)
+                possible[index, 1] = to_sun[2] > 0.0 and _may_meet(box, at, to_sun, radius)
                 for lamp in range(n_lamps):
-                    lx, ly, lz = lamps[lamp, 0] - x, lamps[lamp, 1] - y, lamps[lamp, 2] - z
-                    possible[index, 2 + lamp] = lx * lx + ly * ly + lz * lz <= (
-                        lamps[lamp, 3] + radius
-                    ) ** 2 and _may_meet(box, x, y, z, lx, ly, lz, radius)
-                for way in range(2 + n_lamps):
-                    n_possible += possible[index, way]
-            if n_possible == 0:
+                    way = _away(lamps[lamp], at)
+                    is_near = _dot(way, way) <= (lamps[lamp, 3] + radius) ** 2
+                    possible[index, 2 + lamp] = is_near and _may_meet(box, at, way, radius)
+            if not possible.any():
                 continue
             for row in range(top, bottom):  # then pixel by pixel
                 for column in range(first, last):
-                    changed[row, column] = _is_changed(
-                        float(ahead[row, 0]) + right[column, 0],
-                        float(ahead[row, 1]) + right[column, 1],
-                        float(ahead[row, 2]) + right[column, 2],
-                        float(depth_m[row, column]),
-                        boxes,
-                        to_sun,
-                        lamps,
-                        possible,
-                    )
+                    ray, depth = _ray(view, row, column), float(view[0][row, column])
+                    changed[row, column] = _is_changed(ray, depth, boxes, to_sun, lamps, possible)
 
 
 @kernel
-def _mark_lit(
-    lit: BoolArray,
-    changed: BoolArray,
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    heads: FloatArray,
-) -> None:
+def _mark_lit(lit: BoolArray, changed: BoolArray, view: View, heads: FloatArray) -> None:
     """Mark pixels that are not changed and lie before a headlight, in its reach."""
     for row in range(lit.shape[0]):  # pixels, and the headlights that may reach each
         for column in range(lit.shape[1]):
-            depth = float(depth_m[row, column])
+            depth = float(view[0][row, column])
             if changed[row, column] or math.isinf(depth):
                 continue
-            x = (float(ahead[row, 0]) + right[column, 0]) * depth
-            y = (float(ahead[row, 1]) + right[column, 1]) * depth
-            z = (float(ahead[row, 2]) + right[column, 2]) * depth
+            at = _times(_ray(view, row, column), depth)
             for lamp in range(len(heads)):
-                dx, dy, dz = x - heads[lamp, 0], y - heads[lamp, 1], z - heads[lamp, 2]
-                along = dx * heads[lamp, 4] + dy * heads[lamp, 5] + dz * heads[lamp, 6]
-                if along > 0.0 and dx * dx + dy * dy + dz * dz < heads[lamp, 3] ** 2:
+                way, head = _away(heads[lamp], at), heads[lamp]
+                is_ahead = _dot(way, (head[4], head[5], head[6])) < 0.0
+                if is_ahead and _dot(way, way) < head[3] ** 2:
                     lit[row, column] = True
 
 
 @kernel
 def _mark_mirrored(
-    changed: BoolArray,
-    depth_m: FloatRays,
-    right: FloatRays,
-    ahead: FloatRays,
-    boxes: FloatArray,
-    mirrors: IntArray,
-    mirrored: FloatRays,
+    changed: BoolArray, view: View, boxes: FloatArray, mirrors: IntArray, mirrored: FloatRays
 ) -> None:
     """Mark pixels whose mirrored ray meets a box."""
-    width = len(right)
+    width = changed.shape[1]
     for number in range(len(mirrors)):  # pixels with a mirrored ray, and the boxes
-        pixel = mirrors[number]
-        if changed[pixel]:
-            continue
-        row, column = pixel // width, pixel % width
-        depth = float(depth_m[pixel])
-        x = (float(ahead[row, 0]) + right[column, 0]) * depth
-        y = (float(ahead[row, 1]) + right[column, 1]) * depth
-        z = (float(ahead[row, 2]) + right[column, 2]) * depth
+        row, column = mirrors[number] // width, mirrors[number] % width
+        at = _times(_ray(view, row, column), float(view[0][row, column]))
         way = mirrored[number]
+        to = float(way[0]), float(way[1]), float(way[2])
         for index in range(len(boxes)):
-            if _meets(boxes[index], x, y, z, float(way[0]), float(way[1]), float(way[2]), math.inf):
-                changed[pixel] = True
-                break
+            if not changed[row, column]:
+                changed[row, column] = _meets(boxes[index], at, to, math.inf)

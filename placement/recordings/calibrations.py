@@ -3,9 +3,10 @@
 Where a file does not say where a camera stands, it is at the origin and looks along z.
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,12 +14,16 @@ from scipy.spatial.transform import Rotation
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text
-from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, Lens
+from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
 from geometry.untrusted_files import read_xml
 
-from .cvml import read_tsai
-from .kitti import read_kitti_camera
+from .files import read_lines
+from .formats import xml_number
 
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+_CM, _MM = 0.01, 1.0e-3
 _FISHEYES = ("fisheye", "equidistant")
 _MOST = 1.0e9
 _Size = tuple[int, int]
@@ -36,8 +41,7 @@ def read_cameras(path: Path, *, size_px: _Size | None = None) -> dict[str, Calib
         root = read_xml(path, expected="a calibration of OpenCV or Tsai")
         if root.tag != "opencv_storage":
             return {path.stem: read_tsai(path)}
-        record = {one.tag: _xml_value(one) for one in root}
-        return {path.stem: _camera(record, str(path), size_px)}
+        return {path.stem: _camera(_xml_record(root), str(path), size_px)}
     if "camera_matrix" not in text:
         width, height = _size(size_px, str(path))
         return {path.stem: read_kitti_camera(path, width_px=width, height_px=height)}
@@ -73,9 +77,14 @@ def _yaml_documents(text: str, path: Path) -> list[Mapping[str, Any]]:
     return found
 
 
-def _xml_value(element: Any) -> object:
-    data = element.find("data")
-    return (element.text or "").strip() if data is None else {"data": (data.text or "").split()}
+def _xml_record(root: "Element") -> dict[str, Any]:
+    """Elements of OpenCV's XML by name: matrices as maps of their data, others as text."""
+    found = {}
+    for one in root:
+        data = one.find("data")
+        words = (one.text or "").strip() if data is None else (data.text or "").split()
+        found[one.tag] = words if data is None else {"data": words}
+    return found
 
 
 def _camera(record: Mapping[str, Any], where: str, size_px: _Size | None) -> CalibratedCamera:
@@ -85,22 +94,27 @@ def _camera(record: Mapping[str, Any], where: str, size_px: _Size | None) -> Cal
     fx, cx, fy, cy = K[[0, 2, 4, 5]].tolist()
     width, height = _size(size_px, where, record)
     rotation, position = _stand(record, where)
+    return _calibrated(
+        where,
+        width_px=width,
+        height_px=height,
+        fx_px=fx,
+        fy_px=fy,
+        cx_px=cx,
+        cy_px=cy,
+        R_camera_world=rotation,
+        position_m=position,
+        lens=_lens(record, where),
+    )
+
+
+def _calibrated(where: str, **figures: Any) -> CalibratedCamera:
+    """A camera; errors name the file."""
     try:
-        return CalibratedCamera(
-            width_px=width,
-            height_px=height,
-            fx_px=fx,
-            fy_px=fy,
-            cx_px=cx,
-            cy_px=cy,
-            R_camera_world=rotation,
-            position_m=position,
-            lens=_lens(record, where),
-        )
+        return CalibratedCamera(**figures)
     except InputError as error:
-        raise InputError(
-            f"{where}: {error.where.removeprefix('camera: ')}", error.got, error.expected
-        ) from None
+        field = error.where.removeprefix("camera: ")
+        raise InputError(f"{where}: {field}", error.got, error.expected) from None
 
 
 def _size(size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None) -> _Size:
@@ -150,6 +164,8 @@ def _numbers(
 ) -> FloatArray:
     """Numbers of a matrix, a list, or a map of them."""
     value: Any = record.get(key)
+    if isinstance(value, str) and len(counts) == 1:
+        value = value.split()
     if isinstance(value, Mapping):
         value = value["data"] if "data" in value else [*value.values()]
     listed: list[Any] = value if isinstance(value, list) else [value]
@@ -162,3 +178,113 @@ def _numbers(
         got = Unquoted("nothing" if value is None else f"{len(listed)} of another kind or size")
         raise InputError(f"{where}: {key}", got, f"{count} finite numbers")
     return numbers
+
+
+def read_opencv_camera(
+    intrinsic: Path, extrinsic: Path, *, width_px: int, height_px: int
+) -> CalibratedCamera:
+    """A camera of OpenCV's XML: matrix and distortion in one file, rvec and tvec (cm) in another.
+
+    Raises InputError if numbers are missing or no camera's.
+    """
+    what = "a calibration of OpenCV"
+    pose = _xml_record(read_xml(extrinsic, expected=what))
+    turn, shift_cm = (_numbers(pose, key, (3,), str(extrinsic)) for key in ("rvec", "tvec"))
+    R = Rotation.from_rotvec(turn).as_matrix()
+    record = _xml_record(read_xml(intrinsic, expected=what)) | {
+        **{"image_width": width_px, "image_height": height_px},
+        **{"R": R.ravel().tolist(), "t": (_CM * shift_cm).tolist()},
+    }
+    return _camera(record, str(intrinsic), None)
+
+
+# ---------- KITTI
+
+
+def read_kitti_camera(path: Path, *, width_px: int, height_px: int) -> CalibratedCamera:
+    """A camera of a calibration file, in the frame of the rectified camera 0.
+
+    The file does not say how large the pictures are. Raises InputError if the matrix is missing, or
+    is no camera's.
+    """
+    names = ("name", *(f"number {index}" for index in range(1, 13)))
+    for fields in read_lines(path, names, separator=None, least=2):
+        if fields.words["name"].rstrip(":") == "P2":
+            break
+    else:
+        raise InputError(str(path), Unquoted("no P2"), "a line P2: with 12 numbers")
+    if len(fields.words) != len(names):
+        got = Unquoted(f"{len(fields.words) - 1} numbers")
+        raise InputError(f"{fields.place}: P2", got, "12 numbers")
+    P = np.array([fields.number(name) for name in names[1:]]).reshape(3, 4)
+    K = P[:, :3]
+    is_camera = K[0, 0] > 1.0e-3 and K[1, 1] > 1.0e-3
+    if not (is_camera and np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1])):
+        raise InputError(f"{fields.place}: P2", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
+    return _calibrated(
+        f"{fields.place}: P2",
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=K[0, 0],
+        fy_px=K[1, 1],
+        cx_px=K[0, 2],
+        cy_px=K[1, 2],
+        R_camera_world=np.eye(3),
+        position_m=-np.linalg.solve(K, P[:, 3]),
+    )
+
+
+# ---------- Tsai
+
+
+_GEOMETRY = ("width", "height", "dpx", "dpy")
+_INTRINSIC = ("focal", "kappa1", "cx", "cy", "sx")
+_EXTRINSIC = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+def read_tsai(path: Path) -> CalibratedCamera:
+    """A camera of Tsai's calibration in XML; lengths in the file are millimetres.
+
+    Raises InputError if something is missing or impossible.
+    """
+    root = read_xml(path, expected="a Tsai calibration")
+    g = _attributes(root, "Geometry", _GEOMETRY, path)
+    i = _attributes(root, "Intrinsic", _INTRINSIC, path)
+    e = _attributes(root, "Extrinsic", _EXTRINSIC, path)
+    for name, values in {"dpx": g, "dpy": g, "focal": i, "sx": i}.items():
+        if not values[name] > 1.0e-9:
+            raise InputError(f"{path}: {name}", values[name], "more than 0")
+    turn = _turns(e["rx"], e["ry"], e["rz"])
+    shift_m = _MM * np.array([e["tx"], e["ty"], e["tz"]])
+    return _calibrated(
+        str(path),
+        width_px=round(g["width"]),
+        height_px=round(g["height"]),
+        fx_px=i["focal"] * i["sx"] / g["dpx"],
+        fy_px=i["focal"] / g["dpy"],
+        cx_px=i["cx"],
+        cy_px=i["cy"],
+        R_camera_world=turn,
+        position_m=-turn.T @ shift_m,
+        lens=TsaiRadial(kappa=i["kappa1"] * i["focal"] ** 2),
+    )
+
+
+def _attributes(
+    root: "Element", tag: str, names: tuple[str, ...], path: Path
+) -> Mapping[str, float]:
+    element = root.find(tag)
+    if element is None:
+        raise InputError(f"{path}: {tag}", Unquoted("nothing"), f"<{tag} {'= '.join(names)}=>")
+    return {name: xml_number(element, name, f"{path}: {tag}") for name in names}
+
+
+def _turns(x: float, y: float, z: float) -> FloatArray:
+    """Rotation about x, then y, then z, in radians, as Tsai's program has it."""
+    cx, cy, cz = math.cos(x), math.cos(y), math.cos(z)
+    sx, sy, sz = math.sin(x), math.sin(y), math.sin(z)
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    turn: FloatArray = about_z @ about_y @ about_x
+    return turn

@@ -1,6 +1,7 @@
 """Evaluation of recorded detections: match them with labels, confirm, and brake in time."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -92,6 +93,15 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
     Cases are "scenario-3-pedestrian" and so on.
     """
     form, drives = load_format(), recording.drives
+    last_s = [
+        last_brake_time_s(
+            vut_speed_mps=drive.vut_speed_mps,
+            vru_speed_mps=drive.vru_speed_mps,
+            is_same_direction=is_longitudinal(drive),
+            rule=rule,
+        )
+        for drive in drives
+    ]
     return FrameAxis(
         run_ids=_run_ids(drives),
         cases=tuple(f"scenario-{drive.scenario}-{drive.vru_class}" for drive in drives),
@@ -99,17 +109,7 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
         weathers=(RECORDED,) * len(drives),
         vut_speed_kmh=np.array([drive.vut_speed_mps * 3.6 for drive in drives]),
         weight=np.full(len(drives), 1.0 / len(drives)),
-        last_brake_time_s=np.array(
-            [
-                last_brake_time_s(
-                    vut_speed_mps=drive.vut_speed_mps,
-                    vru_speed_mps=drive.vru_speed_mps,
-                    is_same_direction=is_longitudinal(drive),
-                    rule=rule,
-                )
-                for drive in drives
-            ]
-        ),
+        last_brake_time_s=np.array(last_s),
         run_start=np.cumsum([0, *(drive.n_frames for drive in drives)]),
         time_s=np.concatenate(
             [np.arange(1 - drive.n_frames, 1) / form.frame_rate_hz for drive in drives]
@@ -119,12 +119,8 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
 
 def is_longitudinal(drive: Drive) -> bool:
     """True if the VUT catches up with a VRU that goes its way."""
-    return is_same_direction(
-        vut_speed_mps=drive.vut_speed_mps,
-        vru_speed_mps=drive.vru_speed_mps,
-        closing_speed_mps=drive.closing_speed_mps,
-        form=load_format(),
-    )
+    names = "vut_speed_mps", "vru_speed_mps", "closing_speed_mps"
+    return is_same_direction(**{name: getattr(drive, name) for name in names}, form=load_format())
 
 
 def is_same_direction(
@@ -169,10 +165,10 @@ def last_brake_time_s(
 def _run_ids(drives: Sequence[Drive]) -> tuple[str, ...]:
     """Ids of the drives; a speed that is driven again gets a number."""
     ids: list[str] = []
-    n_times: dict[str, int] = {}
+    n_times: Counter[str] = Counter()
     for drive in drives:
         name = f"recording/{drive.scenario}/{round(drive.vut_speed_mps * 3.6)}"
-        n_times[name] = n_times.get(name, 0) + 1
+        n_times[name] += 1
         ids.append(name if n_times[name] == 1 else f"{name}/{n_times[name]}")
     return tuple(ids)
 
@@ -191,16 +187,11 @@ def _detected(
             if unit == form.vut_folder and len(labels) > 1:
                 labels = [min(labels, key=lambda label: abs(label.distance_m - distance_m))]
             n_several += len(labels) > 1 and not np.isnan(distance_m)
-            found = (
-                [
-                    one
-                    for one in all_found.get(key, ())
-                    if one.confidence >= min_confidence
-                    and one.class_name in _FINDS[drive.vru_class]
-                ]
-                if labels
-                else []
-            )
+            found = [
+                one
+                for one in (all_found.get(key, ()) if labels else ())
+                if one.confidence >= min_confidence and one.class_name in _FINDS[drive.vru_class]
+            ]
             detected.append(not np.isnan(distance_m) and _is_match(labels, found))
     return np.array(detected), n_several
 

@@ -4,20 +4,25 @@ Reading is strict: every error names file, line and field.
 """
 
 import itertools
+import math
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from uuid import uuid4
 
+import msgspec
+
 from geometry.arrays import FloatArray, float_array
-from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, parse_number, read_table, read_text, write_new
+from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.files import load_toml, parse_number, read_bytes, read_table, read_text, write_new
 
 VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
+_MOST_FRAMES = 100_000_000
+_SIDES = ("min_x", "min_y", "max_x", "max_y")
 _WRITTEN = (*VRU_CLASSES, "motorcycle", "car")
 Box = tuple[float, float, float, float]
 
@@ -94,44 +99,100 @@ class World(NamedTuple):
     vru_speed_mps: float
 
 
+# ---------- folders, JSON, lines of text
+
+
+def entries_of(folder: Path, expected: str) -> list[Path]:
+    """What is in a folder; InputError, with what is expected, where it cannot be read."""
+    try:
+        return list(folder.iterdir())
+    except OSError as error:
+        raise InputError(str(folder), Unquoted(error.strerror or error), expected) from None
+
+
+def json_of(path: Path, **limits: int) -> Any:
+    """Content of a JSON file; `limits` are those of :func:`geometry.files.read_bytes`."""
+    try:
+        return msgspec.json.decode(read_bytes(path, **limits))
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(str(path), Unquoted(error), "a JSON file") from None
+
+
+class Fields:
+    """The fields of a line, taken by name."""
+
+    def __init__(self, path: Path, line: int, words: Sequence[str], names: Sequence[str]) -> None:
+        self.path, self.line = path, line
+        self.words = dict(zip(names, words, strict=False))
+
+    @property
+    def place(self) -> str:
+        """File and line."""
+        return f"{self.path}:{self.line}"
+
+    def number(self, name: str, *, least: float = -1.0e9, most: float = 1.0e9) -> float:
+        """A field's number; raises InputError unless it lies between `least` and `most`."""
+        return parse_number(self.words[name], f"{self.place}: {name}", least=least, most=most)
+
+    def whole(self, name: str, *, least: int = -1, most: int = _MOST_FRAMES) -> int:
+        """A field's whole number; raises InputError as :meth:`number` does."""
+        value = self.number(name, least=least, most=most)
+        if value != int(value):
+            raise InputError(f"{self.place}: {name}", self.words[name], "a whole number")
+        return int(value)
+
+    def box(self, names: Sequence[str], *, most: float = 1.0e9) -> Box:
+        """A box of the four fields that are named."""
+        left, top, right, bottom = (self.number(name, least=-most, most=most) for name in names)
+        return left, top, right, bottom
+
+
+def read_lines(
+    path: Path, names: Sequence[str], *, separator: str | None, least: int | None = None
+) -> Iterator[Fields]:
+    """Lines of a text file that are not empty, cut into fields.
+
+    Raises InputError where a line has fewer than `least` fields (by default all that are named), or
+    more than are named: a file that was cut off ends in such a line.
+    """
+    fewest = len(names) if least is None else least
+    for line, text in enumerate(read_text(path, "text").splitlines(), start=1):
+        words = [word.strip() for word in text.strip().split(separator)]
+        if not any(words):
+            continue
+        if not fewest <= len(words) <= len(names):
+            count = f"{fewest}" if fewest == len(names) else f"{fewest} to {len(names)}"
+            what = f"{count} fields: {(separator or ' ').join(names)}"
+            raise InputError(f"{path}:{line}", Unquoted(f"{len(words)} fields"), what)
+        yield Fields(path, line, words, names)
+
+
 def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
     """Labels of a unit's frame, ``UNIT/SCENARIO_FRAME.txt``, and how many lines repeat others.
 
     The file is empty where nothing is in view; boxes may extend beyond the image. Lines repeat
     because the generator opens its files for appending.
     """
-    lines, n_repeated = _lines(path)
-    labels = []
-    for number, line in lines:
-        fields = _fields(line, form.label_fields, path, number)
-        labels.append(
-            Label(
-                class_name=_class(fields[0], form, path, number),
-                box_px=_box(fields[1:5], form.label_fields[1:5], path, number),
-                distance_m=parse_number(fields[5], f"{path}:{number}: dist", least=0.0),
-            )
-        )
-    return labels, n_repeated
+    rows, n_repeated = _distinct(path, form.label_fields)
+    return [
+        Label(_class(row, form), _box(row), row.number("dist", least=0.0, most=math.inf))
+        for row in rows
+    ], n_repeated
 
 
 def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection], int]:
     """Detections of all units, ``Eval/SCENARIO_FRAME.txt``, and how many lines repeat others."""
-    lines, n_repeated = _lines(path)
-    detections = []
-    for number, line in lines:
-        fields = _fields(line, form.eval_fields, path, number)
-        detections.append(
-            Detection(
-                unit=fields[0],
-                class_name=_class(fields[1], form, path, number),
-                box_px=_box(fields[2:6], form.eval_fields[2:6], path, number),
-                confidence=parse_number(
-                    fields[6], f"{path}:{number}: confidence", least=0.0, most=1.0
-                ),
-                line_number=number,
-            )
+    rows, n_repeated = _distinct(path, form.eval_fields)
+    return [
+        Detection(
+            unit=row.words["cam_index"],
+            class_name=_class(row, form),
+            box_px=_box(row),
+            confidence=row.number("confidence", least=0.0, most=1.0),
+            line_number=row.line,
         )
-    return detections, n_repeated
+        for row in rows
+    ], n_repeated
 
 
 def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
@@ -171,43 +232,34 @@ def _once(text: str, n_fields: int) -> tuple[str, int]:
     return text, 0
 
 
-def _lines(path: Path) -> tuple[list[tuple[int, str]], int]:
-    """Distinct lines with their numbers, and how many lines repeat others."""
-    first_number: dict[str, int] = {}
-    n_lines = 0
-    for number, line in enumerate(read_text(path, "text").splitlines(), start=1):
-        text = line.strip()
-        if text:
-            n_lines += 1
-            first_number.setdefault(text, number)
-    return [(number, line) for line, number in first_number.items()], n_lines - len(first_number)
+def _distinct(path: Path, names: Sequence[str]) -> tuple[list[Fields], int]:
+    """Distinct lines of a file, cut into fields, and how many lines repeat others."""
+    lines = [line.strip() for line in read_text(path, "text").splitlines()]
+    first = {line: number for number, line in reversed([*enumerate(lines, start=1)]) if line}
+    rows = []
+    for line, number in sorted(first.items(), key=lambda item: item[1]):
+        words = line.split()
+        if len(words) != len(names):
+            raise InputError(f"{path}:{number}", line, f"{len(names)} fields: {' '.join(names)}")
+        rows.append(Fields(path, number, words, names))
+    return rows, sum(map(bool, lines)) - len(rows)
 
 
-def _fields(line: str, names: Sequence[str], path: Path, number: int) -> list[str]:
-    fields = line.split()
-    if len(fields) != len(names):
-        raise InputError(f"{path}:{number}", line, f"{len(names)} fields: {' '.join(names)}")
-    return fields
-
-
-def _class(word: str, form: RecordingFormat, path: Path, number: int) -> str:
-    if word not in form.actor_types:
-        raise InputError(
-            f"{path}:{number}: actor_type", word, "one of " + ", ".join(form.actor_types)
-        )
+def _class(row: Fields, form: RecordingFormat) -> str:
+    word = row.words["actor_type"]
+    check_one_of(f"{row.place}: actor_type", word, form.actor_types)
     return form.actor_types[word]
 
 
-def _box(words: Sequence[str], names: Sequence[str], path: Path, number: int) -> Box:
-    x_min, y_min, x_max, y_max = (
-        parse_number(word, f"{path}:{number}: {name}")
-        for word, name in zip(words, names, strict=True)
-    )
+def _box(row: Fields) -> Box:
+    x_min, y_min, x_max, y_max = row.box(_SIDES, most=math.inf)
     if x_max < x_min or y_max < y_min:
-        raise InputError(
-            f"{path}:{number}: box", Unquoted(" ".join(words)), "min_x <= max_x and min_y <= max_y"
-        )
+        got = Unquoted(" ".join(row.words[name] for name in _SIDES))
+        raise InputError(f"{row.place}: box", got, "min_x <= max_x and min_y <= max_y")
     return x_min, y_min, x_max, y_max
+
+
+# ---------- writing
 
 
 _BICYCLE = "bycicle"  # as the study's paper spells it
@@ -233,8 +285,7 @@ class WrittenDrive:
     label_distance_m: Mapping[str, FloatArray]  # (n_frames,): per unit, how far the VRU is. [m]
 
     def __post_init__(self) -> None:
-        if self.vru_class not in _WRITTEN:
-            raise InputError("vru_class", self.vru_class, "one of " + ", ".join(_WRITTEN))
+        check_one_of("vru_class", self.vru_class, _WRITTEN)
         object.__setattr__(self, "distance_m", float_array(self.distance_m, (-1,), "distance_m"))
         n_frames, units = len(self.distance_m), list(self.labels_px)
         for name, shape in (

@@ -1,28 +1,369 @@
-"""Which format a recording is in, and the boxes of a file in any of them."""
+"""Boxes of recordings in the formats of others, and which format a recording is in.
 
+MOT challenge: https://motchallenge.net/instructions; frames count from 1 in files, from 0 here.
+KITTI: A. Geiger et al., "Vision meets robotics: the KITTI dataset", 2013, and its development kit;
+RRC as in DeepFusionMOT, PointRCNN as in AB3DMOT. CVML: T. List, R. Fisher, "CVML - an XML-based
+computer vision markup language", 2004. WILDTRACK: T. Chavdarova et al., "WILDTRACK: a multi-camera
+HD dataset for dense unscripted pedestrian detection", 2018; places are cells of a grid.
+"""
+
+import re
 import stat
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
+import msgspec
+import numpy as np
+from msgspec import Meta
 
-from .boxes import RecordedBoxes
-from .cvml import read_cvml
-from .files import load_format
-from .kitti import read_kitti_labels, read_pointrcnn, read_rrc
-from .mot import read_mot
-from .wildtrack import is_wildtrack
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.files import parse_number, read_table, read_text
+from geometry.untrusted_files import read_xml
+
+from .files import Box, Fields, entries_of, json_of, load_format, read_lines
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+IGNORE = "ignore"
+"""Class of a region in which nothing is annotated: what is found there does not count."""
+
+JUMPS = "tracks that jump"
+_MOST_HEIGHTS = 8.0
+"""A box's middle that moves on by more of its heights in a frame jumps: assumption. The most in
+PETS (7 Hz) is 0.1, in KITTI's even sequences (10 Hz) 3.2, in WILDTRACK (2 Hz) 5.8."""
+
+_NOWHERE = (np.nan, np.nan, np.nan)
+
+
+class BoxRow(NamedTuple):
+    """A box in a file, and where it stands there: a line, or words."""
+
+    place: str
+    frame: int
+    class_name: str  # "pedestrian", "cyclist", "car", "other" or "ignore"
+    box_px: Box
+    track: int = -1
+    score: float = np.nan
+    seen_share: float = np.nan
+    hidden_level: int = -1
+    position_m: tuple[float, float, float] = _NOWHERE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedBoxes:
+    """Boxes (n) in a camera's frames: annotated, or found by a detector."""
+
+    source: str  # file that they come from
+    frame: IntArray  # (n,): from 0; consecutive numbers are consecutive frames
+    class_name: tuple[str, ...]
+    # (n, 4): left, upper, right, lower side; without area: not in view. [px]
+    box_px: FloatArray
+    track: IntArray  # (n,): whose box it is; -1: not said
+    score: FloatArray  # (n,): a detector's; not a number where it is annotated
+    seen_share: FloatArray  # (n,): that nothing hides; not a number where it is not said
+    # (n,): KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said
+    hidden_level: IntArray
+    # (n, 3): middle of the body's foot in the recording's own frame; not a number: not said. [m]
+    position_m: FloatArray
+    left_out: Mapping[str, int] = field(default_factory=dict)  # what is not among them, how often
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def is_class(self, *names: str) -> BoolArray:
+        """Boxes of some classes, (n,)."""
+        return np.isin(np.array(self.class_name, dtype=str), names)
+
+    def take(self, rows: IntArray | BoolArray) -> "RecordedBoxes":
+        """Some of the boxes, by index or mask."""
+        index = np.arange(len(self))[rows]
+        values = {name: getattr(self, name) for name in self.__slots__}
+        arrays: dict[str, Any] = {
+            name: one[index] for name, one in values.items() if isinstance(one, np.ndarray)
+        }
+        names = tuple(self.class_name[one] for one in index.tolist())
+        return replace(self, class_name=names, **arrays)
+
+
+def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
+    """The boxes of a file's rows, in their order, without tracks that jump.
+
+    Raises InputError, with the row's place: a frame before that of the row above (of the same
+    track, where there are tracks), a negative width or height, numbers out of range.
+    """
+    kept = list(rows)
+    last: dict[int, int] = {}
+    for row in kept:
+        before = last.get(row.track, -1)
+        # A track is once in a frame; a detector finds several things in one.
+        if row.frame < before or (row.track >= 0 and row.frame == before):
+            what = f"of track {row.track}, once each, " if row.track >= 0 else ""
+            raise InputError(row.place, Unquoted(f"frame {row.frame}"), f"frames {what}in order")
+        last[row.track] = row.frame
+        left, top, right, bottom = row.box_px
+        if right < left or bottom < top:
+            got = Unquoted(f"{right - left:g} x {bottom - top:g} px")
+            raise InputError(f"{row.place}: box", got, "a width and a height, at least 0")
+
+    def column(name: str, kind: type, *size: int) -> Any:
+        return freeze(np.array([getattr(row, name) for row in kept], kind).reshape(-1, *size))
+
+    boxes = RecordedBoxes(
+        source=str(path),
+        class_name=tuple(row.class_name for row in kept),
+        **{name: column(name, np.int64) for name in ("frame", "track", "hidden_level")},
+        **{name: column(name, np.float64) for name in ("score", "seen_share")},
+        box_px=column("box_px", np.float64, 4),
+        position_m=column("position_m", np.float64, 3),
+    )
+    jumping = _jumping(boxes)
+    if not len(jumping):
+        return boxes
+    return replace(boxes.take(~np.isin(boxes.track, jumping)), left_out={JUMPS: len(jumping)})
+
+
+def _jumping(boxes: RecordedBoxes) -> IntArray:
+    """Tracks that move on too far between two of their boxes."""
+    left, top, right, bottom = boxes.box_px.T
+    rows = np.flatnonzero((boxes.track >= 0) & (right > left) & (bottom > top))
+    rows = rows[np.argsort(boxes.track[rows], kind="stable")]
+    before, after = rows[:-1], rows[1:]
+    moved = 0.5 * np.hypot(np.diff((left + right)[rows]), np.diff((top + bottom)[rows]))
+    height = np.maximum((bottom - top)[before], (bottom - top)[after])
+    is_same = boxes.track[before] == boxes.track[after]
+    is_far = moved > _MOST_HEIGHTS * height * (boxes.frame[after] - boxes.frame[before])
+    return np.unique(boxes.track[after[is_same & is_far]])
+
+
+# ---------- attributes of XML
+
+
+def xml_number(element: "Element", name: str, place: str) -> float:
+    """Number of an attribute."""
+    word = element.get(name)
+    if word is None:
+        raise InputError(f"{place}: {name}", Unquoted("nothing"), "a number")
+    return parse_number(word, f"{place}: {name}", least=-1.0e9, most=1.0e9)
+
+
+def xml_whole(element: "Element", name: str, place: str) -> int:
+    """Whole number of an attribute, at least 0."""
+    value = xml_number(element, name, place)
+    if value != int(value) or value < 0.0:
+        raise InputError(f"{place}: {name}", element.get(name), "a whole number, at least 0")
+    return int(value)
+
+
+# ---------- MOT challenge: annotated tracks (gt.txt) and detections (det.txt)
+
+
+_MOT = ("frame", "id", "left", "top", "width", "height", "conf", "class", "visibility", "z")
+_MOT_LEAST = 7  # the rest is -1, or missing
+_WITH_CLASSES = 9  # fields from 2016 on; in 2015 there were x, y, z in their place
+_PEDESTRIAN = 1
+# Ignored: riders, statues, reflections.
+_MOT_OTHERS = {3: "car", 2: IGNORE, 7: IGNORE, 8: IGNORE, 12: IGNORE}
+
+
+def mot_rows(path: Path) -> Iterator[BoxRow]:
+    """Boxes with an id are annotated, to be ignored if their flag is 0; others were found."""
+    for fields in read_lines(path, _MOT, separator=",", least=_MOT_LEAST):
+        frame = fields.whole("frame", least=1)
+        track = fields.whole("id")
+        left, top = fields.number("left"), fields.number("top")
+        box = (left, top, left + fields.number("width"), top + fields.number("height"))
+        conf = fields.number("conf")
+        if track < 0:
+            yield BoxRow(fields.place, frame - 1, "pedestrian", box, score=conf)
+            continue
+        name, seen = "pedestrian", float("nan")
+        if len(fields.words) == _WITH_CLASSES:
+            kind = fields.whole("class", least=-1, most=100)
+            name = name if kind in (_PEDESTRIAN, -1) else _MOT_OTHERS.get(kind, "other")
+            seen = fields.number("visibility", least=-1.0, most=1.0)
+            seen = seen if seen >= 0.0 else float("nan")
+        if conf not in (0.0, 1.0):
+            raise InputError(f"{fields.place}: conf", conf, "0 or 1 where there is an id")
+        name = name if conf else IGNORE
+        yield BoxRow(fields.place, frame - 1, name, box, track=track, seen_share=seen)
+
+
+# ---------- KITTI: annotated tracks, and two detectors' output
+
+
+_SIDES = ("left", "top", "right", "bottom")
+_PLACE = ("height", "width", "length", "x", "y", "z", "yaw")
+_LABEL = ("frame", "track", "type", "truncated", "occluded", "alpha", *_SIDES, *_PLACE)
+_RRC = ("frame", *_SIDES, "score")
+_POINTRCNN = ("frame", "type", *_SIDES, "score", *_PLACE, "alpha")
+_CLASSES = {"Pedestrian": "pedestrian", "Cyclist": "cyclist", "Car": "car", "DontCare": IGNORE}
+_OTHERS = ("Van", "Truck", "Person", "Person_sitting", "Tram", "Misc")
+_POINTRCNN_CLASSES = {1: "pedestrian", 2: "car", 3: "cyclist"}
+
+
+def kitti_rows(path: Path) -> Iterator[BoxRow]:
+    """Annotated road users; positions are in the frame of the rectified camera 0."""
+    for fields in read_lines(path, _LABEL, separator=None):
+        word = fields.words["type"]
+        check_one_of(f"{fields.place}: type", word, (*_CLASSES, *_OTHERS))
+        level = fields.whole("occluded", most=3)
+        name = _CLASSES.get(word, "other")
+        yield BoxRow(
+            fields.place,
+            fields.whole("frame", least=0),
+            name,
+            fields.box(_SIDES),
+            track=-1 if name == IGNORE else fields.whole("track"),
+            hidden_level=level if level < 3 else -1,
+            position_m=_position(fields),
+        )
+
+
+def _position(fields: Fields) -> tuple[float, float, float]:
+    x, y, z = (fields.number(name) for name in ("x", "y", "z"))
+    return x, y, z
+
+
+def rrc_rows(path: Path) -> Iterator[BoxRow]:
+    """Pedestrians found by RRC in a sequence, a file a class: frame, box, score."""
+    for fields in read_lines(path, _RRC, separator=","):
+        frame, score = fields.whole("frame", least=0), fields.number("score", least=0.0, most=1.0)
+        yield BoxRow(fields.place, frame, "pedestrian", fields.box(_SIDES), score=score)
+
+
+def pointrcnn_rows(path: Path) -> Iterator[BoxRow]:
+    """Road users found by PointRCNN in a sequence; scores are logits, 0 is a half."""
+    for fields in read_lines(path, _POINTRCNN, separator=","):
+        kind = fields.whole("type", least=1, most=3)
+        yield BoxRow(
+            fields.place,
+            fields.whole("frame", least=0),
+            _POINTRCNN_CLASSES[kind],
+            fields.box(_SIDES),
+            score=fields.number("score"),
+            position_m=_position(fields),
+        )
+
+
+# ---------- CVML
+
+
+def cvml_rows(path: Path) -> Iterator[BoxRow]:
+    """Annotated people; frames are in order, and all as far apart (one frame rate)."""
+    root = read_xml(path, expected="CVML")
+    if root.tag != "dataset":
+        raise InputError(str(path), root.tag, "CVML: an element <dataset> with frames")
+    step: int | None = None
+    last: int | None = None
+    for frame in root.iter("frame"):
+        number = xml_whole(frame, "number", f"{path}: frame {frame.get('number')}")
+        place = f"{path}: frame {number}"
+        if last is not None:
+            step = number - last if step is None else step
+            if number - last != step or step <= 0:
+                expected = f"{last + step} after frame {last}: frames in order, all as far apart"
+                raise InputError(place, number, expected)
+        last = number
+        for thing in frame.iter("object"):
+            here = f"{place}, object {thing.get('id')}"
+            track = xml_whole(thing, "id", here)
+            box = thing.find("box")
+            if box is None:
+                raise InputError(here, Unquoted("no box"), "<box xc= yc= w= h=>")
+            x, y, w, h = (xml_number(box, name, here) for name in ("xc", "yc", "w", "h"))
+            sides = (x - 0.5 * w, y - 0.5 * h, x + 0.5 * w, y + 0.5 * h)
+            yield BoxRow(here, number, "pedestrian", sides, track=track)
+
+
+# ---------- WILDTRACK: people on a square who are annotated in seven calibrated views
+
+
+N_VIEWS = 7
+_CELL_M, _COLUMNS, _ORIGIN_M = 0.025, 480, (-3.0, -9.0)
+_NAME = re.compile(r"(\d{1,8})\.json", re.ASCII)
+_Pixel = Annotated[int, Meta(ge=-100_000, le=100_000)]
+
+
+class _View(msgspec.Struct, frozen=True):
+    viewNum: Annotated[int, Meta(ge=0, lt=N_VIEWS)]
+    xmin: _Pixel
+    ymin: _Pixel
+    xmax: _Pixel
+    ymax: _Pixel
+
+
+class _Person(msgspec.Struct, frozen=True):
+    personID: Annotated[int, Meta(ge=0, le=1_000_000)]
+    positionID: Annotated[int, Meta(ge=0, le=10_000_000)]
+    views: tuple[_View, ...]
+
+
+def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
+    """Everybody who is annotated, view by view; a box without area means: not in this view.
+
+    Frames are numbered 0, 1, .. in the order of their files. Raises InputError if a file is not
+    what it should be, views are missing, or the files' numbers are not all as far apart (mixed
+    frame rates).
+    """
+    rows: list[list[BoxRow]] = [[] for _ in range(N_VIEWS)]
+    for frame, path in enumerate(_files(folder)):
+        for person in read_table(json_of(path), tuple[_Person, ...], str(path)):
+            if sorted(view.viewNum for view in person.views) != [*range(N_VIEWS)]:
+                got = Unquoted(f"{len(person.views)} views")
+                expected = f"views 0 to {N_VIEWS - 1}, once each"
+                raise InputError(f"{path}: person {person.personID}", got, expected)
+            row, column = divmod(person.positionID, _COLUMNS)
+            at_m = _ORIGIN_M[0] + _CELL_M * column, _ORIGIN_M[1] + _CELL_M * row, 0.0
+            for view in person.views:
+                sides = (view.xmin, view.ymin, view.xmax, view.ymax)
+                is_seen = sides != (-1, -1, -1, -1)
+                left, top, right, bottom = map(float, sides if is_seen else (0, 0, 0, 0))
+                rows[view.viewNum].append(
+                    BoxRow(
+                        f"{path}: person {person.personID}, view {view.viewNum}",
+                        frame,
+                        "pedestrian",
+                        (left, top, right, bottom),
+                        track=person.personID,
+                        position_m=at_m,
+                    )
+                )
+    return tuple(gather_boxes(folder, of_view) for of_view in rows)
+
+
+def _files(folder: Path) -> list[Path]:
+    """Files of the frames, in order."""
+    entries = entries_of(folder, "a folder with frames")
+    found = {int(m[1]): path for path in entries if (m := _NAME.fullmatch(path.name))}
+    if not found:
+        raise InputError(str(folder), Unquoted("no frame"), "files FRAME.json")
+    numbers = sorted(found)
+    steps = np.diff(numbers)
+    odd = np.flatnonzero(steps != steps[:1])
+    if len(odd):
+        wrong = numbers[int(odd[0]) + 1]
+        expected = f"numbers all {steps[0]} apart: one frame rate"
+        raise InputError(str(found[wrong]), Unquoted(f"frame {wrong}"), expected)
+    return [found[number] for number in numbers]
+
+
+# ---------- any of them
+
 
 STUDY, MOT_FOLDER, WILDTRACK, COCO = "study", "MOT challenge's folder", "WILDTRACK", "COCO"
 MOT_FILES = (Path("gt/gt.txt"), Path("det/det.txt"))
 """In a folder of MOT challenge: who was annotated, and what was found."""
 
 _READERS = {
-    "CVML": read_cvml,
-    "MOT challenge": read_mot,
-    "KITTI": read_kitti_labels,
-    "RRC": read_rrc,
-    "PointRCNN": read_pointrcnn,
+    "CVML": cvml_rows,
+    "MOT challenge": mot_rows,
+    "KITTI": kitti_rows,
+    "RRC": rrc_rows,
+    "PointRCNN": pointrcnn_rows,
 }
 _BY_FIELDS = {6: "RRC", 15: "PointRCNN"} | dict.fromkeys(range(7, 11), "MOT challenge")
 
@@ -63,7 +404,7 @@ def _of_folder(path: Path) -> str | None:
         return STUDY
     if (path / MOT_FILES[0]).is_file():
         return MOT_FOLDER
-    return WILDTRACK if is_wildtrack(path) else None
+    return WILDTRACK if any(_NAME.fullmatch(one.name) for one in path.iterdir()) else None
 
 
 def _unknown(where: str, got: str) -> InputError:
@@ -74,9 +415,9 @@ def _unknown(where: str, got: str) -> InputError:
 def read_boxes(path: Path) -> RecordedBoxes:
     """Boxes of a file in any of the formats that are known; the file itself says in which.
 
-    Raises InputError if it is none of them, or not what its format asks for.
+    Raises InputError, with line or frame, if it is none of them, or not what its format asks for.
     """
     name = find_format(path)
     if name not in _READERS:
         raise InputError(str(path), Unquoted(name), "a file of " + ", ".join(_READERS))
-    return _READERS[name](path)
+    return gather_boxes(path, _READERS[name](path))

@@ -10,7 +10,7 @@ from geometry.errors import InputError, Unquoted
 
 from ..detectors import VRU_CLASSES
 from ..detectors.fitting import LabelledPicture
-from .boxes import RecordedBoxes
+from .formats import RecordedBoxes
 
 HIDDEN_SHARES = (1.0, 0.75, 0.25)
 """Share seen at KITTI's levels in view, partly and largely hidden: assumed, half of it or more."""
@@ -59,7 +59,7 @@ def pair_boxes(
         got = Unquoted(f"a frame in {steps[1]}")
         expected = f"one in {steps[0]}, as in {annotated.source}: the same frame rate"
         raise InputError(found.source, got, expected)
-    shares, tracks = seen_shares(annotated), _numbered(annotated.track)
+    shares, tracks = seen_shares(annotated), np.unique(annotated.track, return_inverse=True)[1]
     kinds = np.array([VRU_CLASSES.index(classes.get(n, "car")) for n in annotated.class_name])
     counts = found.is_class(*classes) & (found.score >= min_score)
     pictures, index = [], []
@@ -90,10 +90,6 @@ def _step(frame: IntArray) -> int:
     """How far apart frames with boxes are, at least; 0 where there are too few to tell."""
     frames = np.unique(frame)
     return int(np.gcd.reduce(np.diff(frames))) if len(frames) >= _LEAST_FRAMES else 0
-
-
-def _numbered(track: IntArray) -> IntArray:
-    return np.unique(track, return_inverse=True)[1]
 
 
 def seen_shares(annotated: RecordedBoxes) -> FloatArray:

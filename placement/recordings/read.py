@@ -23,6 +23,7 @@ from .files import (
     Label,
     RecordingFormat,
     World,
+    entries_of,
     load_format,
     read_detections,
     read_labels,
@@ -133,14 +134,12 @@ def _between_resets(
     frames: list[FrameKey], world: Mapping[FrameKey, World], form: RecordingFormat
 ) -> Iterator[tuple[list[FrameKey], bool]]:
     """Parts of a sequence of frames, and whether another part comes before."""
-    distance, numbers = _distances(frames, world), _numbers(frames)
+    distance, numbers = _laid_out(frames, world)
     _, vut_speed, vru_speed = world[frames[0]]
     fastest_m = (vut_speed + vru_speed) * np.diff(numbers) / form.frame_rate_hz
     is_cut = np.diff(distance) > fastest_m + form.jump_m
     is_cut |= np.diff(numbers) > form.max_gap_s * form.frame_rate_hz
-    cuts = np.flatnonzero(is_cut) + 1
-    bounds = [0, *cuts.tolist(), len(frames)]
-    for first, last in pairwise(bounds):
+    for first, last in pairwise([0, *(np.flatnonzero(is_cut) + 1).tolist(), len(frames)]):
         yield frames[first:last], first > 0
 
 
@@ -152,10 +151,13 @@ def _drive(
     is_after_reset: bool,
 ) -> Drive | str:
     """The drive in a part, or the reason why there is none."""
-    distance, numbers = _distances(frames, world), _numbers(frames)
+    distance, numbers = _laid_out(frames, world)
     _, vut_speed, vru_speed = world[frames[0]]
     impact = int(np.argmin(distance))
-    first = _first_moving(distance, form) if is_after_reset else 0
+    first = 0
+    if is_after_reset:  # without the frames in which the bodies stand at their starts, but the last
+        has_moved = np.abs(distance - distance[0]) > form.standing_m
+        first = int(np.argmax(has_moved)) - 1 if has_moved.any() else len(distance) - 1
     n_window = round(form.window_s * form.frame_rate_hz)
     is_near = (numbers >= numbers[impact] - n_window) & (numbers < numbers[impact])
     is_near[:first] = False
@@ -183,18 +185,12 @@ def _drive(
     )
 
 
-def _first_moving(distance_m: FloatArray, form: RecordingFormat) -> int:
-    """Last frame in which the bodies stand at their starts."""
-    has_moved = np.abs(distance_m - distance_m[0]) > form.standing_m
-    return int(np.argmax(has_moved)) - 1 if has_moved.any() else len(distance_m) - 1
-
-
-def _distances(frames: list[FrameKey], world: Mapping[FrameKey, World]) -> FloatArray:
-    return np.array([world[key].distance_m for key in frames])
-
-
-def _numbers(frames: list[FrameKey]) -> IntArray:
-    return np.array([key.number for key in frames], dtype=np.int64)
+def _laid_out(
+    frames: list[FrameKey], world: Mapping[FrameKey, World]
+) -> tuple[FloatArray, IntArray]:
+    """Distances and numbers of frames."""
+    distance = np.array([world[key].distance_m for key in frames])
+    return distance, np.array([key.number for key in frames], dtype=np.int64)
 
 
 def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
@@ -256,7 +252,10 @@ def read_recording(folder: Path) -> Recording:
     skipped: Counter[str] = Counter()
     units, has_vut = _find_units(folder, form, skipped)
     names = [*units, form.vut_folder] if has_vut else [*units]
-    world = _read_all_world(folder / form.world_folder, form, skipped)
+    world = {}
+    for key, path in _frames(folder / form.world_folder, skipped):
+        world[key], n_repeated = read_world(path, form)
+        skipped[REPEATED] += n_repeated
     labels = {name: _read_all_labels(folder / name, form, skipped) for name in names}
     detections, evaluated = _read_all_detections(folder, names, form, skipped)
     skipped[NO_WORLD] += len(set(evaluated).union(*labels.values()).difference(world))
@@ -268,11 +267,16 @@ def read_recording(folder: Path) -> Recording:
             Unquoted("no drive; " + ", ".join(f"{n} {why}" for why, n in skipped.items())),
             "frames in which the VUT and a VRU come together",
         )
+
+    def votes(drive: Drive) -> Counter[str]:
+        of_units = [frames.get(key, ()) for frames in labels.values() for key in drive.frames]
+        return Counter(label.class_name for found in of_units for label in found)
+
     return Recording(
         folder=folder,
         units=tuple(units),
         has_vut=has_vut,
-        drives=tuple(with_class(drive, _class_votes(drive, labels)) for drive in drives),
+        drives=tuple(with_class(drive, votes(drive)) for drive in drives),
         labels=labels,
         detections=detections,
         n_frames=len(world),
@@ -283,12 +287,7 @@ def read_recording(folder: Path) -> Recording:
 def _find_units(
     folder: Path, form: RecordingFormat, skipped: Counter[str]
 ) -> tuple[list[str], bool]:
-    try:
-        entries = list(folder.iterdir())
-    except OSError as error:
-        raise InputError(
-            str(folder), Unquoted(error.strerror or error), "a folder with a recording"
-        ) from None
+    entries = entries_of(folder, "a folder with a recording")
     names = {entry.name for entry in entries if entry.is_dir()}
     for name in (form.world_folder, form.eval_folder):
         if name not in names:
@@ -306,31 +305,16 @@ def _find_units(
 def _frames(folder: Path, skipped: Counter[str]) -> Iterator[tuple[FrameKey, Path]]:
     """Frames of a folder, in order."""
     found = {}
-    try:
-        for path in folder.iterdir():
-            match = _FRAME_NAME.fullmatch(path.name)
-            if match:
-                found[FrameKey(int(match[1]), int(match[2]))] = path
-            elif path.suffix not in _OF_FRAMES:
-                skipped[OTHER_NAMES] += 1
-    except OSError as error:
-        raise InputError(
-            str(folder), Unquoted(error.strerror or error), "a folder that can be read"
-        ) from None
+    for path in entries_of(folder, "a folder that can be read"):
+        match = _FRAME_NAME.fullmatch(path.name)
+        if match:
+            found[FrameKey(int(match[1]), int(match[2]))] = path
+        elif path.suffix not in _OF_FRAMES:
+            skipped[OTHER_NAMES] += 1
     if not found:
         raise InputError(str(folder), Unquoted("no frame"), "files SCENARIO_FRAME.txt")
     for key in sorted(found):
         yield key, found[key]
-
-
-def _read_all_world(
-    folder: Path, form: RecordingFormat, skipped: Counter[str]
-) -> dict[FrameKey, World]:
-    world = {}
-    for key, path in _frames(folder, skipped):
-        world[key], n_repeated = read_world(path, form)
-        skipped[REPEATED] += n_repeated
-    return world
 
 
 def _read_all_labels(
@@ -394,15 +378,3 @@ def _inside(box: Box, form: RecordingFormat, skipped: Counter[str]) -> Box | Non
         skipped[OUTSIDE] += 1
         return None
     return x_min, y_min, x_max, y_max
-
-
-def _class_votes(
-    drive: Drive, labels: Mapping[str, Mapping[FrameKey, list[Label]]]
-) -> Counter[str]:
-    """Number of labels in the frames of a drive, by class."""
-    return Counter(
-        label.class_name
-        for frames in labels.values()
-        for key in drive.frames
-        for label in frames.get(key, ())
-    )

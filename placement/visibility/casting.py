@@ -6,17 +6,17 @@ taken into the frame of each body that they may meet, and cast against its shape
 is prepared for a shape serves wherever it is.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.actors import Actor, MovingActor, PlacedActor, Shape
-from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.poses import body_rotation, to_world
+from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.poses import body_rotation
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene
 from geometry.terrain import Terrain, on_ground, terrain_of
@@ -30,23 +30,12 @@ from .views import (
     build_places,
     build_views,
     count_in_rows,
+    look,
 )
 
 AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 _OFF_SURFACE_M = 1.0e-3
 _ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
-
-
-def build_static_mesh(
-    scene: Scene, obstruction: Sequence[PlacedActor], origin_m: FloatArray
-) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Vertices (n, 3) from an origin, and triangles (m, 3), of a scene with an obstruction."""
-    vertices, triangles = [scene.vertices_m - origin_m], [scene.triangles]
-    for body in obstruction:
-        shape = body.actor.shapes[0]
-        triangles.append((shape.triangles + sum(map(len, vertices))).astype(np.int32))
-        vertices.append(to_world(shape.vertices_m, body.pose) - origin_m)
-    return np.concatenate(vertices), np.concatenate(triangles)
 
 
 # ---------- bodies
@@ -68,15 +57,11 @@ class Bodies:
     members: IntArray  # (m,): bodies, group by group
     first: IntArray  # (n_groups + 1,): where each group begins in `members`
 
-    def of_group(self, group: int) -> IntArray:
-        """Bodies of a group."""
-        return self.members[self.first[group] : self.first[group + 1]]
-
     def first_hits(
         self, group: int, origins_m: FloatRays, vectors_m: FloatRays
     ) -> Iterator[tuple[int, FloatRays]]:
         """Bodies of a group, each with the share of every ray up to its first hit on it."""
-        for body in self.of_group(group).tolist():
+        for body in self.members[self.first[group] : self.first[group + 1]].tolist():
             rotation = self.rotation[body]
             yield (
                 body,
@@ -94,14 +79,10 @@ def shape_caster(shape: Shape, rays: str) -> RayCaster:
 
 
 @lru_cache(maxsize=256)
-def _shape_box_m(shape: Shape) -> FloatArray:
-    return np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
-
-
 def _box_m(shape: Shape) -> FloatArray:
     """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    box: FloatArray = _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
-    return box
+    box = np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
+    return freeze(box + [[-AROUND_BODY_M], [AROUND_BODY_M]])
 
 
 def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
@@ -110,28 +91,23 @@ def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]
     Those are equal that have the same bodies at the same places.
     """
     keys = {body: body.key for body in {body for run in runs for body in run.obstruction}}
-    numbers: dict[tuple[object, ...], int] = {}
-    found: list[tuple[PlacedActor, ...]] = []
-    index = []
-    for run in runs:
-        key = tuple(keys[body] for body in run.obstruction)
-        if numbers.setdefault(key, len(found)) == len(found):
-            found.append(run.obstruction)
-        index.append(numbers[key])
-    return found, np.array(index)
+    of_runs = [tuple(keys[body] for body in run.obstruction) for run in runs]
+    found: dict[tuple[object, ...], tuple[PlacedActor, ...]] = {}
+    for key, run in zip(of_runs, runs, strict=True):
+        found.setdefault(key, run.obstruction)
+    numbers = {key: number for number, key in enumerate(found)}
+    return [*found.values()], np.array([numbers[key] for key in of_runs])
 
 
 def _build_standing(
-    obstructions: Iterable[tuple[PlacedActor, ...]], origin_m: FloatArray, rays: str
+    obstructions: Sequence[tuple[PlacedActor, ...]], origin_m: FloatArray, rays: str
 ) -> Bodies:
-    numbers: dict[tuple[object, ...], int] = {}
-    placed: list[PlacedActor] = []
-    groups = []
-    for obstruction in obstructions:
-        for body in obstruction:
-            if numbers.setdefault(body.key, len(placed)) == len(placed):
-                placed.append(body)
-        groups.append([numbers[body.key] for body in obstruction])
+    found: dict[tuple[object, ...], PlacedActor] = {}
+    for body in chain(*obstructions):
+        found.setdefault(body.key, body)
+    placed = [*found.values()]
+    numbers = {key: number for number, key in enumerate(found)}
+    groups = [[numbers[body.key] for body in obstruction] for obstruction in obstructions]
     actors = {body.actor.shapes[0]: body.actor for body in placed}
     kinds = {shape: kind for kind, shape in enumerate(actors)}
     poses = [body.pose for body in placed]
@@ -285,7 +261,11 @@ def build_shared_scene(
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     places = build_places(scene, runs, origin, n_points=n_points, seed=seed)
-    n_places = len(places.yaw_deg)
+    n_places, n_frames = len(places.yaw_deg), len(places.place_of_frame)
+
+    def of_places() -> HiddenPoints | None:
+        return None if caches == "nothing" else HiddenPoints(n_places, n_points)
+
     return SharedScene(
         origin_m=origin,
         caster=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
@@ -298,11 +278,9 @@ def build_shared_scene(
         vehicles=(
             _build_vehicles(runs, origin, rays, terrain_of(scene)) if caches == "all" else None
         ),
-        hidden_by_scene=None if caches == "nothing" else HiddenPoints(n_places, n_points),
-        hidden_by_itself=None if caches == "nothing" else HiddenPoints(n_places, n_points),
-        hidden_by_vehicles=(
-            HiddenPoints(len(places.place_of_frame), n_points) if caches == "all" else None
-        ),
+        hidden_by_scene=of_places(),
+        hidden_by_itself=of_places(),
+        hidden_by_vehicles=HiddenPoints(n_frames, n_points) if caches == "all" else None,
     )
 
 
@@ -346,7 +324,10 @@ def cast_sight(
     frames, behind = _hidden_by_vehicles(world, eye, row_of_frame, blocked, near_m=near_m)
     rows = row_of_frame[frames]
 
-    is_cast = is_left & (for_lidar | (n_blocked > 0) | _is_close(world, eye, near_views))
+    # In or right next to a body the body may hide all of itself.
+    away_m = np.linalg.norm(views.middle_m[near_views] - eye, axis=1)
+    is_close = away_m < 2.0 * views.radius_m[near_views]
+    is_cast = is_left & (for_lidar | (n_blocked > 0) | is_close)
     is_cast[rows] = True
     faces_eye = np.ones(blocked.shape, dtype=bool)
     asked = np.flatnonzero(is_cast)
@@ -379,13 +360,6 @@ def cast_sight(
     )
 
 
-def _is_close(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
-    """Views from in or right next to the body: it may hide all of itself."""
-    distance = np.linalg.norm(world.views.middle_m[view_index] - eye_m, axis=1)
-    is_close: BoolArray = distance < 2.0 * world.views.radius_m[view_index]
-    return is_close
-
-
 def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
     """Points that the VRU's own body does not hide, (n, n_points)."""
     shared = world.shared
@@ -405,11 +379,7 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
         return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if shared.hidden_by_itself is None:
-        hidden = find(asked)
-    else:
-        hidden = shared.hidden_by_itself.look(eye_m.tobytes(), asked, find)
-    return ~hidden[row]
+    return ~look(shared.hidden_by_itself, eye_m.tobytes(), asked, find)[row]
 
 
 def _rays_to_own_points(surface: Surface, eyes_m: FloatArray) -> tuple[FloatRays, FloatRays]:
@@ -453,12 +423,8 @@ def _hidden_by_scene(
         return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if shared.hidden_by_scene is None:
-        return find(asked)[row]
-    if foreseen is not None:
-        foreseen = world.views.place_index[foreseen]
-    eye = near_m, eye_m.tobytes()
-    return shared.hidden_by_scene.look(eye, asked, find, foreseen=foreseen)[row]
+    later = None if foreseen is None else world.views.place_index[foreseen]
+    return look(shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find, foreseen=later)[row]
 
 
 def _find_between(

@@ -237,20 +237,12 @@ def _box_points(
 
 @kernel
 def _find_near(
-    middle: Array,
-    radius: Array,
-    eye: Array,
-    view: int,
-    lenses: Array,
-    n_cameras: int,
-    least_px: Any,
-    near: Array,
+    middle: Array, reach: Any, eye: Array, cameras: tuple[Array, int], least_px: Any, near: Array
 ) -> int:
     """Cameras in whose images a view's body may be high enough, into `near`; their number."""
-    x = np.float32(middle[view, 0] - eye[0])
-    y = np.float32(middle[view, 1] - eye[1])
-    z = np.float32(middle[view, 2] - eye[2])
-    reach = np.float32(radius[view]) + _SLACK_M
+    lenses, n_cameras = cameras
+    x, y = np.float32(middle[0] - eye[0]), np.float32(middle[1] - eye[1])
+    z = np.float32(middle[2] - eye[2])
     is_near, n_near = np.empty(LANES, np.bool_), 0
     for block in range(len(lenses)):
         n = min(LANES, n_cameras - block * LANES)
@@ -332,34 +324,27 @@ def _sides(limits: Array, camera: int) -> tuple[Any, Any, Any, Any]:
 
 @kernel
 def box_bodies(
-    points: Array,
-    hull: Array,
-    middle: Array,
-    radius: Array,
+    bodies: tuple[Array, Array, Array, Array],
     eye: Array,
-    view_of_entry: Array,
-    is_visible: Array,
-    is_whole: Array,
-    lenses: Array,
-    n_cameras: int,
-    min_depth_m: Any,
-    min_height_px: float,
-    plain: Array,
-    plain_px: Array,
-    part: Array,
-    part_px: Array,
-    inside_share: Array,
+    sight: tuple[Array, Array, Array],
+    cameras: tuple[Array, int],
+    least: tuple[Any, float],
+    found: tuple[Array, Array, Array, Array, Array],
 ) -> tuple[int, int]:
     """Boxes of bodies in cameras, those of whole bodies inside the image apart from the others.
 
-    `points` (n_views, 3, n_points), `hull` (n_views, 3, n_corners), the corners of their convex
-    hull, and `eye` (3,) are in single precision; `middle` (n_views, 3) and `radius` (n_views,) are
-    spheres around them; `lenses` are of :func:`pack_lenses`. Returns how many of each kind there
-    are. Pairs of a camera and an entry go to `plain` and `part` (n, 2); of plain ones, the one box
-    of all that is visible goes to `plain_px` (n, 4), of the others those of the visible points and
-    of all go to `part_px` (n, 8), and the share of the body inside the image to `inside_share`
-    (n,). Pairs whose visible box is not `min_height_px` high are left out.
+    Bodies: `points` (n_views, 3, n_points), `hull` (n_views, 3, n_corners), the corners of their
+    convex hull, both and `eye` (3,) in single precision; `middle` (n_views, 3) and `radius`
+    (n_views,) of spheres around them. The sight: view of each entry, its visible points, if it is
+    whole. Cameras: `lenses` of :func:`pack_lenses`, and their number. Found are, of each kind, as
+    many as are returned: pairs of a camera and an entry go to `plain` and `part` (n, 2); of plain
+    ones, the one box of all that is visible goes to `plain_px` (n, 4), of the others those of the
+    visible points and of all go to `part_px` (n, 8), and the share of the body inside the image to
+    `inside_share` (n,). Pairs whose visible box is not `min_height_px` high are left out.
     """
+    (points, hull, middle, radius), (min_depth_m, min_height_px) = bodies, least
+    (view_of_entry, is_visible, is_whole), (lenses, n_cameras) = sight, cameras
+    plain, plain_px, part, part_px, inside_share = found
     limits, some = np.empty(5 * LANES, np.float32), np.empty(5 * LANES, np.float32)
     box = np.empty(8, np.float32)
     near, lens = np.empty(n_cameras + 1, np.int64), np.zeros(_N_NUMBERS * LANES, np.float32)
@@ -371,7 +356,8 @@ def box_bodies(
     for entry in range(len(view_of_entry)):  # bodies that are seen from the mount
         view = view_of_entry[entry]
         n_every = n_seen = -1  # blocks of points; not yet set out
-        n_near = _find_near(middle, radius, eye, view, lenses, n_cameras, least_px, near)
+        reach = np.float32(radius[view]) + _SLACK_M
+        n_near = _find_near(middle[view], reach, eye, cameras, least_px, near)
         for first in range(0, n_near, LANES):  # near cameras, as many as there are lanes
             n = min(LANES, n_near - first)
             _gather_lanes(lenses, near[first : first + n], lens)

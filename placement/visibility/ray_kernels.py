@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from geometry.kernels import kernel
 
 Array = NDArray[Any]
+Point = tuple[float, float, float]
 
 N_AROUND = 1024  # cells of azimuth
 N_UP = 512  # cells of elevation
@@ -244,24 +245,12 @@ def find_unclear_points(
 
 
 @kernel
-def misses(
-    ex: float,
-    ey: float,
-    ez: float,
-    x: float,
-    y: float,
-    z: float,
-    low: tuple[float, float, float],
-    high: tuple[float, float, float],
-) -> bool:
+def misses(eye: Point, target: Point, low: Point, high: Point) -> bool:
     """True if the way from one place to another passes a box along the axes."""
     first, last = 0.0, 1.0
-    for origin, target, least, most in (
-        (ex, x, low[0], high[0]),
-        (ey, y, low[1], high[1]),
-        (ez, z, low[2], high[2]),
-    ):
-        way = target - origin
+    for axis in range(3):
+        origin, least, most = eye[axis], low[axis], high[axis]
+        way = target[axis] - origin
         if abs(way) < 1.0e-9:
             if origin < least or origin > most:
                 return True
@@ -363,29 +352,37 @@ def find_bodies_between(
         length2 = max(mx * mx + my * my + mz * mz, 1.0e-12)
         for place in range(first[group], first[group + 1]):
             body = bodies[place]
-            cx, cy, cz = (
-                centre[body, 0] - eye[0],
-                centre[body, 1] - eye[1],
-                centre[body, 2] - eye[2],
-            )
+            cx, cy = centre[body, 0] - eye[0], centre[body, 1] - eye[1]
+            cz = centre[body, 2] - eye[2]
             share = min(max((cx * mx + cy * my + cz * mz) / length2, 0.0), 1.0)
             away2 = (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
             if away2 > (reach[body] + radius[view]) ** 2:
                 continue
             r, low, high, wide = rotation[body], boxes[body, 0], boxes[body, 1], radius[view]
             ex, ey, ez = eyes[body, 0], eyes[body, 1], eyes[body, 2]
-            if misses(
-                *(ex, ey, ez),
+            target = (
                 ex + r[0, 0] * mx + r[1, 0] * my + r[2, 0] * mz,
                 ey + r[0, 1] * mx + r[1, 1] * my + r[2, 1] * mz,
                 ez + r[0, 2] * mx + r[1, 2] * my + r[2, 2] * mz,
-                (low[0] - wide, low[1] - wide, low[2] - wide),
-                (high[0] + wide, high[1] + wide, high[2] + wide),
-            ):
+            )
+            least = (low[0] - wide, low[1] - wide, low[2] - wide)
+            most = (high[0] + wide, high[1] + wide, high[2] + wide)
+            if misses((ex, ey, ez), target, least, most):
                 continue
             pairs[n_pairs, 0], pairs[n_pairs, 1] = row, body
             n_pairs += 1
     return n_pairs
+
+
+@kernel
+def _into_body(rotation: Array, x: float, y: float, z: float) -> Point:
+    """A way in the world's axes, in a body's."""
+    r = rotation
+    return (
+        r[0, 0] * x + r[1, 0] * y + r[2, 0] * z,
+        r[0, 1] * x + r[1, 1] * y + r[2, 1] * z,
+        r[0, 2] * x + r[1, 2] * y + r[2, 2] * z,
+    )
 
 
 @kernel
@@ -418,23 +415,18 @@ def find_rays_at_body(
         view = views[row]
         r = rotation[row]
         px, py, pz = position[row, 0], position[row, 1], position[row, 2]
-        wx, wy, wz = eye[0] - px, eye[1] - py, eye[2] - pz
-        ex = r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz
-        ey = r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz
-        ez = r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz
+        origin = _into_body(r, eye[0] - px, eye[1] - py, eye[2] - pz)
+        start = np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2])
         for point in range(points.shape[2]):  # points that nothing hides yet
             if hidden[row, point]:
                 continue
-            wx, wy = points[view, 0, point] - px, points[view, 1, point] - py
-            wz = points[view, 2, point] - pz
-            x = r[0, 0] * wx + r[1, 0] * wy + r[2, 0] * wz
-            y = r[0, 1] * wx + r[1, 1] * wy + r[2, 1] * wz
-            z = r[0, 2] * wx + r[1, 2] * wy + r[2, 2] * wz
-            if misses(ex, ey, ez, x, y, z, least, most):
+            x, y, z = points[view, 0, point], points[view, 1, point], points[view, 2, point]
+            target = _into_body(r, x - px, y - py, z - pz)
+            if misses(origin, target, least, most):
                 continue
             asked[row, point] = True
-            ox, oy, oz = np.float32(ex), np.float32(ey), np.float32(ez)
-            vx, vy, vz = np.float32(x) - ox, np.float32(y) - oy, np.float32(z) - oz
-            shorten((ox, oy, oz), (vx, vy, vz), near, cut, starts[ray], vectors[ray])
+            vx, vy = np.float32(target[0]) - start[0], np.float32(target[1]) - start[1]
+            way = (vx, vy, np.float32(target[2]) - start[2])
+            shorten(start, way, near, cut, starts[ray], vectors[ray])
             ray += 1
     return ray

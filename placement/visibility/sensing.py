@@ -48,7 +48,11 @@ class Sensing:
         The sight must have been cast for LiDARs if one is among the sensors.
         """
         detected = np.zeros((len(candidates), *self.contrast.shape), dtype=bool)
-        for lidar, rows in _rows_by_lidar(candidates).items():
+        lidars: dict[LidarModel, list[int]] = {}  # rows by model
+        for row, candidate in enumerate(candidates):
+            if isinstance(candidate.sensor, LidarModel):
+                lidars.setdefault(candidate.sensor, []).append(row)
+        for lidar, rows in lidars.items():
             detected[rows] = _detect_echoes(self, lidar, [candidates[row] for row in rows])
         least_px = self._least_height_px()
         for boxes in self._boxes(candidates):
@@ -98,12 +102,10 @@ class Sensing:
 
         In each weather, (n_weathers, n).
         """
+        nothing = np.empty((len(self.distance_m), 0))
         whole = Evidence(
-            visible_px=np.empty((len(self.distance_m), 0)),
-            amodal_px=np.empty((len(self.distance_m), 0)),
-            contrast=np.ones(1),
-            visible_share=np.ones(1),
-            inside_share=np.ones(1),
+            visible_px=nothing,
+            amodal_px=nothing,
             aspect_deg=self.aspect_deg,
             vru_class=self.vru_class,
             draw_index=np.arange(len(self.distance_m)),
@@ -119,15 +121,6 @@ class Sensing:
         along = self.middle_m @ ahead + _SLACK * self.distance_m
         is_in: BoolArray = along >= np.cos(np.minimum(half_angle, np.pi)) * self.distance_m
         return is_in
-
-
-def _rows_by_lidar(candidates: Sequence[CandidatePose]) -> dict[LidarModel, list[int]]:
-    """Indices of the LiDARs among some sensors, by model."""
-    rows: dict[LidarModel, list[int]] = {}
-    for row, candidate in enumerate(candidates):
-        if isinstance(candidate.sensor, LidarModel):
-            rows.setdefault(candidate.sensor, []).append(row)
-    return rows
 
 
 def build_sensing(
@@ -155,9 +148,7 @@ def build_sensing(
 
 
 def cast_for(
-    world: World,
-    position_m: FloatArray,
-    looks: Sequence[tuple[CandidatePose, PlanningDetector]],
+    world: World, position_m: FloatArray, looks: Sequence[tuple[CandidatePose, PlanningDetector]]
 ) -> Sight:
     """Sight of all that any sensor at one mount may detect, each with its detector."""
     return cast_sight(
@@ -170,7 +161,7 @@ def cast_for(
             if world.shared.hidden_by_scene is None
             else _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
         ),
-        for_lidar=has_lidar([candidate for candidate, _ in looks]),
+        for_lidar=any(isinstance(candidate.sensor, LidarModel) for candidate, _ in looks),
     )
 
 
@@ -206,11 +197,6 @@ def _may_detect(
             may_detect,
         )
     return may_detect
-
-
-def has_lidar(candidates: Sequence[CandidatePose]) -> bool:
-    """True if a LiDAR is among the sensors: it counts points that a camera need not know."""
-    return any(isinstance(candidate.sensor, LidarModel) for candidate in candidates)
 
 
 def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
@@ -267,13 +253,12 @@ def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) 
     plain_px, part_px = np.empty((n, 4), np.float32), np.empty((n, 8), np.float32)
     inside_share = np.empty(n)
     n_plain, n_part = box_bodies(
-        *(views.axes_m, views.hull_m, views.middle_m, views.radius_m),
-        *(sensing.eye_m.astype(np.float32), sight.view_index, sight.is_visible, sight.is_whole),
-        _lenses(chosen),
-        len(chosen),
-        np.float32(_MIN_DEPTH_M),
-        sensing.detector.min_box_height_px,
-        *(plain, plain_px, part, part_px, inside_share),
+        (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
+        sensing.eye_m.astype(np.float32),
+        (sight.view_index, sight.is_visible, sight.is_whole),
+        (_lenses(chosen), len(chosen)),
+        (np.float32(_MIN_DEPTH_M), sensing.detector.min_box_height_px),
+        (plain, plain_px, part, part_px, inside_share),
     )
     # Copies: what was set aside for the most that there could be is given back.
     return _Boxes(
@@ -308,7 +293,6 @@ def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntAr
     return rows, Evidence(
         visible_px=boxes.plain_px if is_plain else boxes.visible_px,
         amodal_px=boxes.plain_px if is_plain else boxes.amodal_px,
-        contrast=np.ones(1),
         visible_share=sensing.sight.visible_share[entries],
         inside_share=np.ones(len(entries)) if is_plain else boxes.inside_share,
         aspect_deg=sensing.aspect_deg[entries],

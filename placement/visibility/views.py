@@ -6,7 +6,7 @@ of them, for mounts at the same height: :class:`HiddenPoints` caches them.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
@@ -97,10 +97,9 @@ def _hull_corners(points_m: FloatArray) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Places:
-    """Every distinct (body, shape, pose) in which a VRU is looked at, whatever stands around."""
+class _Bodies:
+    """Bodies of VRUs at their places, a row each."""
 
-    surfaces: tuple[Surface, ...]  # each distinct shape of a VRU
     # (n, 2): middle of the footprint, relative to the origin. [m]
     position_m: FloatArray
     up_m: FloatArray  # (n,): height of the ground there. [m]
@@ -114,6 +113,13 @@ class Places:
     # middle_m, radius_m: (n, 3), (n,): mean of the points, and how far the farthest is from it. [m]
     middle_m: FloatArray
     radius_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Places(_Bodies):
+    """Every distinct (body, shape, pose) in which a VRU is looked at, whatever stands around."""
+
+    surfaces: tuple[Surface, ...]  # each distinct shape of a VRU
     place_of_frame: IntArray  # (n_frames,): where the VRU is in each frame of the frame axis
 
 
@@ -130,18 +136,12 @@ def build_places(
     numbers = {
         (surface.actor, surface.shape_index): number for number, surface in enumerate(surfaces)
     }
-    rows = np.concatenate(
-        [
-            np.column_stack(
-                [
-                    run.vru_position_m - origin_m[:2],
-                    run.vru_yaw_deg,
-                    [numbers[run.encounter.vru, int(index)] for index in run.vru_shape],
-                ]
-            )
-            for run in runs
-        ]
-    )
+    parts = []
+    for run in runs:
+        shape = [numbers[run.encounter.vru, int(index)] for index in run.vru_shape]
+        where = run.vru_position_m - origin_m[:2]
+        parts.append(np.column_stack([where, run.vru_yaw_deg, shape]))
+    rows = np.concatenate(parts)
     # Rounded to a tenth of a millimetre: the same pose at another speed differs in the last bits.
     _, first, place_of_frame = np.unique(
         rows.round(4), axis=0, return_index=True, return_inverse=True
@@ -172,21 +172,12 @@ def build_places(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class VruViews:
+class VruViews(_Bodies):
     """Every distinct (place, obstruction) in which a VRU is looked at; see :class:`Places`."""
 
     # (n_views,) each: place, and what stands around, into the obstructions of `World`
     place_index: IntArray
     obstruction_index: IntArray
-    # of each view's place, see there
-    position_m: FloatArray
-    up_m: FloatArray
-    yaw_deg: FloatArray
-    surface_index: IntArray
-    axes_m: FloatRays
-    hull_m: FloatRays
-    middle_m: FloatArray
-    radius_m: FloatArray
     view_of_frame: IntArray  # (n_frames,): which view each frame of the frame axis shows
     weathers: tuple[Weather, ...]  # distinct weathers
     weather_of_frame: IntArray  # (n_frames,): which of them it is
@@ -218,14 +209,7 @@ def build_views(places: Places, runs: Sequence[Run], obstruction_index: IntArray
     return VruViews(
         place_index=place,
         obstruction_index=obstruction,
-        position_m=places.position_m[chosen],
-        up_m=places.up_m[chosen],
-        yaw_deg=places.yaw_deg[chosen],
-        surface_index=places.surface_index[chosen],
-        axes_m=places.axes_m[chosen],
-        hull_m=places.hull_m[chosen],
-        middle_m=places.middle_m[chosen],
-        radius_m=places.radius_m[chosen],
+        **{field.name: getattr(places, field.name)[chosen] for field in fields(_Bodies)},
         view_of_frame=view_of_frame.ravel(),
         weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
         weather_of_frame=np.repeat([weathers.index(run.weather) for run in runs], n_frames),
@@ -273,6 +257,18 @@ class HiddenPoints:
             bits[asked] = np.packbits(find(asked), axis=1)
             is_known[asked] = True  # last: another thread may ask
         return np.unpackbits(bits[rows], axis=1, count=self._n_points).view(bool)
+
+
+def look(
+    cache: HiddenPoints | None,
+    eye: object,
+    rows: IntArray,
+    find: Find,
+    *,
+    foreseen: IntArray | None = None,
+) -> BoolArray:
+    """Hidden points of rows: found, or those of a cache; see :meth:`HiddenPoints.look`."""
+    return find(rows) if cache is None else cache.look(eye, rows, find, foreseen=foreseen)
 
 
 def count_in_rows(rows: BoolArray) -> IntArray:

@@ -8,9 +8,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.image_boxes import box_height_px
 from geometry.weather import pick_weather
 from placement.compute import Compute
-from placement.detectors import Evidence, ResponseDetector, load_planning_detector
+from placement.detectors import Evidence, ResponseDetector
+from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
 from placement.detectors.fitting import LabelledPicture, fit_response, gather_sightings
 
@@ -63,12 +65,10 @@ def card_text(
     )
 
 
-def _groups(
-    crops: Crops,
-) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
+def _groups(crops: Crops) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
     """Name, crops (n,), and heights of each group."""
     anything = (0.0, np.inf)
-    height = crops.box_px[:, 3] - crops.box_px[:, 1]
+    height = box_height_px(crops.box_px)
     yield "all", np.ones(len(crops), dtype=bool), anything
     for number, name in enumerate(("adults", "children", "cyclists")):
         yield name, crops.vru_class == number, anything
@@ -86,31 +86,23 @@ def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> st
     if not scored.n_labels:
         return ""
     share = (scored.is_true & (scored.confidence >= MIN_CONFIDENCE)).sum() / scored.n_labels
-    figures = (
-        f"{average_precision(scored):.3f}",
-        f"{100.0 * log_average_miss_rate(scored):.1f} %",
-        f"{100.0 * share:.1f} %",
-        f"{100.0 * _assumed(crops, keep & counted(crops)):.1f} %",
-    )
+    shares = log_average_miss_rate(scored), share, _assumed(crops, keep & counted(crops))
+    figures = [f"{average_precision(scored):.3f}", *(f"{100.0 * one:.1f} %" for one in shares)]
     return f"| {name} | {scored.n_labels} | {' | '.join(figures)} |"
 
 
 def _assumed(crops: Crops, keep: NDArray[np.bool_]) -> float:
     """Mean probability of the response model at full contrast, from the side."""
-    response = load_planning_detector("response")
-    assert isinstance(response, ResponseDetector)
     n = int(keep.sum())
     evidence = Evidence(
         visible_px=crops.box_px[keep],
         amodal_px=crops.box_px[keep],
-        contrast=np.ones(n),
         visible_share=np.minimum(crops.visible_share[keep], 1.0),
-        inside_share=np.ones(n),
         aspect_deg=np.full(n, 90.0),
         vru_class=crops.vru_class[keep],
         draw_index=np.arange(n),
     )
-    return float(response.probability(evidence).mean())
+    return float(built_in_response().probability(evidence).mean())
 
 
 def _score(
@@ -121,38 +113,24 @@ def _score(
 ) -> Scored:
     """How boxes match the labels of crops in `keep` (n,), both classes together."""
     low, high = heights_px[0] / _LOOSE, heights_px[1] * _LOOSE
-    nothing, counts = np.zeros((0, 4)), keep & counted(crops)
+    counts = keep & counted(crops)
     parts = []
     for number in range(len(CLASSES)):
-        own = class_of(crops) == number
+        own = [slice(row, row + is_own) for row, is_own in enumerate(class_of(crops) == number)]
         boxes, sure = [], []
         for by_class in found:
-            height = by_class[number][0][:, 3] - by_class[number][0][:, 1]
+            height = box_height_px(by_class[number][0])
             in_range = (height >= low) & (height <= high)
             boxes.append(by_class[number][0][in_range])
             sure.append(by_class[number][1][in_range])
-        parts.append(
-            match_boxes(
-                boxes,
-                sure,
-                [
-                    box[None] if is_own else nothing
-                    for box, is_own in zip(crops.box_px, own, strict=True)
-                ],
-                [
-                    counts[[row]] if is_own else np.zeros(0, dtype=bool)
-                    for row, is_own in enumerate(own)
-                ],
-                min_iou=0.5,
-                n_pictures=len(crops) * CROP_PX**2 / _PICTURE_PX,
-            )
-        )
+        labels = [crops.box_px[rows] for rows in own], [counts[rows] for rows in own]
+        n_pictures = len(crops) * CROP_PX**2 / _PICTURE_PX
+        parts.append(match_boxes(boxes, sure, *labels, min_iou=0.5, n_pictures=n_pictures))
     confidence = np.concatenate([part.confidence for part in parts])
     order = np.argsort(-confidence, kind="stable")
     return Scored(
         confidence=confidence[order],
         is_true=np.concatenate([part.is_true for part in parts])[order],
-        label=np.concatenate([part.label for part in parts])[order],
         n_labels=sum(part.n_labels for part in parts),
         n_pictures=parts[0].n_pictures,
     )
@@ -174,15 +152,10 @@ def fit_table(crops: Crops, found: Found, *, source: str, command: str, compute:
     pictures = [_picture(crops, row, by_class) for row, by_class in enumerate(found)]
     sightings, _ = gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
     fit = fit_response(sightings, name="vru.toml", seed=compute.seed)
-    builtin = load_planning_detector("response")
-    assert isinstance(builtin, ResponseDetector)
-    detector = replace(
-        fit.detector,
-        cyclist_end_on=builtin.cyclist_end_on,
-        frame_correlation=builtin.frame_correlation,
-    )
-    builtins = {key: getattr(builtin, key) for key in ("cyclist_end_on", "frame_correlation")}
+    keys = ("cyclist_end_on", "frame_correlation")
+    builtins = {key: getattr(built_in_response(), key) for key in keys}
     intervals = {key: Interval(value, value, value) for key, value in builtins.items()}
+    detector: ResponseDetector = replace(fit.detector, **builtins)
     fit = replace(fit, detector=detector, intervals={**fit.intervals, **intervals})
     return table_text(
         fit, source=source, command=command, unknown=_UNKNOWN, false_tracks_per_hour=None

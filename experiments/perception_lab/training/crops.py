@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
+from geometry.image_boxes import mask_box
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.poses import Pose
 from geometry.scene import Scene
@@ -88,7 +89,7 @@ def draw_crops(scene: Scene, n_crops: int, *, seed: int, tell: Callable[[int], N
         tell(len(found))
         if len(found) >= n_crops:
             break
-    return join_rows(found)
+    return Crops(**{name: np.stack([row[name] for row in found]) for name in found[0]})
 
 
 def load_junction(name: str) -> Scene:
@@ -96,19 +97,10 @@ def load_junction(name: str) -> Scene:
     return load_scene() if name == "town05" else import_scene([Path(name)], ImportOptions()).scene
 
 
-def join_rows(rows: Sequence[dict[str, Any]]) -> Crops:
-    """Crops of rows with the fields' names."""
-    return Crops(**{name: np.stack([row[name] for row in rows]) for name in rows[0]})
-
-
 def join_crops(parts: Sequence[Crops]) -> Crops:
     """Crops of several drawings in one."""
-    return Crops(
-        **{
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in Crops.__slots__
-        }
-    )
+    of = {name: [getattr(part, name) for part in parts] for name in Crops.__slots__}
+    return Crops(**{name: np.concatenate(values) for name, values in of.items()})
 
 
 def save_crops(path: Path, crops: Crops) -> None:
@@ -168,9 +160,10 @@ def _look(
     materials = vary_materials(load_materials(), rng) if is_varied else None
     on_vut = rng.random() < framing.vut_share
     frames = rng.permutation(len(run.time_s))[: 1 if on_vut else _PER_POSE].tolist()
-    mount_m = _pick_mount(scene, rng)
+    site = scene.sites[int(rng.integers(len(scene.sites)))]
+    mount_m = site.position_m + [0.0, 0.0, rng.uniform(*_MOUNT_M)]
     for frame in frames:
-        body_m = _body_points(run, frame)
+        body_m = build_moving_meshes(run, frame, with_vut=False)[-1].vertices_m
         at_m = mount_m
         if on_vut:
             at_m = vut_camera_pose(load_vut_camera(), run, frame).position_m
@@ -178,7 +171,10 @@ def _look(
         if view is None:
             continue
         pose, camera = view
-        box_px = _whole_box(body_m, pose, camera)
+        points = project_points(body_m, pose, camera)
+        box_px = np.concatenate([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
+        if not np.isfinite(points).all():
+            box_px = np.zeros(4)
         is_empty = rng.random() < framing.empty_share
         window = _pick_window(box_px, framing.crop_px, is_empty=is_empty, rng=rng)
         if window is None:
@@ -209,17 +205,6 @@ def _varied_weather(weather: Weather, rng: np.random.Generator) -> Weather:
         sun_lux=weather.sun_lux * light,
         sky_lux=weather.sky_lux * light,
     )
-
-
-def _pick_mount(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    site = scene.sites[int(rng.integers(len(scene.sites)))]
-    up = np.array([0.0, 0.0, rng.uniform(*_MOUNT_M)])
-    return np.asarray(site.position_m + up, dtype=np.float64)
-
-
-def _body_points(run: Run, frame: int) -> FloatArray:
-    """Corners of the road user's triangles, world frame, (n, 3)."""
-    return build_moving_meshes(run, frame, with_vut=False)[-1].vertices_m
 
 
 def _aim(
@@ -257,13 +242,6 @@ def _aim(
     return pose, camera
 
 
-def _whole_box(body_m: FloatArray, pose: Pose, camera: CameraModel) -> FloatArray:
-    points = project_points(body_m, pose, camera)
-    if not np.isfinite(points).all():
-        return np.zeros(4)
-    return np.concatenate([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
-
-
 def _pick_window(
     box_px: FloatArray, crop_px: tuple[int, int], *, is_empty: bool, rng: np.random.Generator
 ) -> Window | None:
@@ -283,21 +261,16 @@ def _pick_window(
     return None
 
 
-def _shows_vru(picture: Picture) -> BoolArray:
-    shows: BoolArray = picture.instance == len(picture.names) - 1
-    return shows
-
-
 def _label(picture: Picture, run: Run, n_whole: int, height_px: float) -> dict[str, Any]:
     """Labels of a crop in which the whole road user would cover `n_whole` pixels."""
-    rows, columns = np.nonzero(_shows_vru(picture))
-    is_seen = len(rows) > 0
-    box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] if is_seen else [0] * 4
+    is_vru = picture.instance == len(picture.names) - 1
+    n_seen = int(is_vru.sum())
+    is_seen = n_seen > 0
     kind = VRU_CLASSES.index(vru_class(run.encounter.vru)) if is_seen else -1
     return {
         "rgb": picture.rgb,
-        "box_px": np.array(box, dtype=np.float64),
+        "box_px": mask_box(is_vru),
         "height_px": height_px if is_seen else 0.0,
-        "visible_share": len(rows) / n_whole if n_whole else 0.0,
+        "visible_share": n_seen / n_whole if n_whole else 0.0,
         "vru_class": kind,
     }

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.image_boxes import iou
 
 _MISS_RATES_AT = np.logspace(-2.0, 0.0, 9)
@@ -18,7 +18,6 @@ class Scored:
 
     confidence: FloatArray  # (n,)
     is_true: BoolArray  # (n,): first to overlap a label; others are false alarms
-    label: IntArray  # (n,): index of the label that is matched; -1 where there is none
     n_labels: int  # labels that count
     n_pictures: float  # whole pictures' worth of pixels
 
@@ -37,24 +36,21 @@ def match_boxes(
     Labels that do not count (`counts` (m,)) are neither found nor missed, and boxes on them are no
     false alarms. Matching follows PASCAL VOC: a second box on a label is a false alarm.
     """
-    rows: list[tuple[float, bool, int]] = []
-    start = 0
+    rows: list[tuple[float, bool]] = []
     for found, sure, labels, valid in zip(boxes_px, confidence, labels_px, counts, strict=True):
         is_taken = np.zeros(len(labels), dtype=bool)
         for index in np.argsort(-sure, kind="stable").tolist():
             overlap = iou(found[index][None], labels) if len(labels) else np.zeros(0)
             best = int(overlap.argmax()) if len(overlap) else -1
             if best < 0 or overlap[best] <= min_iou:
-                rows.append((float(sure[index]), False, -1))
+                rows.append((float(sure[index]), False))
             elif valid[best]:
-                rows.append((float(sure[index]), not is_taken[best], start + best))
+                rows.append((float(sure[index]), not is_taken[best]))
                 is_taken[best] = True
-        start += len(labels)
     rows.sort(key=lambda row: -row[0])
     return Scored(
         confidence=np.array([row[0] for row in rows]),
         is_true=np.array([row[1] for row in rows], dtype=bool),
-        label=np.array([row[2] if row[1] else -1 for row in rows], dtype=np.int64),
         n_labels=int(sum(valid.sum() for valid in counts)),
         n_pictures=n_pictures,
     )

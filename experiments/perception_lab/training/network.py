@@ -26,6 +26,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.optim.swa_utils import AveragedModel
 
+from geometry.image_boxes import box_height_px
 from placement.detectors.network import suppress
 
 from .crops import CROP_PX, Crops
@@ -134,21 +135,15 @@ def loss(logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: 
     has_box = (classes >= 0)[:, None, None]
     inside = (across > x_min) & (across < x_max) & (down > y_min) & (down < y_max) & has_box
     reach = _RADIUS * STRIDE_PX
-    near = ((across - 0.5 * (x_min + x_max)).abs() < reach) & (
-        (down - 0.5 * (y_min + y_max)).abs() < reach
-    )
+    beside, below = (across - 0.5 * (x_min + x_max)).abs(), (down - 0.5 * (y_min + y_max)).abs()
+    near = (beside < reach) & (below < reach)
     # Boxes narrower than a cell may hold no cell's middle: the cell around theirs is positive.
-    holds = ((across - 0.5 * (x_min + x_max)).abs() <= 0.5 * STRIDE_PX) & (
-        (down - 0.5 * (y_min + y_max)).abs() <= 0.5 * STRIDE_PX
-    )
+    holds = (beside <= 0.5 * STRIDE_PX) & (below <= 0.5 * STRIDE_PX)
     positive = ((inside & near) | (holds & has_box)) & counts[:, None, None]
-    target = (
-        F.one_hot(classes.clamp(min=0), n_classes).permute(0, 1)[:, :, None, None]
-        * positive[:, None]
-    )
+    one_hot = F.one_hot(classes.clamp(min=0), n_classes)[:, :, None, None]
+    target = (one_hot * positive[:, None]).float()
     unsure = (inside & ~positive)[:, None].expand_as(logits)
     n_positive = positive.sum().clamp(min=1)
-    target = target.float()
     entropy = F.binary_cross_entropy_with_logits(logits, target, reduction="none")
     right = torch.where(target > 0.5, logits.sigmoid(), 1.0 - logits.sigmoid())
     weight = torch.where(target > 0.5, _ALPHA, 1.0 - _ALPHA) * (1.0 - right) ** _GAMMA
@@ -161,10 +156,8 @@ def loss(logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: 
 
 
 def _generalised_iou(first: Tensor, second: Tensor) -> Tensor:
-    low, high = (
-        torch.maximum(first[:, :2], second[:, :2]),
-        torch.minimum(first[:, 2:], second[:, 2:]),
-    )
+    low = torch.maximum(first[:, :2], second[:, :2])
+    high = torch.minimum(first[:, 2:], second[:, 2:])
     common = (high - low).clamp(min=0.0).prod(dim=1)
     area = [(box[:, 2:] - box[:, :2]).prod(dim=1) for box in (first, second)]
     union = area[0] + area[1] - common
@@ -256,7 +249,7 @@ def train(
         network.train()
         rng = np.random.default_rng([recipe.seed, number])
         shown = crops() if callable(crops) else crops
-        labels, losses = _labels(shown), []
+        labels, losses = (class_of(shown), counted(shown) & _stands_out(shown)), []
         done = number * recipe.round_steps
         for part in _draw_rows(
             len(shown), min(recipe.round_steps, recipe.steps - done), recipe.batch, rng
@@ -330,11 +323,8 @@ def class_of(crops: Crops) -> NDArray[np.int64]:
 
 def counted(crops: Crops) -> NDArray[np.bool_]:
     """Crops whose road user counts, (n,): at least 0.3 of it is seen, at least 10 px high."""
-    height = crops.box_px[:, 3] - crops.box_px[:, 1]
-    is_clear: NDArray[np.bool_] = (
-        (crops.vru_class >= 0) & (crops.visible_share >= _LEAST_SHARE) & (height >= _LEAST_PX)
-    )
-    return is_clear
+    is_high: NDArray[np.bool_] = box_height_px(crops.box_px) >= _LEAST_PX
+    return is_high & (crops.vru_class >= 0) & (crops.visible_share >= _LEAST_SHARE)
 
 
 def _stands_out(crops: Crops) -> NDArray[np.bool_]:
@@ -342,17 +332,12 @@ def _stands_out(crops: Crops) -> NDArray[np.bool_]:
     stands = np.zeros(len(crops), dtype=bool)
     for row in np.flatnonzero(crops.vru_class >= 0).tolist():
         left, top, right, bottom = crops.box_px[row].astype(int)
-        grey = crops.rgb[row, max(top - 2, 0) : bottom + 2, max(left - 2, 0) : right + 2].mean(
-            axis=2
-        )
+        around = np.s_[row, max(top - 2, 0) : bottom + 2, max(left - 2, 0) : right + 2]
+        grey = crops.rgb[around].mean(axis=2)
         high, wide = (side // 2 * 2 for side in grey.shape)
         coarse = grey[:high, :wide].reshape(high // 2, 2, wide // 2, 2).mean(axis=(1, 3))
         stands[row] = coarse.std() >= _LEAST_SPREAD
     return stands
-
-
-def _labels(crops: Crops) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    return class_of(crops), counted(crops) & _stands_out(crops)
 
 
 def _batch(

@@ -23,7 +23,7 @@ from placement.detectors import load_detector, load_min_iou
 from placement.detectors.fitting import poisson, wilson
 from placement.detectors.network import NetworkDetector
 from placement.question import Question
-from placement.recordings.boxes import read_lines
+from placement.recordings.files import read_lines
 from placement.setting import Setting, build_setting
 
 from ...results.numbers import percent
@@ -412,11 +412,7 @@ def judge_command(
     """Let OpenCV's people detector find road users in pictures."""
     judge = load_people_detector()
     text = judge_text(
-        _settings(maps),
-        judge,
-        n_pictures=(adults, children, cyclists),
-        seed=seed,
-        tell=_tell,
+        _settings(maps), judge, n_pictures=(adults, children, cyclists), seed=seed, tell=_tell
     )
     out.write_text(text, encoding="utf-8")
 

@@ -8,16 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from geometry.actors import pick_actor
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
+from geometry.image_boxes import box_height_px
 from geometry.lenses import CalibratedCamera, ground_points, project_distorted
 from geometry.poses import Pose, body_rotation
 from geometry.sensors import CameraModel, project_points
 from placement.detectors.evidence import Interval
-from placement.recordings.boxes import RecordedBoxes
-from placement.recordings.cvml import read_tsai
-from placement.recordings.formats import read_boxes
-from placement.recordings.kitti import read_kitti_camera
-from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
+from placement.recordings.calibrations import read_kitti_camera, read_opencv_camera, read_tsai
+from placement.recordings.formats import RecordedBoxes, read_boxes, read_wildtrack
 
 BODY = "adult"
 POLE_M = 1.7
@@ -63,7 +61,6 @@ class Heights:
 
     distance_m: FloatArray  # (n,): on the ground
     track: IntArray
-    drawn_px: FloatArray
     ratio: FloatArray  # (n,): by the calibrated camera
     pinhole_ratio: FloatArray  # (n,): by this project's pinhole at the same pose
     pole_ratio: FloatArray  # (n,): by an upright pole of 1.70 m, as the first look had it
@@ -83,14 +80,13 @@ def measure_pets_heights(folder: Path) -> Heights:
     foot, ratio = _ratios(drawn, camera, heading, phase)
     pinhole, pose = nearest_pinhole(camera)
     boxes = body_boxes(foot, heading, phase, lambda points: project_points(points, pose, pinhole))
-    drawn_px = drawn.box_px[:, 3] - drawn.box_px[:, 1]
+    drawn_px = box_height_px(drawn.box_px)
     offset = foot[:, :2] - camera.position_m[:2]
     return Heights(
         distance_m=np.hypot(*offset.T),
         track=drawn.track,
-        drawn_px=drawn_px,
         ratio=ratio,
-        pinhole_ratio=drawn_px / (boxes[:, 3] - boxes[:, 1]),
+        pinhole_ratio=drawn_px / box_height_px(boxes),
         pole_ratio=_pole_ratios(drawn, camera),
         slant_m=np.linalg.norm(foot - camera.position_m, axis=1),
         tilt_deg=_best_tilt(drawn, camera, heading, phase),
@@ -138,8 +134,7 @@ def _ratios(
         boxes = body_boxes(foot, heading, phase, lambda p: project_distorted(p, camera))
         foot += wanted - ground_points(bottoms(boxes), camera)
     boxes = body_boxes(foot, heading, phase, lambda p: project_distorted(p, camera))
-    drawn_px = drawn.box_px[:, 3] - drawn.box_px[:, 1]
-    return foot, drawn_px / (boxes[:, 3] - boxes[:, 1])
+    return foot, box_height_px(drawn.box_px) / box_height_px(boxes)
 
 
 def _pole_ratios(drawn: RecordedBoxes, camera: CalibratedCamera) -> FloatArray:
@@ -211,23 +206,15 @@ def nearest_pinhole(camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
 # ---------- KITTI: projections of boxes that were fitted to points
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LabelHeights:
-    """Labelled over predicted heights of KITTI's pedestrians."""
-
-    ratio: FloatArray
-    track: IntArray
-
-
 # The camera frame (x right, y down, z ahead) of a body that stands upright and looks to the right.
 _R_CAMERA_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
-def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> LabelHeights:
-    """Labelled over predicted heights of pedestrians that no edge of the picture cuts off."""
+def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> FloatArray:
+    """Labelled over predicted heights (n,) of pedestrians that no edge of the picture cuts off."""
     data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
     width, height = _KITTI_SIZE
-    ratios, tracks = [], []
+    ratios = []
     for number in sequences:
         labels = read_boxes(data / "label" / f"{number:04d}.txt")
         camera = read_kitti_camera(
@@ -241,16 +228,14 @@ def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> LabelHeig
         hull = _hulls()[0] @ _R_CAMERA_BODY.T
         points = labels.position_m[:, None] + hull
         rows = project_distorted(points.reshape(-1, 3), camera)[:, 1].reshape(len(labels), -1)
-        drawn = labels.box_px[:, 3] - labels.box_px[:, 1]
-        ratios.append(drawn / (rows.max(axis=1) - rows.min(axis=1)))
-        tracks.append(labels.track + 1000 * number)
-    return LabelHeights(ratio=np.concatenate(ratios), track=np.concatenate(tracks))
+        ratios.append(box_height_px(labels.box_px) / np.ptp(rows, axis=1))
+    return np.concatenate(ratios)
 
 
 # ---------- WILDTRACK: who is in whose view
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ViewFlags:
     """Share of people whose being in a view is predicted as it is annotated."""
 
@@ -277,22 +262,9 @@ def measure_flags(folder: Path) -> tuple[ViewFlags, ...]:
                 width_px=_WILDTRACK_SIZE[0],
                 height_px=_WILDTRACK_SIZE[1],
             )
-            is_in = _is_inside(project_distorted(boxes.position_m + middle, camera), camera)
+            x, y = project_distorted(boxes.position_m + middle, camera)[:, :2].T
+            # What is no number is not in the picture.
+            is_in = (x >= 0) & (x < camera.width_px) & (y >= 0) & (y < camera.height_px)
             agreed.append(float((is_in == is_flagged).mean()))
-        rows.append(
-            ViewFlags(
-                view=name,
-                people=len(boxes),
-                in_view=float(is_flagged.mean()),
-                agreed=agreed[0],
-                agreed_pinhole=agreed[1],
-            )
-        )
+        rows.append(ViewFlags(name, len(boxes), float(is_flagged.mean()), *agreed))
     return tuple(rows)
-
-
-def _is_inside(pixels: FloatArray, camera: CalibratedCamera) -> BoolArray:
-    """Pixels (n, 2 or more) in the picture; those that are no number are not."""
-    x, y = pixels[:, 0], pixels[:, 1]
-    inside: BoolArray = (x >= 0) & (x < camera.width_px) & (y >= 0) & (y < camera.height_px)
-    return inside

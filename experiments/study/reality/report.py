@@ -15,13 +15,9 @@ from geometry.actors import pick_actor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.files import load_toml
 from geometry.lidar import load_lidar_detection
+from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import (
-    ResponseFit,
-    fit_lasting_share,
-    fit_response,
-    share_by_track,
-)
+from placement.detectors.fitting import ResponseFit, fit_lasting_share, fit_response, share_by_track
 
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 from ...perception_lab.fit import table_text
@@ -30,7 +26,6 @@ from ...results.tables import markdown_table
 from .projection import (
     BODY,
     Heights,
-    LabelHeights,
     ViewFlags,
     measure_flags,
     measure_kitti_heights,
@@ -45,7 +40,6 @@ from .response import (
     HeldOut,
     Recall,
     Watched,
-    built_in,
     confirmed_at_once,
     first_confirmed,
     fit_table,
@@ -73,7 +67,7 @@ class Measured:
     """All that is measured, by what was recorded; the figures of a recording follow from it."""
 
     heights: Heights
-    labels: LabelHeights
+    labels: FloatArray  # labelled over predicted heights of pedestrians
     flags: tuple[ViewFlags, ...]
     pole: Watched
     car: Watched
@@ -94,6 +88,10 @@ class Measured:
     def fits(self) -> dict[str, ResponseFit]:
         """Tables fitted to all frames, by name."""
         return {one.name: fit_table(one) for one in (self.pole, self.car)}
+
+    def probability(self, watched: Watched) -> FloatArray:
+        """What the table fitted to a detector predicts of each frame, (n,)."""
+        return self.fits[watched.name].detector.probability(watched.sightings.evidence())
 
     @cached_property
     def held(self) -> dict[str, list[HeldOut]]:
@@ -180,7 +178,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
     """Headline figures: what, as measured with its interval, as predicted."""
-    table = built_in()
+    table = built_in_response()
     rows = [("tilt of PETS' camera that fits best, degrees", m.heights.tilt_deg, 0.0)]
     for words, one in m.watched.items():
         groups = [recall_of(one.sightings, "recall")]
@@ -234,20 +232,15 @@ def text(m: Measured) -> str:
 def _projection_lines(m: Measured) -> list[str]:
     h, height_m = m.heights, pick_actor(BODY, "body").height_m
     agreed = np.mean([flag.agreed for flag in m.flags])
-    rows = [
-        [name, *(number(float(value), 3) for value in np.quantile(ratio, _SPREAD)), near, far]
-        for name, ratio in (
-            ("lens as calibrated", h.ratio),
-            ("pinhole of this project", h.pinhole_ratio),
-        )
-        for near, far in [
-            [
-                number(float(np.median(ratio[mask])), 3)
-                for mask in (h.distance_m < 20.0, h.distance_m >= 30.0)
-            ]
-        ]
-    ]
-    labels = np.quantile(m.labels.ratio, _SPREAD)
+    rows = []
+    for name, ratio in (
+        ("lens as calibrated", h.ratio),
+        ("pinhole of this project", h.pinhole_ratio),
+    ):
+        near, far = ratio[h.distance_m < 20.0], ratio[h.distance_m >= 30.0]
+        figures = [*np.quantile(ratio, _SPREAD), np.median(near), np.median(far)]
+        rows.append([name, *(number(float(value), 3) for value in figures)])
+    labels = np.quantile(m.labels, _SPREAD)
     return [
         "## Who is where in the picture",
         "",
@@ -260,7 +253,7 @@ def _projection_lines(m: Measured) -> list[str]:
         "",
         "![Drawn over predicted heights by distance](reality_heights.png)",
         "",
-        f"KITTI: labelled over predicted heights of {len(m.labels.ratio)} pedestrians have a "
+        f"KITTI: labelled over predicted heights of {len(m.labels)} pedestrians have a "
         f"median of {labels[1]:.2f} ({labels[0]:.2f} to {labels[2]:.2f}). Labels are projections "
         "of boxes that were fitted to points: their near upper edge is higher than a head.",
         "",
@@ -304,14 +297,8 @@ def _held_out_lines(m: Measured) -> list[str]:
         f"{percent(float((small & ~in_16).sum() / (~in_16).sum()))} are.",
         "",
         *_table(
-            (
-                "watched",
-                "divided by",
-                "frames and tracks held out",
-                "calibration error",
-                "distance",
-                "by `response`",
-            ),
+            ("watched", "divided by", "frames and tracks held out")
+            + ("calibration error", "distance", "by `response`"),
             rows,
         ),
         "![Frames to confirmation](reality_confirmation.png)",
@@ -327,18 +314,13 @@ def _held_out_lines(m: Measured) -> list[str]:
         + ". To compare a table's 0.98 with a phi of 0.6 says too much. Of that number's variance "
         "so much is the same in all frames of a track, up to 55 frames apart: "
         + "; ".join(
-            f"{words}: {_plain(_lasting_share(one, m.fits[one.name]))}"
+            f"{words}: {_plain(fit_lasting_share(one.sightings, m.probability(one)))}"
             for words, one in m.watched.items()
             if one.name in m.fits
         )
         + ".",
         "",
     ]
-
-
-def _lasting_share(watched: Watched, fit: ResponseFit) -> Interval:
-    seen = watched.sightings
-    return fit_lasting_share(seen, fit.detector.probability(seen.evidence()))
 
 
 def _response_lines(m: Measured) -> list[str]:
@@ -374,14 +356,8 @@ def _response_lines(m: Measured) -> list[str]:
             *_table(
                 ("group", "frames", "people", "found", "`response`", ""),
                 [
-                    [
-                        g.words,
-                        str(g.frames),
-                        str(g.tracks),
-                        _share(g.measured),
-                        percent(g.predicted),
-                        "*" if g.is_off else "",
-                    ]
+                    [g.words, str(g.frames), str(g.tracks), _share(g.measured)]
+                    + [percent(g.predicted), "*" if g.is_off else ""]
                     for g in groups
                 ],
             ),
@@ -456,7 +432,7 @@ def _values(m: Measured) -> dict[str, str]:
             ),
         )
 
-    probability = built_in().probability(pole.evidence())
+    probability = built_in_response().probability(pole.evidence())
     tenth, median, most = np.quantile(h.pole_ratio, _SPREAD)
     near, far = h.slant_m < 20.0, h.slant_m >= 30.0
     return {
@@ -500,13 +476,10 @@ def tables(m: Measured) -> dict[str, str]:
     """Response tables of cameras, and the LiDAR's recalls, as TOML by the names of their files."""
     written = {}
     for one in (m.pole, m.car):
-        head = (
-            f"{one.detector}, {one.year}, on {one.recording} ({one.source}), "
-            f"{one.frame_rate_hz:g} Hz"
-        )
+        head = f"{one.detector}, {one.year}, on {one.recording} ({one.source}), "
         written[f"{one.name}.toml"] = table_text(
             m.fits[one.name],
-            source=head,
+            source=f"{head}{one.frame_rate_hz:g} Hz",
             command=COMMAND,
             unknown=_UNKNOWN,
             false_tracks_per_hour=one.alarms.per_hour,
@@ -517,8 +490,6 @@ def tables(m: Measured) -> dict[str, str]:
         f"# {COMMAND}",
         "# Found: image boxes overlap by more than half. Whether somebody is hidden is not told "
         "apart.",
-    ]
-    lines += [
         "# Classes of which nothing was measured are found as others are: assumption.",
         'stands_for = { child = "pedestrian", motorcyclist = "cyclist", car = "cyclist" }',
         "plan_probability = 0.5 # assumption",
@@ -605,43 +576,23 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
             low = value - [one.measured.low for one in groups]
             high = [one.measured.high for one in groups] - value
             marker, colour = _STYLES[name]
-            handles[name] = axes.errorbar(
-                places,
-                value,
-                yerr=np.maximum([low, high], 0.0),
-                fmt=marker,
-                color=colour,
-                ms=4,
-                capsize=2,
-                linewidth=1.0,
-            )
+            bars = np.maximum([low, high], 0.0)
+            look = {"fmt": marker, "color": colour, "ms": 4, "capsize": 2, "linewidth": 1.0}
+            handles[name] = axes.errorbar(places, value, yerr=bars, **look)
             predicted = [one.predicted for one in groups]
             (handles["table `response`"],) = axes.plot(places, predicted, "_k", ms=7, mew=2.0)
         axes.set_xticks(range(len(names)), [_short(name) for name in names], rotation=40)
         axes.set_title(title, fontsize=8)
         axes.set_ylim(0.0, 1.04)
         finish_axes(axes, y="share found" if axes is figure.axes[0] else None, grid="y")
-    figure.legend(
-        handles.values(),
-        handles.keys(),
-        loc="outside lower center",
-        ncol=4,
-        fontsize=_SMALL,
-        frameon=False,
-    )
+    below: dict[str, Any] = {"loc": "outside lower center", "ncol": 4, "frameon": False}
+    figure.legend(handles.values(), handles.keys(), fontsize=_SMALL, **below)
     return figure
 
 
 def _short(words: str) -> str:
-    for long, short in (
-        (" to ", "-"),
-        (" and more", "+"),
-        (" hidden", ""),
-        (" px", ""),
-        (" %", ""),
-    ):
-        words = words.replace(long, short)
-    return words
+    words = words.replace(" to ", "-").replace(" and more", "+")
+    return words.replace(" hidden", "").replace(" px", "").replace(" %", "")
 
 
 def plot_confirmations(held: Mapping[str, HeldOut]) -> "Figure":
@@ -654,16 +605,8 @@ def plot_confirmations(held: Mapping[str, HeldOut]) -> "Figure":
             (one.predicted, "--", 1.5, "fitted to the other half"),
             (one.by_response, ":", 1.5, "response"),
         ):
-            colour = BLUE if words == "real" else "black"
-            axes.step(
-                frames,
-                values[:_MAX_FRAMES],
-                style,
-                where="post",
-                color=colour,
-                linewidth=width,
-                label=words,
-            )
+            look = {"color": BLUE if words == "real" else "black", "linewidth": width}
+            axes.step(frames, values[:_MAX_FRAMES], style, where="post", label=words, **look)
         axes.set_ylim(0.4, 1.0)
         axes.set_xlim(2, _MAX_FRAMES)
         axes.set_title(title, fontsize=8)

@@ -10,7 +10,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import read_text
 from geometry.lenses import ground_points
-from placement.detectors import ResponseDetector, load_planning_detector
+from placement.detectors import ResponseDetector
+from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval, linked_noise
 from placement.detectors.fitting import (
     FalseAlarms,
@@ -23,8 +24,7 @@ from placement.detectors.fitting import (
     gather_sightings,
     share_by_track,
 )
-from placement.recordings.boxes import RecordedBoxes
-from placement.recordings.formats import read_boxes
+from placement.recordings.formats import RecordedBoxes, read_boxes
 from placement.recordings.pairs import PairedBoxes, frames_to_confirm, pair_boxes
 
 from .projection import bottoms, pets_tracks
@@ -210,15 +210,8 @@ def recall_of(sightings: Sightings, words: str) -> Recall:
         frames=len(sightings),
         tracks=len(np.unique(sightings.track)),
         measured=share_by_track(sightings.is_found, sightings.track),
-        predicted=float(built_in().probability(sightings.evidence()).mean()),
+        predicted=float(built_in_response().probability(sightings.evidence()).mean()),
     )
-
-
-def built_in() -> ResponseDetector:
-    """The built-in table "response"."""
-    table = load_planning_detector("response")
-    assert isinstance(table, ResponseDetector)
-    return table
 
 
 def phi(sightings: Sightings) -> Interval:
@@ -227,9 +220,8 @@ def phi(sightings: Sightings) -> Interval:
     is_next = np.flatnonzero(same & (np.diff(sightings.frame) == 1))
     a, b = sightings.is_found[is_next], sightings.is_found[is_next + 1]
     _, which = np.unique(sightings.track[is_next], return_inverse=True)
-    sums = np.array(
-        [np.bincount(which, weights=w) for w in (np.ones(len(a)), a, b, a & b)]
-    )  # (4, n_tracks)
+    weights = (np.ones(len(a)), a, b, a & b)
+    sums = np.array([np.bincount(which, weights=one) for one in weights])  # (4, n_tracks)
     n_tracks = sums.shape[1]
     counts = np.random.default_rng(0).multinomial(
         n_tracks, np.full(n_tracks, 1.0 / n_tracks), size=1000
@@ -285,7 +277,7 @@ def hold_out(watched: Watched, divided_by: str, *, fit_first: bool) -> HeldOut:
     held = seen.take(np.flatnonzero(~rows))
     probability = fit.detector.probability(held.evidence())
     drawn = _draw(held, probability, fit.detector.frame_correlation)
-    table = built_in()
+    table = built_in_response()
     there = table.probability(held.evidence())
     by_response = _draw(held, there, _correlation_there(table, watched))
     real = _confirmed(held, held.is_found[None])
@@ -329,7 +321,7 @@ def _confirmed(held: Sightings, found: BoolArray) -> FloatArray:
 
 def confirmed_at_once(watched: Watched) -> Recall:
     """Share of starts whose first three frames confirm; the prediction is drawn by "response"."""
-    table, sightings = built_in(), watched.sightings
+    table, sightings = built_in_response(), watched.sightings
     waits = _waits(sightings, sightings.is_found)
     probability = table.probability(sightings.evidence())
     drawn = _draw(sightings, probability, _correlation_there(table, watched))

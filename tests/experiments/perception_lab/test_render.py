@@ -8,7 +8,7 @@ from kept_backdrops import kept_backdrop
 from PIL import Image
 
 from experiments.export.watched import find_run
-from experiments.perception_lab.render import instance_colours
+from experiments.perception_lab.drawing import instance_colours
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.evaluator.pictures import find_frame

@@ -23,8 +23,8 @@ from geometry.lenses import TsaiRadial, project_distorted
 from geometry.sensors import project_points
 from placement.detectors import load_detector
 from placement.detectors.evidence import linked_noise
-from placement.recordings.cvml import read_tsai
-from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
+from placement.recordings.calibrations import read_opencv_camera, read_tsai
+from placement.recordings.formats import read_wildtrack
 
 TSAI = (  # 7 m above the road, looking along it
     '<Camera><Geometry width="768" height="576" dpx="5e-3" dpy="5e-3"/><Intrinsic focal="5.5" '

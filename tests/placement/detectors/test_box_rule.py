@@ -80,7 +80,6 @@ def test_only_the_boxes_the_contrast_and_nothing_else_decide():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
     looks = {"visible_share": 0.1, "inside_share": 0.1, "aspect_deg": 0.0, "vru_class": "cyclist"}
     assert _detected(detector, [0.0, 0.0, 10.0, 30.0], **looks) == [True]
-    assert not detector.needs_shares
     assert not detector.needs_pictures
 
 

@@ -10,10 +10,10 @@ from geometry.errors import InputError, MissingExtraError
 from geometry.image_boxes import iou
 from placement.detectors.network import (
     ImageBoxes,
+    boxes_of_class,
     letterbox,
     load_onnx_model,
     suppress,
-    vru_boxes,
 )
 
 onnx = pytest.importorskip("onnx")
@@ -217,8 +217,8 @@ def test_an_image_without_anything_has_no_boxes(path, layout):
     found = load_onnx_model(save_constants(path, layout([], [], []))).detect(GREY)
     assert found.boxes_px.shape == (0, 4)
     assert len(found.class_ids) == len(found.confidence) == 0
-    boxes = vru_boxes(found)
-    assert boxes.persons.boxes_px.shape == boxes.cyclists.boxes_px.shape == (0, 4)
+    assert boxes_of_class(found, "pedestrian")[0].shape == (0, 4)
+    assert boxes_of_class(found, "cyclist")[0].shape == (0, 4)
 
 
 def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
@@ -437,11 +437,11 @@ def test_a_cyclist_is_a_person_and_a_bicycle_that_overlap_or_either():
         ([50.0, 10.0, 60.0, 20.0], 3, 0.6),
         ([70.0, 10.0, 80.0, 20.0], 9, 0.5),  # a dog
     )
-    boxes = vru_boxes(found)
-    assert boxes.persons.boxes_px.tolist() == found.boxes_px[:2].tolist()
-    assert boxes.persons.confidence.tolist() == [0.9, 0.8]
-    cyclists = zip(boxes.cyclists.boxes_px.tolist(), boxes.cyclists.confidence, strict=True)
-    assert sorted(cyclists) == sorted(
+    persons, how_sure = boxes_of_class(found, "pedestrian")
+    assert persons.tolist() == found.boxes_px[:2].tolist()
+    assert how_sure.tolist() == [0.9, 0.8]
+    cyclists, how_sure = boxes_of_class(found, "cyclist")
+    assert sorted(zip(cyclists.tolist(), how_sure, strict=True)) == sorted(
         [
             ([5.0, 0.0, 35.0, 40.0], 0.7),  # both together, as sure as the less sure
             ([10.0, 0.0, 20.0, 30.0], 0.9),
@@ -459,23 +459,22 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_neither_counts_for_t
         ([50.0, 10.0, 60.0, 20.0], 2, 0.6),  # a bicycle
         ([70.0, 10.0, 90.0, 20.0], 5, 0.5),
     )
-    boxes = vru_boxes(found)
-    motorcyclists = boxes.of_class("motorcyclist")
-    assert motorcyclists.boxes_px.tolist() == [
+    motorcyclists, how_sure = boxes_of_class(found, "motorcyclist")
+    assert motorcyclists.tolist() == [
         [5.0, 0.0, 35.0, 40.0],
         [10.0, 0.0, 20.0, 30.0],
         [5.0, 15.0, 35.0, 40.0],
     ]
-    assert motorcyclists.confidence.tolist() == [0.7, 0.9, 0.7]
-    assert boxes.of_class("cyclist").confidence.tolist() == [0.9, 0.6]
-    assert boxes.of_class("car").boxes_px.tolist() == [[70.0, 10.0, 90.0, 20.0]]
+    assert how_sure.tolist() == [0.7, 0.9, 0.7]
+    assert boxes_of_class(found, "cyclist")[1].tolist() == [0.9, 0.6]
+    assert boxes_of_class(found, "car")[0].tolist() == [[70.0, 10.0, 90.0, 20.0]]
     for name in ("pedestrian", "child"):
-        assert boxes.of_class(name) is boxes.persons
+        assert boxes_of_class(found, name)[0].tolist() == [[10.0, 0.0, 20.0, 30.0]]
 
 
 def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
     found = image_boxes(([10.0, 0.0, 20.0, 30.0], 1, 0.9), ([20.0, 0.0, 40.0, 30.0], 2, 0.7))
-    assert len(vru_boxes(found).cyclists.boxes_px) == 2
+    assert len(boxes_of_class(found, "cyclist")[0]) == 2
 
 
 @given(

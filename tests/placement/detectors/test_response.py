@@ -273,7 +273,6 @@ def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
 
 
 def test_the_response_looks_at_shares_and_at_no_picture():
-    assert DETECTOR.needs_shares
     assert not DETECTOR.needs_pictures
     assert DETECTOR.name == "response"
     assert "probability of at least 0.5" in DETECTOR.description

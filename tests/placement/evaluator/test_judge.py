@@ -46,7 +46,7 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
     study_runs, axis, judge, seed, latency_s
 ):
     (row,) = _rows(axis, seed, 1)
-    verdict = judge.verdict([(row, latency_s)])
+    verdict = judge.verdicts([[(row, latency_s)]])[0]
     endless = replace(axis, last_brake_time_s=np.full(axis.n_runs, np.inf))
     confirmation_s = live_confirmation_times_s(row, endless, rule=RULE)
     assert np.array_equal(verdict.confirmation_time_s, confirmation_s)
@@ -64,8 +64,8 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
 @given(seed=st.integers(0, 2**32 - 1))
 def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(axis, judge, seed):
     rows = _rows(axis, seed, 3)
-    fused = judge.verdict([(row, RULE.latency_s) for row in rows])
-    one = judge.verdict([(rows.any(axis=0), RULE.latency_s)])
+    fused = judge.verdicts([[(row, RULE.latency_s) for row in rows]])[0]
+    one = judge.verdicts([[(rows.any(axis=0), RULE.latency_s)]])[0]
     for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
         assert np.array_equal(getattr(fused, field), getattr(one, field))
 
@@ -76,7 +76,7 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(axis, judg
 )
 def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
     parties = list(zip(_rows(axis, seed, 3), latencies_s, strict=True))
-    fewer, more = judge.verdict(parties[:2]), judge.verdict(parties)
+    fewer, more = judge.verdicts([parties[:2]])[0], judge.verdicts([parties])[0]
     assert (more.onset_time_s <= fewer.onset_time_s).all()
     assert (more.is_avoided >= fewer.is_avoided).all()
     assert (more.detected >= fewer.detected).all()
@@ -91,7 +91,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
     outcomes = set()
     early = np.concatenate([run.time_s < run.time_s[0] + 1.95 for run in study_runs])
     for row in [early, *_rows(axis, 7, 10)]:
-        verdict = judge.verdict([(row, rule.latency_s)])
+        verdict = judge.verdicts([[(row, rule.latency_s)]])[0]
         live_s = live_confirmation_times_s(row, axis, rule=rule)
         assert np.array_equal(verdict.is_avoided, np.isfinite(live_s))
         is_live = verdict.is_avoided
@@ -119,7 +119,7 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
 
 
 def test_nobody_confirms_nothing(axis, judge):
-    verdict = judge.verdict([])
+    verdict = judge.verdicts([[]])[0]
     assert not verdict.detected.any()
     assert np.isinf(verdict.onset_time_s).all()
     assert not verdict.is_avoided.any()
@@ -130,7 +130,7 @@ def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
     row[5:9] = True
     for n_confirmations, frame in ((1, 5), (2, 6), (4, 8), (5, None)):
         rule = replace(RULE, n_confirmations=n_confirmations)
-        (onset_s, *others) = Judge(study_runs, axis, rule).verdict([(row, 0.1)]).onset_time_s
+        (onset_s, *others) = Judge(study_runs, axis, rule).verdicts([[(row, 0.1)]])[0].onset_time_s
         assert onset_s == (np.inf if frame is None else axis.time_s[frame] + 0.1)
         assert np.isinf(others).all()
 
@@ -143,7 +143,7 @@ def test_scores_of_bodies_are_those_of_levels_on_the_table(
     rule = replace(RULE, track_memory_s=memory_s)
     judge = Judge(study_runs, axis, rule, levels)
     rows = _rows(axis, seed, 2)
-    verdict = judge.verdict([(row, rule.latency_s) for row in rows])
+    verdict = judge.verdicts([[(row, rule.latency_s) for row in rows]])[0]
     v = axis.vut_speed_kmh
     assert ((verdict.impact_speed_kmh == 0.0) == verdict.is_avoided).all()
     assert (verdict.impact_speed_kmh <= v + 1e-9).all()
@@ -173,10 +173,10 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
     monkeypatch.setattr(judge_module, "find_contacts", count)
     judge = Judge(study_runs, axis, RULE)
     row = np.ones(axis.n_frames, dtype=bool)
-    first, again = (judge.verdict([(row, 0.025)]) for _ in range(2))
+    first, again = (judge.verdicts([[(row, 0.025)]])[0] for _ in range(2))
     assert len(asked) == axis.n_runs
     assert np.array_equal(first.is_avoided, again.is_avoided)
-    judge.verdict([(row, 0.05)])
+    judge.verdicts([[(row, 0.05)]])[0]
     assert len(asked) == 2 * axis.n_runs
 
 

@@ -15,7 +15,7 @@ from placement.evaluator.evaluate import evaluate_layout
 from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
 from placement.evaluator.pictures import PictureSource, vut_camera_pose
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera
-from placement.imaging import render_picture
+from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
 
 onnx = pytest.importorskip("onnx")
@@ -135,7 +135,8 @@ def build_network_that_knows(picture, box):
 
 def render(scene, run, frame, pose, camera, **options):
     weather = pick_weather(run.weather, "test")
-    return render_picture(scene, run, frame, pose, camera, weather=weather, **options).rgb
+    backdrop = build_backdrop(scene, run.obstruction)
+    return draw_picture(backdrop, run, frame, pose, camera, weather=weather, **options).rgb
 
 
 # Networks.

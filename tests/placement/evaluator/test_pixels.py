@@ -13,8 +13,13 @@ from geometry.raycast import build_caster
 from geometry.sensors import CameraModel, pixel_rays
 from placement.evaluator.perceive import _place, perceive_from_roadside
 from placement.evaluator.pixels import Image, build_tree, draw, find_box, find_crop, hide
-from placement.evaluator.solids import Mesh, build_body, build_scene_mesh, build_static
-from placement.evaluator.surroundings import build_surroundings
+from placement.evaluator.surroundings import (
+    Mesh,
+    build_body,
+    build_scene_mesh,
+    build_static,
+    build_surroundings,
+)
 
 HERE = np.zeros(4)
 LEVEL = Pose(position_m=np.array([0.0, 0.0, 0.9]), yaw_deg=0.0)

@@ -28,7 +28,6 @@ def _hits(points, normals):
         points_m=points,
         normals=np.array(normals, dtype=np.float32),
         thing=np.zeros(len(points), dtype=np.int32),
-        distance_m=np.ones(len(points), dtype=np.float32),
         pixel_m=np.ones(len(points), dtype=np.float32),
     )
 

@@ -12,12 +12,16 @@ from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
 from placement.evaluator.surroundings import build_surroundings
-from placement.imaging import build_backdrop, draw_picture, render_picture
+from placement.imaging import build_backdrop, draw_picture
 
 CORNER = Pose(
     position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
 )  # near the study's RSU3
 ABOVE = Pose(position_m=np.array([0.0, -12.0, 9.0]), yaw_deg=90.0, pitch_deg=-40.0)
+
+
+def render_picture(scene, run, *args, **options):
+    return draw_picture(build_backdrop(scene, run.obstruction), run, *args, **options)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from geometry.poses import Pose, to_world
 from geometry.scene import CLASS_NAMES
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
-from placement.imaging import scan_cloud
+from placement.imaging.mesh import build_frame_mesh, build_static_mesh, scan_mesh
 
 DAY = load_weathers()["day"]
 LIDAR = load_lidars()["carla-ncap-lidar"]
@@ -33,8 +33,10 @@ def pose(run):
     return Pose(position_m=np.array([east - 12.0, north, 4.0]), yaw_deg=0.0, pitch_deg=-12.0)
 
 
-def _scan(scene, run, pose, lidar=EXACT, weather=DAY, **options):
-    return scan_cloud(scene, run, len(run.time_s) - 1, pose, lidar, weather=weather, **options)
+def _scan(scene, run, pose, lidar=EXACT, weather=DAY, *, with_vut=True, **options):
+    static, frame = build_static_mesh(scene, run.obstruction), len(run.time_s) - 1
+    mesh = build_frame_mesh(static, run, frame, pose.position_m, with_vut=with_vut)
+    return scan_mesh(mesh, run, pose, lidar, weather=weather, **options)
 
 
 def test_points_lie_on_beams_at_most_as_far_as_the_range_and_no_beam_has_two(scene, run, pose):

@@ -7,11 +7,8 @@ from readers import READERS
 from geometry.errors import InputError
 from geometry.lenses import project_distorted
 from placement.recordings import find_format, read_recording
-from placement.recordings.boxes import IGNORE
-from placement.recordings.cvml import read_tsai
-from placement.recordings.formats import read_boxes
-from placement.recordings.kitti import read_kitti_camera, read_kitti_motion
-from placement.recordings.wildtrack import read_opencv_camera, read_wildtrack
+from placement.recordings.calibrations import read_kitti_camera, read_opencv_camera, read_tsai
+from placement.recordings.formats import IGNORE, read_boxes, read_wildtrack
 
 
 def put(tmp_path, reader, kind):
@@ -103,12 +100,6 @@ def test_an_opencv_camera_agrees_with_opencv(tmp_path):
     assert project_distorted(points, camera)[:, :2] == pytest.approx(theirs[:, 0], rel=1e-9)
 
 
-def test_own_motion_is_read_by_frame(tmp_path):
-    motion = read_kitti_motion(put(tmp_path, "recorded calibrations", "oxts"))
-    assert motion.speed_mps.tolist() == [3.5, 3.5]
-    assert motion.yaw_rad.tolist() == [-1.22, -1.22]
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -191,10 +182,6 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
 
     assert refused(read, path, "P0: 1\n") == "F: got no P2; expected a line P2: with 12 numbers"
     assert refused(read, path, "P2: 1 2\n") == "F:1: P2: got 2 numbers; expected 12 numbers"
-    lines = put(tmp_path, "recorded calibrations", "oxts").read_text()
-    assert refused(read_kitti_motion, tmp_path / "oxts.txt", lines[:-20]).startswith(
-        "F:2: got 25 fields; expected 30 fields"
-    )
 
 
 def test_a_recording_says_which_format_it_is_in(tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 from placement.detectors.fitting import gather_sightings, share_by_track, wilson
-from placement.recordings.boxes import IGNORE, BoxRow, gather_boxes
+from placement.recordings.formats import IGNORE, BoxRow, gather_boxes
 from placement.recordings.pairs import frames_to_confirm, pair_boxes, seen_shares
 
 PERSON = {"pedestrian": "pedestrian"}

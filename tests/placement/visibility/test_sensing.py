@@ -136,7 +136,6 @@ def _evidence_of_frames(scene, runs, candidate, detector):
 
 def test_the_response_foretold_by_points_is_that_of_pixels(build_scene, random_runs, mount):
     """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on most frames."""
-    assert RESPONSE.needs_shares
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
     evidence = _evidence_of_frames(build_scene(*WALLS), random_runs, candidate, RESPONSE)
     by_points, by_pixels = (RESPONSE.probability(one) for one in evidence)

@@ -61,7 +61,7 @@ def test_the_exported_file_says_what_the_network_says(trained, tmp_path):
     pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
     from experiments.perception_lab.training.network import export_onnx, find_boxes
-    from placement.detectors.network import load_onnx_model, vru_boxes
+    from placement.detectors.network import boxes_of_class, load_onnx_model
 
     network, _ = trained
     path = tmp_path / "toy.onnx"
@@ -69,11 +69,9 @@ def test_the_exported_file_says_what_the_network_says(trained, tmp_path):
     test = _toys(12, 4)
     model = load_onnx_model(path)
     for rgb, by_class in zip(test.rgb, find_boxes(network, test), strict=True):
-        boxes = vru_boxes(model.detect(rgb)).persons
+        boxes, how_sure = boxes_of_class(model.detect(rgb), "pedestrian")
         sure = by_class[0][1] >= 0.06
-        assert boxes.boxes_px[boxes.confidence >= 0.06] == pytest.approx(
-            by_class[0][0][sure], abs=0.05
-        )
+        assert boxes[how_sure >= 0.06] == pytest.approx(by_class[0][0][sure], abs=0.05)
 
 
 def test_training_that_was_stopped_goes_on(tmp_path):
