@@ -129,17 +129,6 @@ def have_bits(rows: WordArray, kept: WordArray, has_bits: BoolArray) -> None:
 
 
 @kernel
-def lack_nothing(rows: WordArray, kept: WordArray, lacks_nothing: BoolArray) -> None:
-    """Find rows that have all the bits in `kept`, (n_words,), of the next row."""
-    for row in range(len(rows) - 1):
-        lacks_nothing[row] = True
-        for word in range(rows.shape[1]):
-            if rows[row + 1, word] & ~rows[row, word] & kept[word]:
-                lacks_nothing[row] = False
-                break
-
-
-@kernel
 def mix_rows(rows: WordArray, kept: WordArray, mixed: WordArray) -> None:
     """A number for each row, equal for rows that are equal within `kept`, (n_words,)."""
     for row in range(len(rows)):
@@ -300,6 +289,12 @@ def has_entry(entries: IntArray, entry: int) -> bool:
 
 
 @kernel
+def has_bit(union: WordArray, frame: int) -> bool:
+    """True if a frame is among those of a union."""
+    return bool((union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1))
+
+
+@kernel
 def look_through(
     union: WordArray,
     chains: Chains,
@@ -320,15 +315,13 @@ def look_through(
         chain = order[rank]
         place, end = start[chain], start[chain + 1]
         for tail in range(tail_start[chain], tail_start[chain + 1]):
-            frame = tail_frame[tail]
-            if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) == 0:
+            if not has_bit(union, tail_frame[tail]):
                 place += tail_links[tail]
                 break
         while place < end:
-            is_seen = np.uint64(1)
+            is_seen = True
             for number in range(window_frames.shape[1]):
-                frame = window_frames[window[place], number]
-                is_seen &= union[frame >> 6] >> np.uint64(frame & 63)
+                is_seen &= has_bit(union, window_frames[window[place], number])
             if is_seen:
                 break
             place += 1
@@ -377,9 +370,10 @@ def first_live_with_each(
         tail, n_tails = tail_start[chain], tail_start[chain + 1] - tail_start[chain]
         for number in range(n_tails):
             frame = tail_frame[tail + number]
-            for word in range(n_words):
-                seen = every if is_seen[frame] else columns[frame, word]
-                held[number + 1, word] = held[number, word] & seen
+            held[number + 1] = held[number]
+            if not is_seen[frame]:
+                for word in range(n_words):
+                    held[number + 1, word] &= columns[frame, word]
         n_links = start[chain + 1] - start[chain]
         first[chain] = n_links
         left[:] = every
@@ -436,8 +430,7 @@ def avoid_with_each(
                 if has_part:
                     for word in range(n_words):
                         part[word] |= columns[frame, word]
-        for word in range(n_words):
-            live[word] = held[word]
+        live[:] = held
         for frame in window_frames[window[start[chain] + link]]:
             if not is_seen[frame]:
                 for word in range(n_words):
@@ -462,14 +455,12 @@ def add_weights_with_each(
 ) -> None:
     """Add the weight of each of some runs to all poses with which a set avoids it, (n_poses,).
 
-    The first ``last[r]`` windows of chain ``run_chain[r]`` are those of run r; the rest is as for
-    :func:`avoid_with_each`.
+    Of run r, the first ``last[r]`` windows of chain ``run_chain[r]`` are in time.
     """
     n_words = columns.shape[1]
     space, avoided = np.empty((2, n_words), dtype=np.uint64), np.empty(n_words, dtype=np.uint64)
     no_part = np.empty(0, dtype=np.uint64)
-    for number in range(len(runs)):
-        run = runs[number]
+    for run in runs:
         avoid_with_each(
             columns, is_seen, chains, run_chain[run], last[run], space, avoided, no_part
         )

@@ -197,7 +197,9 @@ def _spread(reduced: ReducedProblem, units: IntArray, *, deadline: Deadline) -> 
         fits = np.flatnonzero(fitting(reduced.limits, rest))
         idle += 1
         if len(fits) and not is_forced[units[place]]:
-            total = (shares_with_each(reduced, rest) + left_with_each(reduced, rest, 1))[fits]
+            total = (
+                shares_with_each(reduced, rest) + left_with_each(reduced, rest, reduced.measure, 1)
+            )[fits]
             best = int(total.argmax())
             trial = np.append(rest, fits[best])
             if total[best] > value + TOLERANCE and is_allowed(reduced.limits, trial):

@@ -260,13 +260,7 @@ def is_dominated(
     """
     from .bit_kernels import find_dominated
 
-    n_poses = len(words)
-    count = np.empty(n_poses, dtype=np.int64)
-
-    def count_bits(begin: int, end: int) -> None:
-        count[begin:end] = np.bitwise_count(words[begin:end]).sum(axis=1, dtype=np.int64)
-
-    share_out(count_bits, n_poses, workers=workers)
+    count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
     order = np.lexsort((limits.unit_cost_eur, -count))
     sites, price = limits.site_index[order], limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
@@ -275,26 +269,14 @@ def is_dominated(
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    ordered = words[order]
-    dominated = np.zeros(n_poses, dtype=bool)
+    poses = words[order], sites, price, elsewhere, ~is_bound_site[sites]
+    dominated, result = np.zeros((2, len(words)), dtype=bool)
 
     def look(begin: int) -> None:
-        find_dominated(
-            ordered,
-            sites,
-            price,
-            elsewhere,
-            ~is_bound_site[sites],
-            limits.site_capacity,
-            max_units,
-            begin,
-            workers,
-            dominated,
-        )
+        find_dominated(*poses, limits.site_capacity, max_units, begin, workers, dominated)
 
     with ThreadPoolExecutor(workers) as threads:
         list(threads.map(look, range(workers)))
-    result = np.zeros(n_poses, dtype=bool)
     result[order] = dominated
     return result & ~limits.is_forced
 
@@ -324,13 +306,11 @@ class _Windows:
         self.n_used, self.n_bits = len(used), n_bits
         _transpose(packed, np.arange(n_bits), used, self.columns, workers)
         # Those between frames that are used are used.
-        tail_begin = np.searchsorted(used, self.tail_end, side="right")
-        tail_until = np.searchsorted(used, last, side="right")
+        begin, end = (np.searchsorted(used, at, side="right") for at in (self.tail_end, last))
 
-        def join(begin: int, end: int) -> None:
-            part = slice(begin, end)
-            tails = self.columns[self.n_used :]
-            join_ranges(self.columns, tail_begin[part], tail_until[part], tails[part])
+        def join(one: int, other: int) -> None:
+            part, tails = slice(one, other), self.columns[self.n_used :]
+            join_ranges(self.columns, begin[part], end[part], tails[part])
 
         share_out(join, len(last), workers=workers)
         if problem.fusion == "single":
@@ -452,10 +432,8 @@ class _Windows:
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""
-        from .bit_kernels import lack_nothing
-
-        is_needless = np.zeros(len(self.tail_run), dtype=bool)
-        lack_nothing(self.columns[self.n_used :], mask, is_needless)
+        tails, is_needless = self.columns[self.n_used :], np.zeros(len(self.tail_run), dtype=bool)
+        is_needless[:-1] = ~_have_bits(tails[1:] & ~tails[:-1], mask)
         is_needless[:-1] &= self.tail_run[1:] == self.tail_run[:-1]
         return is_needless
 
@@ -479,12 +457,12 @@ def distinct_rows(
     return slots[:n_distinct].copy(), number
 
 
-def _have_bits(rows: WordArray, mask: WordArray | None = None) -> BoolArray:
-    """Which rows have any bit within a mask."""
+def _have_bits(rows: WordArray, mask: WordArray) -> BoolArray:
+    """Which rows have any bit within a mask, (n_words,)."""
     from .bit_kernels import have_bits
 
     has_bits = np.empty(len(rows), dtype=bool)
-    have_bits(rows, np.full(rows.shape[1], ~np.uint64(0)) if mask is None else mask, has_bits)
+    have_bits(rows, mask, has_bits)
     return has_bits
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .bit_kernels import ByteArray, count_bits, look_through, lowest_bit
+from .bit_kernels import ByteArray, count_bits, has_bit, has_entry, look_through, lowest_bit
 from .limits import Choice
 from .problem import Chains, WordArray
 
@@ -33,21 +33,21 @@ def ask_for_least_seen(
         # Windows of the chain, the last one first: the earlier, the more tails are needed.
         for link in range(start[chain + 1] - start[chain] - 1, -1, -1):
             while tail < last_tail and tail_links[tail] > link:
-                frame = tail_frame[tail]
+                least_tail = less_seen(union, seen, tail_frame[tail], least_tail)
                 tail += 1
-                if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1):
-                    continue
-                if least_tail < 0 or seen[frame] < seen[least_tail]:
-                    least_tail = frame
             least = -1
             for frame in window_frames[window[start[chain] + link]]:
-                if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1):
-                    continue
-                if least < 0 or seen[frame] < seen[least]:
-                    least = frame
+                least = less_seen(union, seen, frame, least)
             if least_tail >= 0 and (least < 0 or seen[least_tail] < seen[least]):
                 least = least_tail
             asked[start[chain] + link] = least
+
+
+@kernel
+def less_seen(union: WordArray, seen: FloatArray, frame: int, least: int) -> int:
+    """A frame that a union lacks, if it is seen less than the least so far, or that one."""
+    is_less = not has_bit(union, frame) and (least < 0 or seen[frame] < seen[least])
+    return frame if is_less else least
 
 
 @kernel
@@ -159,24 +159,14 @@ def pick_affordable(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple
     """
     total, n_picked = pick_best(gain, choice, picked)
     cost = choice.cost
-    if len(cost) == 0:
+    if len(cost) == 0 or cost[picked[:n_picked]].sum() <= 1.0:
         return total, n_picked
-    spent = 0.0
-    for number in range(n_picked):
-        spent += cost[picked[number]]
-    if spent <= 1.0:
-        return total, n_picked
-    low, high, beyond = 0.0, total, np.empty(len(gain))
+    low, high = 0.0, total
     for _ in range(16):  # prices of money
         middle = 0.5 * (low + high)
-        for pose in range(len(gain)):
-            beyond[pose] = gain[pose] - middle * cost[pose]
-        of_poses, n_picked = pick_best(beyond, choice, picked)
+        of_poses, n_picked = pick_best(gain - middle * cost, choice, picked)
         total = min(total, of_poses + middle)
-        spent = 0.0
-        for number in range(n_picked):
-            spent += cost[picked[number]]
-        if spent > 1.0:
+        if cost[picked[:n_picked]].sum() > 1.0:
             low = middle
         else:
             high = middle
@@ -216,12 +206,10 @@ def tighten_prices(
     length, cut, deflection, memory, patience = steering
     n_units, is_open = choice.n_units, choice.is_open
     n_rows, n_poses, best, idle = len(price), len(share), np.inf, 0
-    best_price = np.empty(n_rows)
-    slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
+    best_price, slope, units = np.empty(n_rows), np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
     gain, picked = np.empty(n_poses), np.empty(max(n_units, 1), dtype=np.int64)
     table, used = np.empty((covers.shape[1], 256)), np.empty(covers.shape[1], dtype=np.int64)
-    every = np.empty(-(-covers.shape[1] // 8), dtype=np.uint64)
-    every[:] = ~np.uint64(0)
+    every = np.full(-(-covers.shape[1] // 8), ~np.uint64(0))
     for row in range(n_rows, 64 * len(every)):  # padding behind the rows
         every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
     for step in range(n_steps + 1):
@@ -237,37 +225,33 @@ def tighten_prices(
             gain[pose] = weight_of(covers[pose], table, used, n_used) if is_open[pose] else 0.0
         of_poses, n_picked = pick_affordable(gain, choice, picked)
         total += of_poses
-        for pose in range(n_poses):
-            share[pose] *= memory
-        for number in range(n_picked):
-            share[picked[number]] += 1.0 - memory
+        share *= memory
+        for pose in picked[:n_picked]:
+            share[pose] += 1.0 - memory
         if total < best * (1.0 - 1.0e-12):
             best, idle = total, 0
-            for row in range(n_rows):
-                best_price[row] = price[row]
+            best_price[:] = price
         else:
             idle += 1
         if step == n_steps:
             break
         if idle > patience:
-            for row in range(n_rows):
-                price[row], slope[row] = best_price[row], 0.0
+            price[:], slope[:] = best_price, 0.0
             length, idle = length * cut, 0
             continue
         # A step against the slope: poses that cover the row less the units it would pay for.
         steepness = 0.0
         for row in range(n_rows):
             rise = -float(units[row])
-            for number in range(n_picked):
-                rise += (covers[picked[number], row >> 3] >> (row & 7)) & 1
+            for pose in picked[:n_picked]:
+                rise += (covers[pose, row >> 3] >> (row & 7)) & 1
             slope[row] = rise + deflection * slope[row]
             steepness += slope[row] * slope[row]
         if steepness < 1.0e-12:
             break
         for row in range(n_rows):
             price[row] -= length * total / steepness * slope[row]
-    for row in range(n_rows):
-        price[row] = best_price[row]
+    price[:] = best_price
     return best
 
 
@@ -315,11 +299,7 @@ class Walk(NamedTuple):
 
 @kernel
 def add_gains(
-    covers: Covers,
-    weight: FloatArray,
-    rows: WordArray,
-    walk: Walk,
-    gain: FloatArray,
+    covers: Covers, weight: FloatArray, rows: WordArray, walk: Walk, gain: FloatArray
 ) -> float:
     """Add to each candidate what it covers of some rows; what they weigh."""
     is_open = walk.is_open[walk.where[0]]
@@ -352,12 +332,8 @@ def drop_hopeless(
     for number in range(n_more):
         highest, pose = -1.0, -1
         for other in range(len(gain)):
-            if is_open[other] and gain[other] > highest:
-                is_new = True
-                for before in range(number):
-                    is_new &= best[before] != other
-                if is_new:
-                    highest, pose = gain[other], other
+            if is_open[other] and gain[other] > highest and not has_entry(best[:number], other):
+                highest, pose = gain[other], other
         if pose < 0:
             break
         best[number], least = pose, highest
@@ -418,14 +394,12 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
     lost = walk.lost[depth]
     if lost > walk.may_lose[0]:
         return False
-    gain[:] = 0.0
-    total = lost + add_gains(covers, covers.price, rows, walk, gain)
-    if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
-        return False
-    gain[:] = 0.0
-    total = lost + add_gains(covers, covers.weight, rows, walk, gain)
-    if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
-        return False
+    total = 0.0
+    for weight in (covers.price, covers.weight):
+        gain[:] = 0.0
+        total = lost + add_gains(covers, weight, rows, walk, gain)
+        if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
+            return False
     if n_failures > 0:
         # Units fail that are still to come; or one of those chosen, and others to come.
         need = total - walk.may_lose[1]
@@ -435,8 +409,7 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
             of_unit = covers.covers[walk.chosen[number]]
             for word in range(len(rows)):
                 rows[word] = of_unit[word] & ~walk.twice[depth, word]
-            for pose in range(len(gain)):
-                beside[pose] = gain[pose]
+            beside[:] = gain
             need = total + add_gains(covers, covers.weight, rows, walk, beside) - walk.may_lose[1]
             if not drop_hopeless(beside, is_open, left - n_failures + 1, need, walk.best):
                 return False
@@ -488,25 +461,19 @@ def grow(
         if depth + 1 == n_units:
             if walk.where[2] == len(out):
                 return FULL
-            for unit in range(n_units):
-                out[walk.where[2], unit] = walk.chosen[unit]
+            out[walk.where[2]] = walk.chosen
             walk.where[2] += 1
             walk.position[depth] += 1
             walk.is_open[depth, pose] = False
             continue
         walk.position[depth] += 1
         after = depth + 1
-        for other in range(n_poses):
-            walk.is_open[after, other] = walk.is_open[depth, other]
+        walk.is_open[after] = walk.is_open[depth]
         walk.is_open[depth, pose] = False
-        n_same = 0
-        for unit in range(after):
-            n_same += walk.chosen[unit] == pose
-        if n_same >= covers.copies[pose]:
+        if (walk.chosen[:after] == pose).sum() >= covers.copies[pose]:
             walk.is_open[after, pose] = False
         here = covers.site[pose]
-        for site in range(walk.room.shape[1]):
-            walk.room[after, site] = walk.room[depth, site]
+        walk.room[after] = walk.room[depth]
         walk.room[after, here] -= 1
         if walk.room[after, here] <= 0:
             for other in range(n_poses):
@@ -516,7 +483,7 @@ def grow(
             of_pose = covers.covers[pose, word]
             walk.twice[after, word] = walk.twice[depth, word] | (walk.once[depth, word] & of_pose)
             walk.once[after, word] = walk.once[depth, word] | of_pose
-            walk.gone[after, word] = walk.gone[depth, word]
+        walk.gone[after] = walk.gone[depth]
         walk.lost[after] = walk.lost[depth]
         walk.where[0] = after
         walk.where[1] = 1
@@ -546,8 +513,7 @@ def can_keep(
     n_units = len(bits)
     # All units together, then all but each one of them.
     for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
-        for word in range(len(union)):
-            union[word] = base[word]
+        union[:] = base
         for unit in range(n_units):
             if unit != failed:
                 for word in range(len(union)):
@@ -607,8 +573,7 @@ def spell_out(
         if not can_keep(bits, base, chains, lost, order, may_lose, with_failures, union, first):
             place[unit] += 1
         elif unit + 1 == n_units:
-            for number in range(n_units):
-                out[n_found, number] = member[place[number]]
+            out[n_found] = member[place[:n_units]]
             n_found += 1
             place[unit] += 1
         else:
