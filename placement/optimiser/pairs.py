@@ -27,6 +27,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from . import steering
 from .bitsets import shares_with_each, union_apr, unions_of
 from .bounds import Rows, coverers_of, is_covered_by, run_rows
+from .limits import may_grow
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import WordArray
 from .steering import Deadline
@@ -143,7 +144,8 @@ class PairWalk:
         share = shares_with_each(self.reduced, np.array([pose]))
         later = np.flatnonzero((self.total - share <= self.may_lose) & self.usable)
         later = later[later > pose]
-        return self._within_sites(np.column_stack([np.full(len(later), pose), later]))
+        sets = np.column_stack([np.full(len(later), pose), later])
+        return sets[may_grow(self.reduced.limits, sets)]
 
     def _beside_class(self, one: int) -> IntArray:
         """Sets of a class and two of those from it on that reach the need."""
@@ -174,7 +176,8 @@ class PairWalk:
             sets = np.column_stack([np.full(len(left), member), left])
             # Two or three of the class itself: once, in ascending order.
             is_later = (self.class_of[sets[:, 1:]] != one) | (sets[:, 1:] > sets[:, :1])
-            found.append(self._keep(self._within_sites(sets[is_later.all(axis=1)])))
+            sets = sets[is_later.all(axis=1)]
+            found.append(self._keep(sets[may_grow(self.reduced.limits, sets)]))
         return np.concatenate(found)
 
     def _beside_member(self, member: int, pairs: IntArray) -> IntArray:
@@ -219,13 +222,6 @@ class PairWalk:
         lost = np.empty(len(pairs))
         lost_by_pairs(*bits, table, self.may_lose, pairs, lost)
         return pairs[lost <= self.may_lose]
-
-    def _within_sites(self, sets: IntArray) -> IntArray:
-        limits = self.reduced.limits
-        sites = limits.site_index[sets]
-        n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-        fitting: IntArray = sets[(n_there <= limits.site_capacity[sites]).all(axis=1)]
-        return fitting
 
     def _keep(self, sets: IntArray) -> IntArray:
         """Sets that reach the need."""

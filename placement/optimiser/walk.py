@@ -41,10 +41,10 @@ from .bitsets import (
 )
 from .bounds import Root, rounded_down
 from .greedy import forced_units
-from .limits import Limits, are_allowed, costs_eur
+from .limits import Limits, are_allowed, may_grow
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import Objective
-from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, deadline_in
+from .steering import NEVER, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:
     from .walk_kernels import Walk
@@ -129,28 +129,15 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
             sizes.append(np.sort(sets, axis=1))
         if n_units == limits.max_units or not len(grown):
             break
-        if len(grown) * len(poses) > max(
-            steering.MANY_ROWS, min(steering.MAX_GROWN_SETS, 100 * max_sets)
-        ):
+        most = max(steering.MANY_ROWS, min(steering.MAX_GROWN_SETS, 100 * max_sets))
+        if len(grown) * len(poses) > most:
             return None
         # A later pose than the last one: every set comes up once.
-        is_later = np.ones((len(grown), len(poses)), dtype=bool)
-        if n_units > len(forced):
-            is_later = poses[None, :] > grown[:, -1:]
-        row, later = np.nonzero(is_later)
+        last = grown[:, -1:] if n_units > len(forced) else np.full((1, 1), -1)
+        row, later = np.nonzero(poses[None, :] > last)
         grown = np.column_stack([grown[row], poses[later]])
-        grown = grown[_may_grow(limits, grown)]
+        grown = grown[may_grow(limits, grown)]
     return sizes
-
-
-def _may_grow(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets fit into sites and money; what is forced may still be missing."""
-    sites = limits.site_index[sets]
-    n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-    fits: BoolArray = (n_there <= limits.site_capacity[sites]).all(axis=1)
-    if limits.budget_eur is not None:
-        fits &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
-    return fits
 
 
 # ---------- the walk
