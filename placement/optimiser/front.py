@@ -8,18 +8,18 @@ less can either.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.clock import now_s
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 
 from ..layout import Certificate, Stage
 from .bitsets import union_apr
 from .greedy import to_full
-from .limits import Limits
+from .limits import CENTS, Limits, whole_cents
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     VALUE_OBJECTIVES,
@@ -27,7 +27,6 @@ from .problem import (
     Objective,
     PlacementProblem,
     PlacementValue,
-    Requirement,
     is_better,
     placement_value,
 )
@@ -42,7 +41,7 @@ from .solve import (
     units_of,
 )
 from .stages import Search, Stages
-from .steering import COST_TOLERANCE_EUR, LEAST_S, TOLERANCE, Deadline, Effort, deadline_in
+from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 # ---------- fronts
 
@@ -76,6 +75,10 @@ class FrontPoint:
         """The stage of a name; None if it was not optimised."""
         return next((stage for stage in self.certificate.stages if stage.name == name), None)
 
+    def with_stages(self, stages: Iterable[Stage]) -> "FrontPoint":
+        """The same layout with other stages."""
+        return replace(self, certificate=replace(self.certificate, stages=tuple(stages)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Front:
@@ -108,14 +111,10 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
 
     Raises InputError: it has a target or failures to survive; or the stages are unknown.
     """
-    if stages not in ("first", "all"):
-        raise InputError("stages", stages, "first or all")
-    for option, is_asked in (
-        ("target", problem.goal != "best"),
-        ("survive", problem.survive != 0),
-    ):
-        if is_asked:
-            raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
+    check_one_of("stages", stages, get_args(StageChoice))
+    if problem.goal != "best" or problem.survive:
+        option = "survive" if problem.goal == "best" else "target"
+        raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
 
 
 def solve_point(
@@ -130,11 +129,9 @@ def solve_point(
 
     `reduced` has all but the limits of this point, though it may be presolved with wider ones.
     """
-    if reduced is not None:
-        reduced = replace(reduced, limits=problem.limits.of_poses(reduced.pose_index))
     solution = solve_placement(
         problem,
-        reduced,
+        None if reduced is None else reduced.for_problem(problem),
         effort=effort,
         starts=[np.array(start, dtype=np.int64) for start in starts],
         n_stages=n_stages,
@@ -151,15 +148,10 @@ def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
     """A point, or with its bounds the layout of the one before, where that is better."""
     if not is_better(fewer.value, point.value):
         return point
-    stages = [
+    point = replace(point, pose_index=fewer.pose_index, value=fewer.value)
+    return point.with_stages(
         tightened(replace(stage, objective=fewer.value.of(Objective(stage.name))), stage.bound)
         for stage in point.certificate.stages
-    ]
-    return replace(
-        point,
-        pose_index=fewer.pose_index,
-        value=fewer.value,
-        certificate=replace(point.certificate, stages=tuple(stages)),
     )
 
 
@@ -266,14 +258,13 @@ def pareto_front(
             points.append(replace(points[-1], units=units))  # as good, and as well proven
             continue
         of_point = deadline if units == max_units else deadline.of("point of a front")
-        share = replace(effort, time_limit_s=max(of_point.left_s(), LEAST_S))
         fewer = points[-1] if points else None
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
             point = solve_point(
                 at_point,
                 reduced,
-                effort=share,
+                effort=effort.until(of_point),
                 n_stages=len(FIRST_STAGES if stages == "first" else VALUE_OBJECTIVES),
                 starts=[fewer.pose_index] if fewer else [],
             )
@@ -409,16 +400,8 @@ def _bounded_by_next(point: FrontPoint, following: FrontPoint) -> FrontPoint:
 
 
 def _with_bounds(point: FrontPoint, bounds: dict[str, float]) -> FrontPoint:
-    certificate = point.certificate
-    return replace(
-        point,
-        certificate=Certificate(
-            stages=tuple(
-                tightened(stage, bounds[stage.name]) if stage.name in bounds else stage
-                for stage in certificate.stages
-            ),
-            solver=certificate.solver,
-        ),
+    return point.with_stages(
+        tightened(stage, bounds.get(stage.name, stage.bound)) for stage in point.certificate.stages
     )
 
 
@@ -438,7 +421,6 @@ def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int |
 
 
 _MAX_LEVELS = 20_000
-_CENTS = 100.0
 
 
 def price_levels_eur(limits: Limits) -> FloatArray | None:
@@ -447,13 +429,9 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
     Not every amount need be the cost of a layout. None if prices are too many, or no whole cents.
     """
     usable = ~limits.is_forbidden | limits.is_forced
-    units = _cents(limits.unit_cost_eur[usable])
-    sites = _cents(limits.site_cost_eur[np.unique(limits.site_index[usable])])
-    if units is None or sites is None:
-        return None
-    most = limits.max_units
-    by_units = _sums(units, most)
-    by_sites = _sums(sites, min(most, limits.n_sites))
+    most, sites = limits.max_units, np.unique(limits.site_index[usable])
+    by_units = _sums(limits.unit_cost_eur[usable], most)
+    by_sites = _sums(limits.site_cost_eur[sites], min(most, limits.n_sites))
     if by_units is None or by_sites is None:
         return None
     # So many units need at least so many sites.
@@ -464,39 +442,26 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
             levels.update(a + b for a in by_units[n_units] for b in by_sites[n_sites])
             if len(levels) > _MAX_LEVELS:
                 return None
-    return np.array(sorted(levels)) / _CENTS
+    return np.array(sorted(levels)) / CENTS
 
 
-def level_at_least_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
-    """The first level that is no less than an amount; the amount where levels are not known."""
+def next_level_eur(levels_eur: FloatArray | None, amount_eur: float, *, is_more: bool) -> float:
+    """The first level that is no less than an amount, or more; itself where none are known."""
     if levels_eur is None or not np.isfinite(amount_eur):
         return amount_eur
-    above = levels_eur[levels_eur >= amount_eur - COST_TOLERANCE_EUR]
-    return float(above[0]) if len(above) else np.inf
+    from_eur = amount_eur + (COST_TOLERANCE_EUR if is_more else -COST_TOLERANCE_EUR)
+    place = np.searchsorted(levels_eur, from_eur, side="right" if is_more else "left")
+    return float(levels_eur[place]) if place < len(levels_eur) else np.inf
 
 
-def level_beyond_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
-    """The first level above an amount; the amount where levels are not known."""
-    if levels_eur is None or not np.isfinite(amount_eur):
-        return amount_eur
-    above = levels_eur[levels_eur > amount_eur + COST_TOLERANCE_EUR]
-    return float(above[0]) if len(above) else np.inf
-
-
-def _cents(amounts_eur: FloatArray) -> list[int] | None:
-    cents = np.unique(amounts_eur) * _CENTS
-    whole = np.rint(cents)
-    is_whole = len(cents) <= _MAX_LEVELS and bool(
-        (np.abs(cents - whole) <= COST_TOLERANCE_EUR * _CENTS).all()
-    )
-    return [int(number) for number in whole] if is_whole else None
-
-
-def _sums(prices: Iterable[int], most: int) -> list[set[int]] | None:
-    """Sums of 0, 1, .. prices, each of which may be taken again and again."""
+def _sums(prices_eur: FloatArray, most: int) -> list[set[int]] | None:
+    """Sums of 0, 1, .. prices in cents, each of which may be taken again and again."""
+    cents = whole_cents(np.unique(prices_eur))
+    if cents is None:
+        return None
     sums: list[set[int]] = [{0}]
     for _ in range(most):
-        sums.append({before + price for before in sums[-1] for price in prices})
+        sums.append({before + price for before in sums[-1] for price in cents.tolist()})
         if len(sums[-1]) > _MAX_LEVELS:
             return None
     return sums
@@ -650,12 +615,10 @@ class _Climb:
     def _cheapest(self, asked: Sequence[tuple[float, int]], last: FrontPoint | None) -> _Step:
         """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
         began_s = now_s()
-        problem, reduced = self._asking(asked, goal="cheapest")
-        reduced = reduced.with_goal("cheapest")
-        effort = self._effort()
-        search = Search(
-            reduced, deadline=deadline_in(effort.time_limit_s), is_exact=effort.is_exact
-        )
+        problem = self._asking(asked, goal="cheapest")
+        reduced, effort = self.reduced.for_problem(problem), self._effort()
+        end = deadline_in(effort.time_limit_s)
+        search = Search(reduced, deadline=end, is_exact=effort.is_exact)
         search.start([] if last is None else [units_of(reduced, np.array(last.pose_index))])
         known_eur = self._known_eur(last)
         if last is None:
@@ -665,7 +628,7 @@ class _Climb:
             return replace(_UNKNOWN, least_eur=least_eur)
         if search.value.cost_eur > known_eur + COST_TOLERANCE_EUR:
             bound = Stages(problem, search, effort).bound_first_cost_eur()
-            known_eur = max(known_eur, level_at_least_eur(self.levels_eur, bound))
+            known_eur = max(known_eur, next_level_eur(self.levels_eur, bound, is_more=False))
         units = search.units
         assert units is not None
         return _Step(
@@ -683,9 +646,9 @@ class _Climb:
         best at its cost.
         """
         if last is None:
-            return level_at_least_eur(self.levels_eur, 0.0)
+            return next_level_eur(self.levels_eur, 0.0, is_more=False)
         if last.is_proven:
-            return level_beyond_eur(self.levels_eur, last.value.cost_eur)
+            return next_level_eur(self.levels_eur, last.value.cost_eur, is_more=True)
         return last.certificate.stages[0].bound
 
     def point(self, step: _Step, least_eur: float, *, is_best: bool = True) -> FrontPoint:
@@ -697,35 +660,24 @@ class _Climb:
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)
-        asked = () if is_best else step.floors
-        problem, reduced = self._asking(asked, limits=limits)
         point = solve_point(
-            problem,
-            reduced,
+            self._asking(() if is_best else step.floors, limits=limits),
+            self.reduced,
             effort=self._effort(),
             # No stage need ask for less money: that is the last one.
             n_stages=len(FIRST_STAGES) if self.stages == "first" else len(VALUE_OBJECTIVES) - 1,
             starts=[step.pose_index],
         )
         cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
-        return replace(
-            point, certificate=replace(point.certificate, stages=(cost, *point.certificate.stages))
-        )
+        return point.with_stages([cost, *point.certificate.stages])
 
-    def _asking(
-        self, asked: Sequence[tuple[float, int]], **changes: Any
-    ) -> tuple[PlacementProblem, ReducedProblem]:
-        """The problem with some changes where APRs must be reached, too, and what is left of it."""
-        shares = [(min(share, 1.0), n_failures) for share, n_failures in asked]
-        floors = [Floor(name=_ASKED, share=share, n_failures=n) for share, n in shares]
-        measure = self.reduced.measure
-        needs = [Requirement(measure=measure, least=share, n_failures=n) for share, n in shares]
-        problem = replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
-        return problem, replace(self.reduced, floors=(*self.reduced.floors, *needs))
+    def _asking(self, asked: Sequence[tuple[float, int]], **changes: Any) -> PlacementProblem:
+        """The problem with some changes where APRs must be reached, too."""
+        floors = [Floor(name=_ASKED, share=min(s, 1.0), n_failures=n) for s, n in asked]
+        return replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
 
     def _effort(self) -> Effort:
-        left_s = max(self.deadline.of("point of a front").left_s(), LEAST_S)
-        return replace(self.effort, time_limit_s=left_s)
+        return self.effort.until(self.deadline.of("point of a front"))
 
 
 def _within(limits: Limits, cost_eur: float) -> Limits:
@@ -744,13 +696,10 @@ def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoin
     What is better than the last of those that stay may be worse than one that goes: it costs at
     least the least of what was proven of these.
     """
-    stay = [
-        point for point in points if point.value.cost_eur < new.value.cost_eur - COST_TOLERANCE_EUR
-    ]
+    least_eur = new.value.cost_eur - COST_TOLERANCE_EUR
+    stay = [point for point in points if point.value.cost_eur < least_eur]
     cost, *others = new.certificate.stages
-    least_eur = min(
-        cost.bound, *(p.certificate.stages[0].bound for p in points[len(stay) :]), np.inf
-    )
+    least_eur = min(p.certificate.stages[0].bound for p in (new, *points[len(stay) :]))
     if least_eur < cost.bound:
         cost = build_stage(Objective.COST, cost.objective, least_eur, cost.seconds)
-    return [*stay, replace(new, certificate=replace(new.certificate, stages=(cost, *others)))]
+    return [*stay, new.with_stages([cost, *others])]

@@ -11,7 +11,7 @@ from geometry.errors import InputError, Unquoted, check_one_of
 
 from .steering import COST_TOLERANCE_EUR, ROUNDING
 
-_CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
+CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
 
 Failing = Literal["unit", "site"]
 """Fails at once: a unit, or a site (a pole) with everything that it carries."""
@@ -133,13 +133,17 @@ def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
     return float(limits.unit_cost_eur[poses].sum() + limits.site_cost_eur[sites].sum())
 
 
+def whole_cents(prices_eur: FloatArray) -> IntArray | None:
+    """Prices in cents; None where some are not whole, or so high that float64 lacks cents."""
+    cents = np.rint(prices_eur * CENTS)
+    is_off = np.abs(cents / CENTS - prices_eur) > ROUNDING
+    return None if is_off.any() or cents.max(initial=0.0) > _MAX_CENTS else cents.astype(np.int64)
+
+
 def price_step_eur(limits: Limits) -> float:
     """Largest amount that divides the cost of every set; 0 where there is none."""
-    prices = np.concatenate([limits.unit_cost_eur, limits.site_cost_eur])
-    cents = np.rint(prices * _CENTS)
-    if cents.max(initial=0.0) > _MAX_CENTS or (np.abs(cents / _CENTS - prices) > ROUNDING).any():
-        return 0.0
-    return float(np.gcd.reduce(cents.astype(np.int64), initial=0)) / _CENTS
+    cents = whole_cents(np.concatenate([limits.unit_cost_eur, limits.site_cost_eur]))
+    return 0.0 if cents is None else float(np.gcd.reduce(cents, initial=0)) / CENTS
 
 
 def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:

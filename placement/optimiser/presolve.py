@@ -125,6 +125,27 @@ class ReducedProblem:
         """Problem for another goal."""
         return replace(self, objectives=objectives_in_order(goal, survive=self.survive))
 
+    def for_problem(self, problem: PlacementProblem) -> "ReducedProblem":
+        """The same poses and runs for another problem on the table.
+
+        It may differ from the one that was presolved in floors, goal and failures to be survived:
+        where a pose can take the place of another one, no value gets worse, whatever is asked. Its
+        limits may be tighter on the numbers of units and on money that all poses together may take.
+        """
+        measures = [
+            problem.floor_measure(floor).of_runs(self.run_index) for floor in problem.floors
+        ]
+        return replace(
+            self,
+            limits=problem.limits.of_poses(self.pose_index),
+            floors=tuple(
+                Requirement(measure=measure, least=floor.share, n_failures=floor.n_failures)
+                for floor, measure in zip(problem.floors, measures, strict=True)
+            ),
+            objectives=problem.objectives,
+            survive=problem.survive,
+        )
+
     @property
     def n_chains(self) -> int:
         """Number of chains."""
@@ -145,11 +166,6 @@ class ReducedProblem:
         chains = self.chains
         mine = slice(chains.tail_start[chain_index], chains.tail_start[chain_index + 1])
         return chains.tail_frame[mine], chains.tail_links[mine]
-
-    @property
-    def can_unpack(self) -> bool:
-        """True if models and relaxations may look at all detections one by one."""
-        return self.n_poses * self.n_frames <= steering.MAX_CELLS
 
     def detected(self) -> BoolArray:
         """V[c, f] on the merged frames, (n_poses, n_frames)."""
@@ -225,7 +241,7 @@ def presolve(
             is_needless[np.argmin(price[poses])] = False
         if not is_needless.any():
             columns = transposed(reduced.words, reduced.n_frames, workers=workers)
-            return replace(reduced, columns=columns)
+            return replace(reduced, columns=columns).for_problem(problem)
         usable[poses[is_needless]] = False
 
 
@@ -289,7 +305,6 @@ class _Windows:
 
         self.problem, self.workers = problem, workers
         self.measure = problem.measure()
-        self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
         axis, rule = problem.table.axis, problem.rule
         self.end, self.run, self.margin_s = timely_windows_end(axis, rule)
         frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
@@ -399,14 +414,7 @@ class _Windows:
             limits=problem.limits.of_poses(poses),
             run_index=run_index,
             measure=self.measure.of_runs(run_index),
-            floors=tuple(
-                Requirement(
-                    measure=measure.of_runs(run_index),
-                    least=floor.share,
-                    n_failures=floor.n_failures,
-                )
-                for floor, measure in zip(problem.floors, self.floor_measures, strict=True)
-            ),
+            floors=(),
             objectives=problem.objectives,
             survive=problem.survive,
             n_frames=len(kept),

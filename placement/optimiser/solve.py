@@ -257,19 +257,24 @@ def solve_sturdily(
 ) -> tuple[Solution, Solution | None]:
     """The layout of the highest APR; and the one that keeps most when a unit fails.
 
-    The second is that of :func:`sturdy_problem`. It is None where nothing may be given up, for a
-    single unit, and of a table that is too large to be solved as a whole. Raises InputError as
-    :func:`solve_placement`.
+    The second is that of :func:`sturdy_problem`, on what the first was presolved to. It is None
+    where nothing may be given up, for a single unit, and of a table that is too large to be solved
+    as a whole. Raises InputError as :func:`solve_placement`.
     """
     deadline = deadline_in(effort.time_limit_s)
     has_two = give_up > 0.0 and problem.limits.max_units > 1 and not is_large(problem)
     first = replace(effort, time_limit_s=effort.time_limit_s / 2.0) if has_two else effort
+    if has_two and reduced is None and problem.limits.failing == "unit":
+        check_limits(problem.limits, problem.table.pose_ids)
+        reduced = presolve(problem, workers=effort.workers)
     highest = solve_placement(problem, reduced, effort=first, on_stage=on_stage)
     if not has_two or len(highest.pose_index) < 2:
         return highest, None
+    asked = sturdy_problem(problem, highest, give_up)
     sturdy = solve_placement(
-        sturdy_problem(problem, highest, give_up),
-        effort=replace(effort, time_limit_s=max(deadline.left_s(), steering.LEAST_S)),
+        asked,
+        None if reduced is None else reduced.for_problem(asked),
+        effort=effort.until(deadline),
         starts=[np.array(highest.pose_index)],
         on_stage=on_stage,
     )
@@ -291,8 +296,7 @@ def _solve_as_if_units_failed(
     is far quicker to find: a pose may be replaced by one at another site.
     """
     by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
-    left_s = max(deadline.of("as if units failed").left_s(), steering.LEAST_S)
-    effort = replace(effort, time_limit_s=left_s)
+    effort = effort.until(deadline.of("as if units failed"))
     try:
         return solve_placement(
             by_unit, effort=effort, starts=starts, n_stages=n_stages, on_stage=on_stage
@@ -343,9 +347,7 @@ def _solve_large(
     found = solve_placement(
         part,
         presolve(part, workers=effort.workers),
-        effort=replace(
-            effort, solver="greedy", time_limit_s=max(deadline.left_s(), steering.LEAST_S)
-        ),
+        effort=replace(effort.until(deadline), solver="greedy"),
         n_stages=n_stages,
         on_stage=on_stage,
     )

@@ -2,11 +2,12 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
 
 from . import steering
 from .bitsets import (
@@ -47,21 +48,18 @@ class Search:
         self.units: IntArray | None = None
         self.nothing_meets_all = False  # proven that no set meets limits and floors
         self.row = no_values(reduced)
-        self._cuts: dict[tuple[float, ...], list[Cut]] = {}
-        self._root: tuple[ReducedProblem, Root] | None = None
+        self._cuts: dict[tuple[object, ...], list[Cut]] = {}
+        self._root: Root | None = None
 
     @property
     def root(self) -> Root:
         """Prices on runs for sets of as many units as allowed."""
-        if self._root is None or self._root[0] is not self.reduced:
-            root = find_root(
-                self.reduced,
-                run_rows(self.reduced),
-                n_units=self.reduced.limits.max_units,
-                deadline=self.deadline,
+        if self._root is None:
+            reduced, n_units = self.reduced, self.reduced.limits.max_units
+            self._root = find_root(
+                reduced, run_rows(reduced), n_units=n_units, deadline=self.deadline
             )
-            self._root = self.reduced, root
-        return self._root[1]
+        return self._root
 
     @property
     def value(self) -> PlacementValue:
@@ -117,21 +115,13 @@ class Search:
     def restrict(self, limits: Limits) -> None:
         """Look for the best set within tighter limits, which the best so far meets."""
         self.reduced = replace(self.reduced, limits=limits).with_goal("best")
-        units = self.units
-        self.units = None
+        units, self.units, self._root = self.units, None, None
         again = search_from_many_starts(
             self.reduced, self.limit, deadline=self.deadline.of("first set")
         )
         for found in (units, again):
             if found is not None:
                 self.keep(found)
-
-    def avoided(self) -> BoolArray:
-        """Runs that the best set avoids, (n_runs,)."""
-        assert self.units is not None
-        union = unions_of(self.reduced, self.units[None, :])
-        is_avoided: BoolArray = union_margins_s(self.reduced, union)[0] > -np.inf
-        return is_avoided
 
     def keep(self, units: IntArray) -> bool:
         """Take a set if it is better than the best so far; whether it was."""
@@ -168,14 +158,12 @@ class Search:
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
         cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
-        while self.is_exact and problem.can_unpack and not self.deadline.is_over:
+        fits = problem.n_poses * problem.n_frames <= steering.MAX_CELLS
+        while self.is_exact and fits and not self.deadline.is_over:
             self.proofs[solver_text()] = None
+            left_s = self.deadline.left_s()
             result = solve_window_model(
-                problem,
-                objective,
-                requirements=demands,
-                cuts=cuts,
-                time_limit_s=self.deadline.left_s(),
+                problem, objective, requirements=demands, cuts=cuts, time_limit_s=left_s
             )
             if result.units is None and result.is_finished:
                 return np.inf if is_minimised else -np.inf
@@ -197,13 +185,7 @@ class Search:
 
     def _cuts_of(self, problem: ReducedProblem, requirement: Requirement) -> list[Cut]:
         """Cuts that hold for all sets that meet a requirement, to be added to."""
-        key = (
-            float(id(requirement.measure)),
-            requirement.least,
-            requirement.min_margin_s,
-            float(requirement.n_failures),
-            float(requirement.sums_margins),
-        )
+        key = tuple(getattr(requirement, field.name) for field in fields(requirement))
         if key not in self._cuts:
             self._cuts[key] = first_cuts(problem, requirement)
         return self._cuts[key]
@@ -252,11 +234,7 @@ class Stages:
                     bound, np.ceil(search.look_for(Objective.UNITS, ()) - steering.SOLVER_TOLERANCE)
                 )
         n_units = len(self._units())
-        search.restrict(replace(search.reduced.limits, budget_units=n_units))
-        if self.is_complete:
-            return float(n_units)
-        self.is_complete = None  # fewer sets are left now
-        return min(bound, float(n_units))
+        return self._restricted(float(n_units), bound, budget_units=n_units)
 
     def bound_first_cost_eur(self) -> float:
         """No layout that reaches the floors costs less; from here on none costs more."""
@@ -265,11 +243,15 @@ class Stages:
         if not self._is_complete() and search.value.cost_eur > bound + COST_TOLERANCE_EUR:
             bound = max(bound, search.look_for(Objective.COST, ()))
         cost = search.value.cost_eur
-        search.restrict(replace(search.reduced.limits, budget_eur=cost))
+        return self._restricted(cost, self._settled_from_below(cost, bound), budget_eur=cost)
+
+    def _restricted(self, value: float, bound: float, **limits: Any) -> float:
+        """Bound of a stage whose value limits all sets from here on."""
+        self.search.restrict(replace(self.search.reduced.limits, **limits))
         if self.is_complete:
-            return cost
+            return value
         self.is_complete = None  # fewer sets are left now
-        return min(self._settled_from_below(cost, bound), cost)
+        return min(bound, value)
 
     def bound_apr_survived(self) -> float:
         """No layout keeps a higher APR when its worst units fail."""
@@ -288,7 +270,7 @@ class Stages:
             if self._is_settled(search.value.apr, self.apr_limit):
                 break
             self.apr_limit = self._settle(search.value.apr, bound(), self.apr_limit)
-        self.held.append(Requirement(measure=search.reduced.measure, least=search.value.apr))
+        self.held.append(self._demand(search.value.apr))
         return self.apr_limit
 
     def bound_apr_one_failed(self) -> float:
@@ -300,22 +282,24 @@ class Stages:
     def bound_smallest_margin_s(self) -> float:
         """No layout that holds the stages before has a larger smallest margin."""
         search = self.search
-        reduced = search.reduced
         limit = self._smallest_margin_limit_s()
-        if self._is_settled(search.value.smallest_margin_s, limit):
-            return self._hold_margin(limit)
+        if not self._is_settled(search.value.smallest_margin_s, limit):
+            limit = self._largest_margin_s(limit)
+        demand = self._demand(search.value.apr, min_margin_s=search.value.smallest_margin_s)
+        self.held.append(demand)
+        return limit
+
+    def _largest_margin_s(self, limit: float) -> float:
+        """By halving: the largest margin at which it is not proven that no layout has it."""
+        search = self.search
         if self._is_complete():
-            return self._hold_margin(search.value.smallest_margin_s)
-        margins = reduced.margin_s
+            return search.value.smallest_margin_s
+        margins = search.reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
         low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
         high, probe = len(candidates), low
         while low < high:
-            demand = Requirement(
-                measure=reduced.measure,
-                least=search.value.apr,
-                min_margin_s=float(candidates[probe]),
-            )
+            demand = self._demand(search.value.apr, min_margin_s=float(candidates[probe]))
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 high = probe
             elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
@@ -323,8 +307,7 @@ class Stages:
             else:
                 break  # time is up
             probe = (low + high) // 2
-        bound = float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
-        return self._hold_margin(bound)
+        return float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
 
     def bound_mean_margin_s(self) -> float:
         """No layout that holds the stages before has a larger mean margin."""
@@ -354,13 +337,12 @@ class Stages:
         cost, least = search.value.cost_eur, self._cheapest_unit_eur()
         if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
             return cost
-        total_s = search.value.mean_margin_s * self._avoided_weight()
-        mean = Requirement(measure=search.reduced.measure, least=total_s, sums_margins=True)
+        union = unions_of(search.reduced, self._units()[None, :])
+        is_avoided = union_margins_s(search.reduced, union)[0] > -np.inf
+        total_s = search.value.mean_margin_s * float(search.reduced.weight @ is_avoided)
+        mean = self._demand(total_s, sums_margins=True)
         bound = search.look_for(Objective.COST, [*self.held, mean])
         return max(least, self._settled_from_below(search.value.cost_eur, bound))
-
-    def _avoided_weight(self) -> float:
-        return float(self.search.reduced.weight @ self.search.avoided())
 
     def _relaxed(self, reduced: ReducedProblem, worth: Objective) -> float:
         """Upper bound of all sets by relaxation; infinite where that is not asked.
@@ -378,7 +360,6 @@ class Stages:
 
     def _bound_failed(self, n_failures: int, limit: float) -> float:
         """No layout that holds the stages before keeps a higher APR when its worst units fail."""
-        search = self.search
         value = self._left(n_failures)
         if not self._is_settled(value, limit):
             if self._is_complete() or self._walk(n_failures):
@@ -387,11 +368,7 @@ class Stages:
                 limit = self.walk_limit[n_failures]
             else:
                 limit = self._bound_failed_by_models(n_failures, limit)
-        self.held.append(
-            Requirement(
-                measure=search.reduced.measure, least=self._left(n_failures), n_failures=n_failures
-            )
-        )
+        self.held.append(self._demand(self._left(n_failures), n_failures=n_failures))
         return limit
 
     def _bound_failed_by_models(self, n_failures: int, limit: float) -> float:
@@ -418,14 +395,12 @@ class Stages:
             limit = self._settle(self._left(n_failures), bound, limit)
         all_runs = reduced.measure.limit
         if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
-            demand = Requirement(measure=reduced.measure, least=all_runs, n_failures=n_failures)
+            demand = self._demand(all_runs, n_failures=n_failures)
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 limit = all_runs - float(reduced.weight.min())
         while self._left(n_failures) < limit - TOLERANCE:
             before = self._left(n_failures)
-            demand = Requirement(
-                measure=reduced.measure, least=before + steering.STEP_UP, n_failures=n_failures
-            )
+            demand = self._demand(before + steering.STEP_UP, n_failures=n_failures)
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
             if self._left(n_failures) <= before + TOLERANCE:
@@ -443,16 +418,8 @@ class Stages:
         assert units is not None  # a first set is there, or solve_placement has given up
         return units
 
-    def _hold_margin(self, bound: float) -> float:
-        search = self.search
-        self.held.append(
-            Requirement(
-                measure=search.reduced.measure,
-                least=search.value.apr,
-                min_margin_s=search.value.smallest_margin_s,
-            )
-        )
-        return bound
+    def _demand(self, least: float, **how: Any) -> Requirement:
+        return Requirement(measure=self.search.reduced.measure, least=least, **how)
 
     def _is_settled(self, value: float, limit: float) -> bool:
         return limit - value <= max(TOLERANCE, self.effort.gap * abs(value))
@@ -543,7 +510,11 @@ class Stages:
             tied = self._find_tied(n_failures)
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
-        self._take_tied(tied, n_failures)
+        if tied.sets is not None:
+            best = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
+            if best is not None:
+                search.keep(best)
+            self.is_complete = True
         return tied.is_finished
 
     def _find_tied(self, n_failures: int) -> Tied:
@@ -571,11 +542,3 @@ class Stages:
         search = self.search
         search.keep(improve(search.reduced, units, search.limit, deadline=search.deadline))
         return self._units()
-
-    def _take_tied(self, tied: Tied, n_failures: int) -> None:
-        if tied.sets is None:
-            return
-        best = best_of_tied(self.search.reduced, tied.sets, n_failures=n_failures, value=tied.value)
-        if best is not None:
-            self.search.keep(best)
-        self.is_complete = True

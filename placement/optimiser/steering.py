@@ -9,14 +9,14 @@ whether a proof holds.
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.clock import now_s
-from geometry.errors import InputError
+from geometry.errors import InputError, check_one_of
 
 # ---------- ties: what counts as equal
 
@@ -191,8 +191,7 @@ class Effort:
     workers: int = WORKERS
 
     def __post_init__(self) -> None:
-        if self.solver not in ("auto", "exact", "relax", "greedy"):
-            raise InputError("solver", self.solver, "one of auto, exact, relax, greedy")
+        check_one_of("solver", self.solver, get_args(SolverName))
         if not self.time_limit_s > 0.0:
             raise InputError("time_limit", self.time_limit_s, "seconds, more than 0")
         if not 0.0 <= self.gap < 1.0:
@@ -204,6 +203,10 @@ class Effort:
     def is_exact(self) -> bool:
         """True if walks and models may prove what relaxations do not."""
         return self.solver in ("auto", "exact")
+
+    def until(self, deadline: "Deadline") -> "Effort":
+        """The same effort for the time left, or for hardly any."""
+        return replace(self, time_limit_s=max(deadline.left_s(), LEAST_S))
 
 
 @dataclass(frozen=True, slots=True)
