@@ -17,8 +17,9 @@ higher than that over all, which bounds it.
 
 from collections.abc import Callable, Iterator
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from .limits import may_grow
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import WordArray
 from .steering import Deadline
-from .walk import Tied, TieSearch, in_threads, lost_by_chain
+from .walk import Tied, TieSearch, group_by_class, in_threads, lost_by_chain
 
 
 def goes_by_pairs(reduced: ReducedProblem) -> bool:
@@ -71,8 +72,7 @@ def walk_by_pairs(
     return Tied(sets=None, value=value, limit=max(limit, value), is_finished=False)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Units:
+class _Units(NamedTuple):
     """Poses, or classes of poses."""
 
     words: WordArray  # (n, n_frame_words): what each sees, as bits along the frames
@@ -86,6 +86,8 @@ class PairWalk:
     """
 
     def __init__(self, reduced: ReducedProblem, *, need: float) -> None:
+        from .walk_kernels import Losses
+
         self.reduced, self.need = reduced, need
         self.n_units = reduced.limits.max_units
         self.total = float(reduced.weight.sum())
@@ -94,15 +96,17 @@ class PairWalk:
         self.usable = ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
         self.rows, avoided = _hardest_first(reduced)
         self.seen = np.bitwise_count(reduced.columns).sum(axis=1).astype(np.float64)
-        self.lost = lost_by_chain(reduced)
         chains = self.rows.chain
-        self.order = chains[np.sort(np.unique(chains, return_index=True)[1])]
+        self.losses = Losses(
+            chains=reduced.chains,
+            lost=lost_by_chain(reduced),
+            order=chains[np.sort(np.unique(chains, return_index=True)[1])],
+            may_lose=np.zeros(2),
+            base=np.zeros_like(reduced.base),
+        )
         self.class_of = _classes(limits.site_index, self.usable, avoided, self.rows.weight)
-        self.member = np.argsort(self.class_of, kind="stable")[np.sum(self.class_of < 0) :]
-        self.size = np.bincount(self.class_of[self.member])
-        self.start = np.cumsum(self.size) - self.size
-        words = np.zeros((len(self.size), reduced.words.shape[1]), dtype=np.uint64)
-        np.bitwise_or.at(words, self.class_of[self.member], reduced.words[self.member])
+        self.member, start, words = group_by_class(reduced, self.class_of)
+        self.start, self.size = start[:-1], np.diff(start)
         columns = transposed(words, reduced.n_frames, workers=reduced.workers)
         self.classes = _Units(words=words, columns=columns)
         self.poses = _Units(words=reduced.words, columns=reduced.columns)
@@ -227,9 +231,9 @@ class PairWalk:
         """Sets that reach the need."""
         from .walk_kernels import keep_sets
 
-        kept = np.zeros(len(sets), dtype=bool)
-        reduced, order = self.reduced, self.order.copy()
-        keep_sets(reduced.words, reduced.chains, self.lost, order, sets, self.may_lose, kept)
+        kept, order = np.zeros(len(sets), dtype=bool), self.losses.order.copy()
+        losses = self.losses._replace(order=order, may_lose=np.full(2, self.may_lose))
+        keep_sets(self.reduced.words, sets, losses, kept)
         return sets[kept]
 
 

@@ -47,7 +47,7 @@ from .problem import Objective
 from .steering import NEVER, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:
-    from .walk_kernels import Walk
+    from .walk_kernels import Classes, Walk
 
 
 _T = TypeVar("_T")
@@ -160,21 +160,17 @@ class SetWalk:
         n_failures: int = 0,
         left: float = 0.0,
     ) -> None:
-        from .walk_kernels import Covers
+        from .walk_kernels import Covers, Losses
 
         self.reduced, self.root, self.n_failures = reduced, root, n_failures
         self.forced, choice = forced_units(reduced), root.choice
-        self.base = unions_of(reduced, self.forced[None, :])[0]
         self.n_units, self.capacity = choice.n_units, choice.room
         self.total = float(reduced.weight.sum())
         usable = (choice.is_open > 0) & (choice.room > 0)[choice.site]
         rows = unpack_words(root.covers, len(root.weight))
         widest, class_of = widest_poses(rows, choice.site, usable)
-        self.member = np.argsort(class_of, kind="stable")[np.count_nonzero(class_of < 0) :]
-        size = np.bincount(class_of[class_of >= 0], minlength=len(widest))
-        self.start = np.cumsum([0, *size])
-        self.of_class = np.zeros((len(widest), reduced.words.shape[1]), dtype=np.uint64)
-        np.bitwise_or.at(self.of_class, class_of[self.member], reduced.words[self.member])
+        self.classes = group_by_class(reduced, class_of)
+        size = np.diff(self.classes.start)
         covers = root.covers[widest]
         self.covers = Covers(
             covers=covers,
@@ -185,16 +181,21 @@ class SetWalk:
             site=choice.site[widest],
             copies=np.minimum(size, choice.room[choice.site[widest]]),
         )
-        self.lost = lost_by_chain(reduced)
-        self.order = _hardest_first(reduced, self.lost, root)
-        self.may_lose = np.zeros(2)
+        lost = lost_by_chain(reduced)
+        self.losses = Losses(
+            chains=reduced.chains,
+            lost=lost,
+            order=_hardest_first(reduced, lost, root),
+            may_lose=np.zeros(2),
+            base=unions_of(reduced, self.forced[None, :])[0],
+        )
         self.is_finished = False  # whether all sets were gone through
         self.raise_needs(need, left)
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
-        self.may_lose[:] = [self.total - need, self.total - left]
-        self.may_lose += steering.ROUNDING * max(self.total, 1.0)
+        self.losses.may_lose[:] = [self.total - need, self.total - left]
+        self.losses.may_lose[:] += steering.ROUNDING * max(self.total, 1.0)
 
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until the deadline.
@@ -224,9 +225,10 @@ class SetWalk:
     def _alone(self) -> IntArray:
         """Sets of the forced poses and one more that lose little."""
         share = shares_with_each(self.reduced, self.forced)
-        share[~np.isin(np.arange(len(share)), self.member)] = -np.inf
+        share[~np.isin(np.arange(len(share)), self.classes.member)] = -np.inf
         self.is_finished = True
-        return self._with_forced([np.flatnonzero(self.total - share <= self.may_lose[0])[:, None]])
+        is_kept = self.total - share <= self.losses.may_lose[0]
+        return self._with_forced([np.flatnonzero(is_kept)[:, None]])
 
     def _tasks(self, spare: "list[_Task]") -> "Iterator[_Task]":
         """The nodes near the root, one after the other; tasks that are done are taken again."""
@@ -256,13 +258,13 @@ class _Task:
 
         self.owner, self.is_done, self.is_walked = owner, False, False
         self.waiting: list[IntArray] = []  # to be spelled out
-        self.order = owner.order.copy()
+        self.losses = owner.losses._replace(order=owner.losses.order.copy())
         n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
         of_rows = (n_units + 1, n_words)
         self.out = np.empty((steering.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
             where=np.array([0, 1, 0, 0, 0]),
-            may_lose=owner.may_lose,
+            may_lose=owner.losses.may_lose,
             chosen=np.zeros(n_units, dtype=np.int64),
             once=np.zeros(of_rows, dtype=np.uint64),
             twice=np.zeros(of_rows, dtype=np.uint64),
@@ -315,20 +317,9 @@ class _Task:
         place, found = np.append(np.full(len(classes), -1), 0), []
         while place[-1] >= 0:
             sets = np.empty((256, len(classes)), dtype=np.int64)
+            words, has_failures = owner.reduced.words, owner.n_failures > 0
             n_found = spell_out(
-                owner.reduced.words,
-                owner.of_class,
-                owner.base,
-                owner.start,
-                owner.member,
-                owner.reduced.chains,
-                owner.lost,
-                self.order,
-                owner.may_lose,
-                owner.n_failures > 0,
-                classes,
-                place,
-                sets,
+                words, owner.classes, self.losses, has_failures, classes, place, sets
             )
             found.append(sets[:n_found])
         return found
@@ -356,6 +347,17 @@ def widest_poses(
         widest.append(poses[is_widest])
         n_classes += int(is_widest.sum())
     return np.concatenate([np.empty(0, dtype=np.int64), *widest]), class_of
+
+
+def group_by_class(reduced: ReducedProblem, class_of: IntArray) -> "Classes":
+    """Poses of classes 0, 1, .., in their order; those of class -1 are left out."""
+    from .walk_kernels import Classes
+
+    member = np.argsort(class_of, kind="stable")[np.count_nonzero(class_of < 0) :]
+    size = np.bincount(class_of[member])
+    words = np.zeros((len(size), reduced.words.shape[1]), dtype=np.uint64)
+    np.bitwise_or.at(words, class_of[member], reduced.words[member])
+    return Classes(member=member, start=np.cumsum([0, *size]), words=words)
 
 
 def lost_by_chain(reduced: ReducedProblem) -> FloatArray:

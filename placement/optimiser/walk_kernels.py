@@ -493,24 +493,22 @@ def grow(
 # ---------- sets of poses of the classes that a walk has found
 
 
-@kernel
-def can_keep(
-    bits: WordArray,
-    base: WordArray,
-    chains: Chains,
-    lost: FloatArray,
-    order: IntArray,
-    may_lose: FloatArray,
-    with_failures: bool,
-    union: WordArray,
-    first: IntArray,
-) -> bool:
-    """True if units, (n_units, n_words), lose little next to a base, and without each.
+class Losses(NamedTuple):
+    """What sets lose on the windows, and how much they may."""
 
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one.
-    Chains are looked at in `order`; those at which units fail come earlier the next time.
-    """
+    chains: Chains
+    lost: FloatArray  # (n_chains, longest + 1): by the first live window of each chain
+    order: IntArray  # (n_chains,): chains at which sets fail come earlier the next time
+    may_lose: FloatArray  # (2,): in all; and without any one of the units
+    base: WordArray  # (n_words,): frames that are in every set
+
+
+@kernel
+def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
+    """True if units, (n_units, n_words), lose little, and without each if failures count."""
+    chains, lost, order, may_lose, base = losses
     n_units = len(bits)
+    union, first = np.empty(len(base), dtype=np.uint64), np.empty(len(lost), dtype=np.int64)
     # All units together, then all but each one of them.
     for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
         union[:] = base
@@ -527,17 +525,19 @@ def can_keep(
     return True
 
 
+class Classes(NamedTuple):
+    """Poses of each class."""
+
+    member: IntArray  # poses, class after class
+    start: IntArray  # (n_classes + 1,): members of class k are start[k] .. start[k + 1] - 1
+    words: WordArray  # (n_classes, n_words): what all poses of each class see
+
+
 @kernel
 def spell_out(
     words: WordArray,
-    of_class: WordArray,
-    base: WordArray,
-    start: IntArray,
-    member: IntArray,
-    chains: Chains,
-    lost: FloatArray,
-    order: IntArray,
-    may_lose: FloatArray,
+    of_classes: Classes,
+    losses: Losses,
     with_failures: bool,
     classes: IntArray,
     place: IntArray,
@@ -545,24 +545,24 @@ def spell_out(
 ) -> int:
     """Sets of poses, one of each class in its place, that lose little; how many were written.
 
-    `words` and `of_class` are what poses, and all poses of each class, see. `place`, (n_units +
-    1,), is where the search stands: the members looked at, and the number of units that are
-    settled; it comes back with -1 there when all sets were seen.
+    `words` are what poses see. `place`, (n_units + 1,), is where the search stands: the members
+    looked at, and the number of units that are settled, or -1 when all sets were seen.
     """
-    n_units, n_words = len(classes), words.shape[1]
-    bits = np.empty((n_units, n_words), dtype=np.uint64)
-    union, first = np.empty(n_words, dtype=np.uint64), np.empty(len(lost), dtype=np.int64)
+    member, start, class_words = of_classes
+    n_units = len(classes)
+    bits = np.empty((n_units, words.shape[1]), dtype=np.uint64)
     unit, n_found = place[n_units], 0
     for number in range(n_units):
-        bits[number] = words[member[place[number]]] if number < unit else of_class[classes[number]]
+        is_settled = number < unit
+        bits[number] = words[member[place[number]]] if is_settled else class_words[classes[number]]
     if unit == 0 and place[0] < start[classes[0]]:
         place[0] = start[classes[0]]
-        if not can_keep(bits, base, chains, lost, order, may_lose, with_failures, union, first):
+        if not can_keep(bits, losses, with_failures):
             unit = -1
     # A member of the class of one unit after the other; units behind see what their class sees.
     while unit >= 0:
         if place[unit] == start[classes[unit] + 1]:
-            bits[unit] = of_class[classes[unit]]
+            bits[unit] = class_words[classes[unit]]
             unit -= 1
             if unit >= 0:
                 place[unit] += 1
@@ -570,7 +570,7 @@ def spell_out(
         if n_found == len(out):
             break
         bits[unit] = words[member[place[unit]]]
-        if not can_keep(bits, base, chains, lost, order, may_lose, with_failures, union, first):
+        if not can_keep(bits, losses, with_failures):
             place[unit] += 1
         elif unit + 1 == n_units:
             out[n_found] = member[place[:n_units]]
@@ -621,21 +621,7 @@ def lost_by_pairs(
 
 
 @kernel
-def keep_sets(
-    words: WordArray,
-    chains: Chains,
-    lost: FloatArray,
-    order: IntArray,
-    sets: IntArray,
-    may_lose: float,
-    kept: BoolArray,
-) -> None:
-    """Which sets of poses, (n_sets, n_units), lose no more than so much, see :func:`can_keep`."""
-    n_words = words.shape[1]
-    base, union = np.zeros(n_words, dtype=np.uint64), np.empty(n_words, dtype=np.uint64)
-    bits = np.empty((sets.shape[1], n_words), dtype=np.uint64)
-    first, limits = np.empty(len(lost), dtype=np.int64), np.array([may_lose, may_lose])
+def keep_sets(words: WordArray, sets: IntArray, losses: Losses, kept: BoolArray) -> None:
+    """Which sets of poses, (n_sets, n_units), lose no more than they may, (n_sets,)."""
     for number in range(len(sets)):
-        for unit in range(sets.shape[1]):
-            bits[unit] = words[sets[number, unit]]
-        kept[number] = can_keep(bits, base, chains, lost, order, limits, False, union, first)
+        kept[number] = can_keep(words[sets[number]], losses, False)
