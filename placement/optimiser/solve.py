@@ -22,7 +22,7 @@ from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
 from .limits import Limits, cost_eur
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import Floor, Measure, Objective, PlacementProblem, apr, objective_values
+from .problem import Floor, Objective, PlacementProblem, apr, objective_values
 from .stages import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
@@ -44,50 +44,35 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     small, money that does not suffice, rivals that are both forced, or no unit at all.
     """
     forced = np.flatnonzero(limits.is_forced)
-    both = np.flatnonzero(limits.is_forced & limits.is_forbidden)
-    if len(both):
-        raise UnmetError(
-            pose_ids[int(both[0])], Unquoted("forced and forbidden"), "one of the two at most"
-        )
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
+    usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+    for pose in forced[limits.is_forbidden[forced]]:
+        got = Unquoted("forced and forbidden")
+        raise UnmetError(pose_ids[int(pose)], got, "one of the two at most")
     for site in np.flatnonzero(at_site > limits.site_capacity):
         names = ", ".join(pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site)
-        raise UnmetError(
-            "forced units",
-            Unquoted(f"{at_site[site]} at one site ({names})"),
-            f"at most {limits.site_capacity[site]}, what the site can carry",
-        )
-    usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+        got = Unquoted(f"{at_site[site]} at one site ({names})")
+        most = limits.site_capacity[site]
+        raise UnmetError("forced units", got, f"at most {most}, what the site can carry")
     if not usable.any():
         raise UnmetError("candidates", Unquoted("none that may be used"), "at least one")
-    for site in np.flatnonzero(limits.is_forced_site):
-        if not usable[limits.site_index == site].any():
-            raise UnmetError(
-                "forced sites", Unquoted("a site without a pose that may be used"), "one or more"
-            )
+    n_usable = np.bincount(limits.site_index[usable], minlength=limits.n_sites)
+    if (limits.is_forced_site & (n_usable == 0)).any():
+        got = Unquoted("a site without a pose that may be used")
+        raise UnmetError("forced sites", got, "one or more")
     must_carry = limits.is_forced_site | (at_site > 0)
-    for one, other in limits.rivals:
-        if must_carry[one] and must_carry[other]:
-            raise UnmetError(
-                "separation_m",
-                Unquoted("two sites nearer than that which must both carry units"),
-                "one of them at most",
-            )
+    if must_carry[limits.rivals].all(axis=1).any():
+        got = Unquoted("two sites nearer than that which must both carry units")
+        raise UnmetError("separation_m", got, "one of them at most")
     n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
     if limits.budget_units is not None and n_needed > limits.budget_units:
-        raise UnmetError(
-            "budget",
-            limits.budget_units,
-            f"at least {n_needed}, the units that are forced or stand at forced sites",
-        )
-    if limits.budget_eur is None:
-        return
-    price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
-    needed = cost_eur(limits, forced)
-    what = "the price of the forced units"
+        expected = f"at least {n_needed}, the units that are forced or stand at forced sites"
+        raise UnmetError("budget", limits.budget_units, expected)
+    needed, what = cost_eur(limits, forced), "the price of the forced units"
     if not len(forced):
+        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         needed, what = float(price[usable].min()), "the price of the cheapest unit with its site"
-    if needed > limits.budget_eur + COST_TOLERANCE_EUR:
+    if limits.budget_eur is not None and needed > limits.budget_eur + COST_TOLERANCE_EUR:
         raise UnmetError("budget_cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
 
 
@@ -120,27 +105,22 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
     if search.units is None:
         why = "no set of poses meets all of them" if search.nothing_meets_all else "none was found"
         raise UnmetError("limits", Unquoted(why), "limits that leave a choice")
-    worst = max(
-        zip(problem.floors, reduced.floors, strict=True),
-        key=lambda pair: pair[1].least - _reached(search, pair[1].measure, pair[1].n_failures),
+    sets = search.units[None, :]
+    reached = [
+        float(left_after_failures(reduced, floor.measure, floor.n_failures, sets)[0])
+        for floor in reduced.floors
+    ]
+    worst = int(
+        np.argmax([f.share - share for f, share in zip(problem.floors, reached, strict=True)])
     )
-    floor, requirement = worst
-    reached = _reached(search, requirement.measure, requirement.n_failures)
-    failing = f" when any {floor.n_failures} fail" if floor.n_failures else ""
-    if search.nothing_meets_all:
-        expected = f"at most {_rounded_down(reached)}{failing}, what the best set found reaches"
-    else:
+    floor, most = problem.floors[worst], _rounded_down(reached[worst])
+    most += f" when any {floor.n_failures} fail" if floor.n_failures else ""
+    expected = f"at most {most}, what the best set found reaches"
+    if not search.nothing_meets_all:
         expected = (
-            f"more time than the limit, or at most {_rounded_down(reached)}{failing}, what the "
-            "best set found in it reaches"
+            f"more time than the limit, or at most {most}, what the best set found in it reaches"
         )
     raise UnmetError(floor.name, Unquoted(f"{floor.share:g}"), expected)
-
-
-def _reached(search: Search, measure: Measure, n_failures: int) -> float:
-    assert search.units is not None
-    left = left_after_failures(search.reduced, measure, n_failures, search.units[None, :])
-    return float(left[0])
 
 
 def _rounded_down(share: float) -> str:
@@ -220,9 +200,8 @@ def solve_placement(
     search = Search(reduced, deadline=deadline, is_exact=effort.is_exact)
     search.start([units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
-    stages = Stages(problem, search, effort)
     records = []
-    for objective, find_bound in stages.plan()[:n_stages]:
+    for objective, find_bound in Stages(problem, search, effort).plan()[:n_stages]:
         if on_stage is not None:
             on_stage(objective.value)
         began_s = now_s()
@@ -231,9 +210,12 @@ def solve_placement(
         _log.info("%s: bound %.6g after %.2f s", objective, bound, records[-1][-1])
     assert search.units is not None
     pose_index = to_full(reduced, search.units)
+    values = objective_values(problem, pose_index)
+    stages = tuple(build_stage(one, values[one], bound, s) for one, bound, s in records)
+    solver = " and ".join(search.proofs) or "simple bounds, no solver"
     return Solution(
         pose_index=pose_index,
-        certificate=build_certificate(problem, pose_index, records, search),
+        certificate=Certificate(stages=stages, solver=solver),
         presolve=reduced.statistics,
     )
 
@@ -330,13 +312,8 @@ def _solve_large(
     most = Search(every)
     apr, chosen = every.measure.limit, np.arange(0)
     if len(every.weight):
-        root = find_root(
-            every,
-            run_rows(every),
-            n_units=every.limits.max_units,
-            deadline=deadline.of("relaxation"),
-        )
-        root = polished(root)
+        end, n_units = deadline.of("relaxation"), every.limits.max_units
+        root = polished(find_root(every, run_rows(every), n_units=n_units, deadline=end))
         apr = min(rounded_down(every, root.limit), apr)
         chosen = np.argsort(-root.gains(), kind="stable")[: steering.POOL_POSES]
     pool = np.union1d(every.pose_index[chosen], np.flatnonzero(problem.limits.is_forced))
@@ -344,24 +321,17 @@ def _solve_large(
     pool = pool[usable & ~problem.limits.is_forbidden[pool]]
     pool = pool if len(pool) else every.pose_index
     part = of_pool(problem, pool)
-    found = solve_placement(
-        part,
-        presolve(part, workers=effort.workers),
-        effort=replace(effort.until(deadline), solver="greedy"),
-        n_stages=n_stages,
-        on_stage=on_stage,
-    )
+    reduced = presolve(part, workers=effort.workers)
+    effort = replace(effort.until(deadline), solver="greedy")
+    found = solve_placement(part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage)
     largest_s = mean_s = float(most.margin_limit_s.max(initial=0.0))
     value = {stage.name: stage.objective for stage in found.certificate.stages}
     if problem.tail == 1.0 and value[Objective.APR] > 0.0:
         total_s = float(every.weight @ np.maximum(most.margin_limit_s, 0.0))
         mean_s = min(mean_s, total_s / value[Objective.APR])
-    bounds = {
+    bounds = dict.fromkeys(Objective, apr) | {
         Objective.UNITS: 1.0,
         Objective.COST: 0.0,
-        Objective.APR_SURVIVED: apr,
-        Objective.APR: apr,
-        Objective.APR_ONE_FAILED: apr,
         Objective.SMALLEST_MARGIN: largest_s,
         Objective.MEAN_MARGIN: mean_s,
     }
@@ -378,23 +348,6 @@ def _solve_large(
             f"{len(pool)}",
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
-    )
-
-
-def build_certificate(
-    problem: PlacementProblem,
-    pose_index: tuple[int, ...],
-    records: Sequence[tuple[Objective, float, float]],
-    search: Search,
-) -> Certificate:
-    """A certificate from the bound and the seconds of each stage."""
-    values = objective_values(problem, pose_index)
-    return Certificate(
-        stages=tuple(
-            build_stage(objective, values[objective], bound, seconds)
-            for objective, bound, seconds in records
-        ),
-        solver=" and ".join(search.proofs) or "simple bounds, no solver",
     )
 
 
