@@ -198,12 +198,7 @@ def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
 
 def _values(
-    reduced: ReducedProblem,
-    margin: FloatArray,
-    *,
-    n_units: int,
-    cost: FloatArray,
-    left: Left,
+    reduced: ReducedProblem, margin: FloatArray, *, n_units: int, cost: FloatArray, left: Left
 ) -> SetValues:
     """Values from the margins of all runs, (n_sets, n_runs)."""
     is_avoided = margin > -np.inf

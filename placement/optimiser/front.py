@@ -5,7 +5,7 @@ values therefore never fall from point to point, and what no layout with more ca
 less can either.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -54,9 +54,7 @@ FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
 class FrontPoint:
     """The best layout for so many units or so much money."""
 
-    # On a front by units those that were allowed, though the layout may have fewer; on one by cost
-    # those that it has.
-    units: int
+    units: int  # by units: those that were allowed, though the layout may have fewer
     pose_index: tuple[int, ...]  # rows of the detection table, ascending
     value: PlacementValue  # what the layout is worth
     certificate: Certificate  # a stage for every objective that was optimised, in order
@@ -79,23 +77,28 @@ class FrontPoint:
         """The same layout with other stages."""
         return replace(self, certificate=replace(self.certificate, stages=tuple(stages)))
 
+    def bounded(self, bounds: Mapping[str, float]) -> "FrontPoint":
+        """The same layout with bounds of some stages that hold as well, where those are closer."""
+        return self.with_stages(
+            tightened(stage, bounds.get(stage.name, stage.bound))
+            for stage in self.certificate.stages
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Front:
     """Layouts for growing budgets."""
 
-    by: Literal["units", "cost"]  # What the points are allowed more and more of
-    # In ascending order, at least one; on a front by cost those at which something grows
-    points: tuple[FrontPoint, ...]
-    # What was optimised: APR and the APR when one unit fails, or margins and cost, too
-    stages: StageChoice
-    # Proven that from so many units, or euros, on nothing grows that was optimised, not even beyond
-    # the last point; None if that is not known
+    by: Literal["units", "cost"]  # what the points are allowed more and more of
+    points: tuple[
+        FrontPoint, ...
+    ]  # ascending, at least one; by cost those at which something grows
+    stages: StageChoice  # what was optimised: APR and APR when one unit fails, or all
+    # It is proven that from so many units, or euros, on nothing grows that was optimised, not even
+    # beyond the last point; None if that is not known.
     settled: float | None
-    # Numbers of units with which the wishes cannot be met, and why
-    refused: tuple[tuple[int, str], ...]
-    # What dropped out before, once for all points; None if each was solved by itself
-    presolve: PresolveStatistics | None
+    refused: tuple[tuple[int, str], ...]  # numbers of units that cannot meet the wishes, and why
+    presolve: PresolveStatistics | None  # once for all points; None if each was solved by itself
 
     @property
     def is_proven(self) -> bool:
@@ -189,13 +192,11 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
     when it had c, too. So no set keeps more than all poses but c reach, whichever c is.
     """
     words = reduced.words
-    everything, twice = np.zeros_like(words[0]), np.zeros_like(words[0])
-    for seen in words:
-        twice |= everything & seen
-        everything |= seen
+    before = np.bitwise_or.accumulate(words)  # what each pose and those before it see
+    everything, twice = before[-1], np.bitwise_or.reduce(before[:-1] & words[1:])
     once = everything & ~twice
-    needed = [pose for pose, seen in enumerate(words) if (seen & once).any()]
-    if not needed:
+    needed = np.flatnonzero((words & once).any(axis=1))
+    if not len(needed):
         return float(union_apr(reduced, everything[None, :])[0])
     return float(union_apr(reduced, everything & ~(words[needed] & once) | reduced.base).min())
 
@@ -203,9 +204,8 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
 def tightened(stage: Stage, bound: float) -> Stage:
     """A stage with another bound that holds as well, where that is closer."""
     objective = Objective(stage.name)
-    return build_stage(
-        objective, stage.objective, objective.worse(bound, stage.bound), stage.seconds
-    )
+    bound = objective.worse(bound, stage.bound)
+    return build_stage(objective, stage.objective, bound, stage.seconds)
 
 
 # ---------- a front by units
@@ -227,20 +227,18 @@ def pareto_front(
     """Best layouts of so many units and all smaller numbers.
 
     `reduced` is the problem presolved for no fewer units than `max_units`, where that is at hand.
-    All limits and floors of the problem hold at every point but the number of units; kept units
-    count, and no point has fewer units than are forced. `stages` "first" optimises the APR, then
-    the APR when one unit fails; "all" margins and cost, too. The `effort` is that of all points
-    together: time that a point leaves is there for those after it. `on_point` is called with every
-    point as soon as it is solved; the next ones may still tighten its bounds.
+    All limits and floors hold at every point but the number of units, in which existing units
+    count. `stages` "first" optimises the APR, then the APR when one unit fails; "all" margins and
+    cost, too. The `effort` is that of all points together: time that a point leaves is there for
+    those after it. `on_point` is called with every point as soon as it is solved.
 
-    The front has a point for every number of units with which the wishes can be met. Once nothing
-    can grow, and no more money is saved, the points that are left are copies. Raises InputError if
-    the wishes cannot be met with any number of units, or ask for more than the best.
+    There is a point for every number of units with which the wishes can be met; once nothing can
+    grow, and no more money is saved, copies. Raises InputError if the wishes cannot be met with any
+    number, or ask for more than the best.
 
     Bounds are exchanged between points. A layout of K units is one of K + 1, too: what none of K +
-    1 exceeds, none of K does. That holds for a stage if both points hold the same in the stages
-    before it. And what is left of K units when one fails is a layout of K - 1, which no wish binds
-    if none is there.
+    1 exceeds, none of K does, if both points hold the same in the stages before. And what is left
+    of K units when one fails is a layout of K - 1, which no wish binds if none is there.
     """
     check_front(problem, stages)
     effort = Effort() if effort is None else effort
@@ -319,18 +317,12 @@ def front_below(
         certificate=certificate,
     )
     alone = Front(by="units", points=(last,), stages="all", settled=None, refused=(), presolve=None)
-    first = max(min_units, int(problem.limits.is_forced.sum()), 1)
-    if first >= most:
+    if max(min_units, int(problem.limits.is_forced.sum()), 1) >= most:
         return alone
+    numbers = {"min_units": min_units, "max_units": most - 1}
     try:
         fewer = pareto_front(
-            problem,
-            max_units=most - 1,
-            min_units=first,
-            stages="all",
-            effort=effort,
-            on_point=on_point,
-            reduced=reduced,
+            problem, **numbers, stages="all", effort=effort, on_point=on_point, reduced=reduced
         )
     except UnmetError:
         return alone
@@ -381,28 +373,19 @@ def _exchange_bounds(points: Sequence[FrontPoint], *, is_free: bool) -> list[Fro
     """Points whose bounds are no worse than what those of other points imply."""
     tight = list(points)
     for index in reversed(range(len(points) - 1)):
-        tight[index] = _bounded_by_next(tight[index], tight[index + 1])
+        bounds: dict[str, float] = {}
+        stages = [point.certificate.stages for point in tight[index : index + 2]]
+        for mine, theirs in zip(*stages, strict=True):
+            bounds[mine.name] = theirs.bound
+            if abs(mine.objective - theirs.objective) > TOLERANCE:
+                break  # the stages after this one hold different things
+        tight[index] = tight[index].bounded(bounds)
     if is_free:
         for index, (fewer, point) in enumerate(pairwise(tight), start=1):
             bound = fewer.certificate.stages[0].bound
             if point.units == fewer.units + 1:
-                tight[index] = _with_bounds(point, {Objective.APR_ONE_FAILED: bound})
+                tight[index] = point.bounded({Objective.APR_ONE_FAILED: bound})
     return tight
-
-
-def _bounded_by_next(point: FrontPoint, following: FrontPoint) -> FrontPoint:
-    bounds: dict[str, float] = {}
-    for mine, theirs in zip(point.certificate.stages, following.certificate.stages, strict=True):
-        bounds[mine.name] = theirs.bound
-        if abs(mine.objective - theirs.objective) > TOLERANCE:
-            break  # the stages after this one hold different things
-    return _with_bounds(point, bounds)
-
-
-def _with_bounds(point: FrontPoint, bounds: dict[str, float]) -> FrontPoint:
-    return point.with_stages(
-        tightened(stage, bounds.get(stage.name, stage.bound)) for stage in point.certificate.stages
-    )
 
 
 def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int | None:
@@ -410,9 +393,10 @@ def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int |
     if settled is None:
         return None
     last = next(point for point in points if point.units == settled)
+    reached = np.array([stage.objective for stage in last.certificate.stages])
     for point in points:
-        pairs = zip(point.certificate.stages, last.certificate.stages, strict=True)
-        if point.is_proven and all(abs(a.objective - b.objective) <= TOLERANCE for a, b in pairs):
+        values = [stage.objective for stage in point.certificate.stages]
+        if point.is_proven and (np.abs(values - reached) <= TOLERANCE).all():
             return point.units
     return settled
 
@@ -486,9 +470,8 @@ def cost_front(
     """Cheapest layouts for a growing APR, and for a growing APR when one unit fails.
 
     All limits and floors of the problem hold at every point. A point must be better than the one
-    before it by `step_apr`, by default the smallest weight of a run: where runs weigh differently,
-    points that are closer are left out. `stages` "first" optimises the APR, then the APR when one
-    unit fails; "all" margins, too. The `effort` is that of all points together.
+    before it by `step_apr`, by default the smallest weight of a run: points that are closer are
+    left out. `stages`, `effort` and `on_point` are those of :func:`pareto_front`.
 
     The first point is the cheapest that avoids anything. The first stage of a certificate is the
     cost: nothing that is better than the point before costs less. Raises InputError if no layout
@@ -591,11 +574,8 @@ class _Climb:
         except UnmetError as error:
             if error.where != _ASKED:
                 raise
-            raise InputError(
-                "candidates",
-                Unquoted("no layout that avoids anything"),
-                "one within the limits and the time",
-            ) from None
+            got = Unquoted("no layout that avoids anything")
+            raise InputError("candidates", got, "one within the limits and the time") from None
         assert step.pose_index is not None  # check_floors has seen to it
         return self.point(step, step.least_eur)
 
@@ -640,14 +620,10 @@ class _Climb:
         )
 
     def _known_eur(self, last: FrontPoint | None) -> float:
-        """Least cost of whatever is better than a point.
-
-        It is better than all points before, too; and it costs more than this point, if that is the
-        best at its cost.
-        """
+        """Least cost of whatever is better than a point, and so than all points before it."""
         if last is None:
             return next_level_eur(self.levels_eur, 0.0, is_more=False)
-        if last.is_proven:
+        if last.is_proven:  # the best at its cost
             return next_level_eur(self.levels_eur, last.value.cost_eur, is_more=True)
         return last.certificate.stages[0].bound
 

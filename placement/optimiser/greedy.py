@@ -6,7 +6,6 @@ another, or leave one out, until that does not help; then others are thrown out 
 """
 
 from collections.abc import Callable, Iterable
-from itertools import count
 
 import numpy as np
 
@@ -82,7 +81,7 @@ def improve(
                 return units
             if reduced.limits.is_forced[units[number]]:
                 continue
-            trial = (_exchanged if step < len(units) else _without)(reduced, units, number)
+            trial = _exchanged(reduced, units, number, is_out=step >= len(units))
             of_trial = None if trial is None else set_values(reduced, trial[None, :])[0]
             if trial is not None and of_trial is not None and of_trial.exceeds(value):
                 units, value, place = trial, of_trial, number  # the next one has moved up
@@ -92,18 +91,17 @@ def improve(
     return units
 
 
-def _exchanged(reduced: ReducedProblem, units: IntArray, number: int) -> IntArray | None:
-    """The best allowed set with another pose in the place of one unit; None if there is none."""
+def _exchanged(
+    reduced: ReducedProblem, units: IntArray, number: int, *, is_out: bool
+) -> IntArray | None:
+    """The best allowed set with another pose for one unit, or without it; None if there is none."""
     rest = np.delete(units, number)
+    if is_out:
+        return rest if is_allowed(reduced.limits, rest) else None
     free = np.flatnonzero(fitting(reduced.limits, rest))
     free = free[free != units[number]]
     free = free[are_allowed(reduced.limits, np.column_stack([np.tile(rest, (len(free), 1)), free]))]
     return best_with_each(reduced, rest, free) if len(free) else None
-
-
-def _without(reduced: ReducedProblem, units: IntArray, number: int) -> IntArray | None:
-    rest = np.delete(units, number)
-    return rest if is_allowed(reduced.limits, rest) else None
 
 
 def search_from_many_starts(
@@ -126,17 +124,17 @@ def search_from_many_starts(
     forced, best, idle = forced_units(reduced), BestSet(), 0
     begin = [*starts, forced]
     weight: FloatArray | None = None
-    for number in count():
+    for number in range(len(begin) + steering.N_RESTARTS):
         n_units = reduced.limits.max_units if best.units is None else len(best.units)
         is_first = number < len(begin)
-        if not is_first and (idle > n_units or number >= len(begin) + steering.N_RESTARTS):
-            break
-        if number and deadline.is_over:
+        if (not is_first and idle > n_units) or (number and deadline.is_over):
             break
         if not is_first and weight is None:
-            weight = (
-                _chance_alone(reduced, forced) if chance is None else chance() + steering.ROUNDING
-            )
+            if chance is None:
+                alone = shares_with_each(reduced, forced) ** 2
+                weight = alone / max(float(alone.sum()), steering.TINY) + steering.ROUNDING
+            else:
+                weight = chance() + steering.ROUNDING
         if is_first or weight is None:
             units = begin[number]
         elif number % 2 or best.units is None:
@@ -160,12 +158,6 @@ def search_from_many_starts(
         if best.values is not None and not limit.exceeds(best.values):
             break
     return best.units
-
-
-def _chance_alone(reduced: ReducedProblem, forced: IntArray) -> FloatArray:
-    alone = shares_with_each(reduced, forced)
-    share: FloatArray = alone**2 / max(float((alone**2).sum()), steering.TINY) + steering.ROUNDING
-    return share
 
 
 def _drawn(

@@ -27,7 +27,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from . import steering
 from .bitsets import shares_with_each, union_apr, unions_of
-from .bounds import Rows, coverers_of, is_covered_by, run_rows
+from .bounds import Rows, byte_table, coverers_of, is_covered_by, run_rows
 from .limits import may_grow
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import WordArray
@@ -56,10 +56,7 @@ def walk_by_pairs(
     if reduced.measure.is_mean:
         walk = PairWalk(reduced, need=0.0)
         search = TieSearch(
-            reduced,
-            units,
-            walk_from=lambda need, _: walk.again(need),
-            on_better=on_better,
+            reduced, units, walk_from=lambda need, _: walk.again(need), on_better=on_better
         )
         return search.find(deadline)
     value = float(union_apr(reduced, unions_of(reduced, units[None, :]))[0])
@@ -212,17 +209,12 @@ class PairWalk:
         self, units: _Units, union: WordArray, rows: Rows, pairs: IntArray
     ) -> IntArray:
         """Pairs of units, (n, 2), that may lose little of some rows next to a union."""
-        from .walk_kernels import lost_by_pairs, weigh_bytes
+        from .walk_kernels import lost_by_pairs
 
         if not len(pairs) or not len(rows.chain):
             return pairs
         bits = _cover_beside(self.reduced, units, union, rows, self.seen)
-        n_words = bits[0].shape[1]
-        padded = np.zeros(64 * n_words)
-        padded[: len(rows.weight)] = rows.weight
-        table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
-        every = np.full(n_words, ~np.uint64(0))
-        weigh_bytes(padded, every, table, used)
+        table, _, _ = byte_table(rows.weight, bits[0])
         lost = np.empty(len(pairs))
         lost_by_pairs(*bits, table, self.may_lose, pairs, lost)
         return pairs[lost <= self.may_lose]

@@ -246,11 +246,7 @@ def presolve(
 
 
 def is_dominated(
-    words: WordArray,
-    limits: Limits,
-    *,
-    max_units: int,
-    workers: int = WORKERS,
+    words: WordArray, limits: Limits, *, max_units: int, workers: int = WORKERS
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 

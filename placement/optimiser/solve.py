@@ -324,16 +324,13 @@ def _solve_large(
     reduced = presolve(part, workers=effort.workers)
     effort = replace(effort.until(deadline), solver="greedy")
     found = solve_placement(part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage)
-    largest_s = mean_s = float(most.margin_limit_s.max(initial=0.0))
     value = {stage.name: stage.objective for stage in found.certificate.stages}
-    if problem.tail == 1.0 and value[Objective.APR] > 0.0:
-        total_s = float(every.weight @ np.maximum(most.margin_limit_s, 0.0))
-        mean_s = min(mean_s, total_s / value[Objective.APR])
+    avoided = value[Objective.APR] if problem.tail == 1.0 else 0.0
     bounds = dict.fromkeys(Objective, apr) | {
         Objective.UNITS: 1.0,
         Objective.COST: 0.0,
-        Objective.SMALLEST_MARGIN: largest_s,
-        Objective.MEAN_MARGIN: mean_s,
+        Objective.SMALLEST_MARGIN: most.mean_margin_limit_s(0.0),
+        Objective.MEAN_MARGIN: most.mean_margin_limit_s(avoided),
     }
     stages = []
     for stage in found.certificate.stages:

@@ -78,17 +78,22 @@ class Search:
         largest: dict[Objective, float] = {}
         if len(reduced.weight):
             all_runs, most = reduced.measure.limit, reduced.limits.max_units
+            margin_s = self.margin_limit_s
             largest = {
                 Objective.APR_SURVIVED: all_runs if most > reduced.survive else self.apr_of_vut,
                 Objective.APR: all_runs,
                 Objective.APR_ONE_FAILED: all_runs if most > 1 else self.apr_of_vut,
-                Objective.SMALLEST_MARGIN: float(self.margin_limit_s.min()),
-                Objective.MEAN_MARGIN: float(
-                    np.average(self.margin_limit_s, weights=reduced.weight)
-                ),
+                Objective.SMALLEST_MARGIN: float(margin_s.min()),
+                Objective.MEAN_MARGIN: float(np.average(margin_s, weights=reduced.weight)),
             }
         gains = [largest.get(objective, 0.0) for objective in reduced.objectives]
         return SetValues(reduced.objectives, np.array([0.0, *gains]))
+
+    def mean_margin_limit_s(self, apr: float) -> float:
+        """No set of an APR has a larger mean margin: no more seconds are there to share out."""
+        largest_s = float(self.margin_limit_s.max(initial=0.0))
+        total_s = float(self.reduced.weight @ np.maximum(self.margin_limit_s, 0.0))
+        return min(largest_s, total_s / apr) if apr > 0.0 else largest_s
 
     def start(self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None) -> None:
         """Find a good set, from some to begin with; there may be none that reaches the floors.
@@ -100,12 +105,10 @@ class Search:
                 self.keep(start)
         uses_root = can_walk(self.reduced) and not goes_by_pairs(self.reduced)
         shares = (lambda: self.root.share) if uses_root else None
+        chances = shares if chance is None else lambda: chance
+        end = self.deadline.of("first set")
         units = search_from_many_starts(
-            self.reduced,
-            self.limit,
-            starts=starts,
-            chance=shares if chance is None else lambda: chance,
-            deadline=self.deadline.of("first set"),
+            self.reduced, self.limit, starts=starts, chance=chances, deadline=end
         )
         if units is not None:
             self.keep(units)
@@ -116,9 +119,8 @@ class Search:
         """Look for the best set within tighter limits, which the best so far meets."""
         self.reduced = replace(self.reduced, limits=limits).with_goal("best")
         units, self.units, self._root = self.units, None, None
-        again = search_from_many_starts(
-            self.reduced, self.limit, deadline=self.deadline.of("first set")
-        )
+        end = self.deadline.of("first set")
+        again = search_from_many_starts(self.reduced, self.limit, deadline=end)
         for found in (units, again):
             if found is not None:
                 self.keep(found)
@@ -230,9 +232,8 @@ class Stages:
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
             if n_units > bound:
-                bound = max(
-                    bound, np.ceil(search.look_for(Objective.UNITS, ()) - steering.SOLVER_TOLERANCE)
-                )
+                found = search.look_for(Objective.UNITS, ()) - steering.SOLVER_TOLERANCE
+                bound = max(bound, np.ceil(found))
         n_units = len(self._units())
         return self._restricted(float(n_units), bound, budget_units=n_units)
 
@@ -314,10 +315,7 @@ class Stages:
         search = self.search
         if self._avoids_nothing():
             return 0.0
-        limit = float(search.margin_limit_s.max())
-        if search.value.apr > 0.0:  # what avoids as much has no larger sum of margins to share out
-            total_s = float(search.reduced.weight @ np.maximum(search.margin_limit_s, 0.0))
-            limit = min(limit, total_s / search.value.apr)
+        limit = search.mean_margin_limit_s(search.value.apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         if self._is_complete():
@@ -378,16 +376,8 @@ class Stages:
         if n_left < 1:
             return search.apr_of_vut
         # What is left when units fail is a layout with fewer, bound by no wish.
-        fewer = replace(
-            reduced,
-            floors=(),
-            limits=replace(
-                reduced.limits,
-                budget_units=n_left,
-                is_forced=np.zeros_like(reduced.limits.is_forced),
-                is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
-            ),
-        )
+        limits = replace(reduced.limits, budget_units=n_left, is_forced=None, is_forced_site=None)
+        fewer = replace(reduced, floors=(), limits=limits)
         bound = self._relaxed(fewer, Objective.APR)
         limit = self._settle(self._left(n_failures), bound, limit)
         if not self._is_settled(self._left(n_failures), limit):
@@ -408,10 +398,8 @@ class Stages:
         return limit
 
     def _left(self, n_failures: int) -> float:
-        search = self.search
-        sets = self._units()[None, :]
-        left = left_after_failures(search.reduced, search.reduced.measure, n_failures, sets)
-        return float(left[0])
+        reduced, sets = self.search.reduced, self._units()[None, :]
+        return float(left_after_failures(reduced, reduced.measure, n_failures, sets)[0])
 
     def _units(self) -> IntArray:
         units = self.search.units
@@ -473,10 +461,9 @@ class Stages:
                 deadline = search.deadline.of("few sets")
                 has_money = search.reduced.limits.budget_eur is not None
                 most = steering.MAX_SETS_OF_MONEY if has_money else steering.MAX_FEW_SETS
+                most = min(most, int(deadline.left_s() * steering.FEW_SETS_PER_SECOND))
                 units, self.is_complete = best_of_few(
-                    search.reduced,
-                    max_sets=min(most, int(deadline.left_s() * steering.FEW_SETS_PER_SECOND)),
-                    deadline=deadline,
+                    search.reduced, max_sets=most, deadline=deadline
                 )
                 if units is not None:
                     search.keep(units)
@@ -495,19 +482,17 @@ class Stages:
         n_forced = int(reduced.limits.is_forced.sum())
         if not can_walk(reduced) or not search.is_exact or search.deadline.is_over:
             return False
-        if goes_by_pairs(reduced):
-            if n_failures:  # nothing but ties that were met tells of failures
-                return False
-            tied = walk_by_pairs(
-                reduced,
-                self._units(),
-                deadline=search.deadline.of("worlds"),
-                on_better=self._improved,
-            )
-        elif not reduced.measure.is_mean or (n_forced and n_failures):
+        by_pairs = goes_by_pairs(reduced)
+        # By pairs, nothing but ties that were met tells of failures.
+        if n_failures and (by_pairs or n_forced):
             return False
-        else:
+        if by_pairs:
+            end = search.deadline.of("worlds")
+            tied = walk_by_pairs(reduced, self._units(), deadline=end, on_better=self._improved)
+        elif reduced.measure.is_mean:
             tied = self._find_tied(n_failures)
+        else:
+            return False
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
         if tied.sets is not None:
@@ -524,12 +509,14 @@ class Stages:
         held = None
         if n_failures:
             held = least_apr(reduced) if self.problem.survive else search.value.apr
+
+        def walk_from(need: float, left: float) -> SetWalk:
+            return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)
+
         return TieSearch(
             reduced,
             self._units(),
-            walk_from=lambda need, left: SetWalk(
-                reduced, root, need=need, n_failures=n_failures, left=left
-            ),
+            walk_from=walk_from,
             limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
             ahead=steering.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,

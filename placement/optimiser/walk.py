@@ -1,10 +1,9 @@
 """Third rung: all sets of so many units that lose little, and the best of those that tie.
 
-As in :mod:`placement.optimiser.bounds`, a set avoids a run only if one of its poses *covers* it,
-and runs that the same poses cover are one row. Of the poses at a site, most cover no row that
-another one there does not cover: a *class* is a pose that is widest in this sense with those below
-it. Every set of poses is one of each of so many classes, some of them perhaps several times. So the
-walk is one through sets of classes, each as good as its widest pose:
+As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the same poses cover are
+one row. Of the poses at a site, most cover no row that another one there does not cover: a *class*
+is a pose that is widest in this sense with those below it. So the walk is one through sets of
+classes, each as good as its widest pose:
 
 * It asks which class covers the row that fewest cover. Where hardly anything may be lost, that
   leaves few classes at every node. When they have been tried, the row is lost.
@@ -13,11 +12,9 @@ walk is one through sets of classes, each as good as its widest pose:
   alone. The gains are weighed by the rows' weights, and by Lagrangian prices.
 
 What remains is spelled out: sets of poses, one of each class, valued on the windows, where poses of
-a class that is not settled yet see together. A walk that ends has met every set.
-
-The stages after the APR choose among sets that tie. Where few do, they are all valued, and every
-later stage is proven at once. Where they are many, the APR that is left when units fail is asked
-for in the walk, too; few sets are best in both.
+a class that is not settled yet see together. A walk that ends has met every set. Where few tie, all
+are valued, and every later stage is proven at once; where many do, the APR that is left when units
+fail is asked for in the walk, too.
 """
 
 from collections.abc import Callable, Iterator
@@ -90,8 +87,8 @@ def best_of_few(
 ) -> tuple[IntArray | None, bool]:
     """Best of all allowed sets, of any size, where they are few.
 
-    Gives up if there are more than `max_sets`, or at the deadline. The units are None if no set is
-    allowed or it gave up at once; the flag says whether all sets were gone through.
+    Gives up if there are more than `max_sets`, or at the deadline: the flag says whether all sets
+    were gone through. The units are None if no set was.
     """
     sizes = allowed_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
@@ -260,15 +257,14 @@ class _Task:
         self.waiting: list[IntArray] = []  # to be spelled out
         self.losses = owner.losses._replace(order=owner.losses.order.copy())
         n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
-        of_rows = (n_units + 1, n_words)
         self.out = np.empty((steering.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
             where=np.array([0, 1, 0, 0, 0]),
             may_lose=owner.losses.may_lose,
             chosen=np.zeros(n_units, dtype=np.int64),
-            once=np.zeros(of_rows, dtype=np.uint64),
-            twice=np.zeros(of_rows, dtype=np.uint64),
-            gone=np.zeros(of_rows, dtype=np.uint64),
+            once=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            twice=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            gone=np.zeros((n_units + 1, n_words), dtype=np.uint64),
             lost=np.zeros(n_units + 1),
             is_open=np.ones((n_units + 1, n_poses), dtype=bool),
             room=np.tile(owner.capacity, (n_units + 1, 1)),
@@ -463,7 +459,7 @@ class TieSearch:
         is_near = self.ahead > 0.0
         ahead = self.ahead if is_near else step
         if deadline.is_over:
-            return self._unproven(self.reduced.measure.limit)
+            return self._tied(self.reduced.measure.limit, False)
         limit = self.reduced.measure.limit
         if self.limit is not None:
             need = self.best if self.least_apr is None else self.least_apr
@@ -471,24 +467,20 @@ class TieSearch:
         is_proven = False
         if ahead > 0.0 and (not is_near or limit >= self.best + ahead):
             if not self._walk(deadline, ahead):
-                return self._unproven(limit)
+                return self._tied(limit, False)
             is_proven = not is_near
             limit = min(limit, rounded_down(self.reduced, self.best + ahead))
             if deadline.is_over:
-                return self._unproven(self.best if is_proven else limit, is_finished=is_proven)
+                return self._tied(limit, is_proven)
         is_finished = self._walk(deadline, 0.0, is_proven=is_proven)
-        is_proven |= is_finished
-        sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
-        return Tied(
-            sets=sets if is_finished and self.has_all else None,
-            value=self.best,
-            limit=self.best if is_proven else max(limit, self.best),
-            is_finished=is_proven,
-        )
+        sets = None
+        if is_finished and self.has_all:
+            sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
+        return self._tied(limit, is_proven or is_finished, sets)
 
-    def _unproven(self, limit: float, *, is_finished: bool = False) -> Tied:
-        limit = max(limit, self.best)
-        return Tied(sets=None, value=self.best, limit=limit, is_finished=is_finished)
+    def _tied(self, limit: float, is_proven: bool, sets: IntArray | None = None) -> Tied:
+        limit = self.best if is_proven else max(limit, self.best)
+        return Tied(sets=sets, value=self.best, limit=limit, is_finished=is_proven)
 
     def _value_of(self, sets: IntArray) -> FloatArray:
         if not self.n_failures:
