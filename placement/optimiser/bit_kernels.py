@@ -18,8 +18,6 @@ ByteArray = NDArray[np.uint8]
 
 _N_TOGETHER = 16  # words transposed at a time: a line of memory or two
 
-# ---------- transposing
-
 
 @kernel
 def count_bits(word: np.uint64) -> int:

@@ -14,8 +14,6 @@ from .presolve import ReducedProblem, unpack_words
 from .problem import Measure, Objective, WordArray
 from .steering import DECIMALS, FEW_PARTNERS, TOLERANCE, share_out
 
-# ---------- values that are compared stage by stage
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetValues:
@@ -94,9 +92,6 @@ class BestSet:
             self.units, self.values = sets[row], values[row]
 
 
-# ---------- values of sets
-
-
 def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
     """Margins of all runs given which frames are seen: (n_sets, n_words) -> (n_sets, n_runs).
 
@@ -153,9 +148,6 @@ def left_after_failures(
         left = measure.of(union_margins_s(reduced, unions) > -np.inf)
         smallest = np.minimum(smallest, left)
     return smallest
-
-
-# ---------- all objectives
 
 
 Left = Callable[[Measure, int], FloatArray]
@@ -242,9 +234,6 @@ def _lacking(reduced: ReducedProblem, left: Left) -> FloatArray | float:
         short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
         lacking = lacking + np.maximum(short, 0.0)
     return lacking
-
-
-# ---------- a set together with each pose: bits along the poses, 64 sets to a word
 
 
 def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:

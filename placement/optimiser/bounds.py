@@ -34,8 +34,6 @@ from .presolve import ReducedProblem, distinct_rows, transposed, unpack_words
 from .problem import Objective, WordArray
 from .steering import NEVER, Deadline, share_out
 
-# ---------- rows of the covering problem
-
 
 class Rows(NamedTuple):
     """Rows of the covering problem: a window is seen among the first of a chain."""
@@ -60,9 +58,6 @@ def margin_rows(reduced: ReducedProblem) -> Rows:
     step = np.maximum(margin[:, :-1] - margin[:, 1:], 0.0) * reduced.weight[:, None]
     run, link = np.nonzero(step)
     return Rows(reduced.run_chain[run], link + 1, step[run, link])
-
-
-# ---------- the bound
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -257,9 +252,6 @@ def rounded_down(reduced: ReducedProblem, limit: float) -> float:
     if step:
         limit = float(np.floor(limit / step + steering.SOLVER_TOLERANCE)) * step
     return min(limit, reduced.measure.limit)
-
-
-# ---------- OSQP
 
 
 def relaxation_text() -> str:

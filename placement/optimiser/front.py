@@ -43,9 +43,6 @@ from .solve import (
 from .stages import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
-# ---------- fronts
-
-
 StageChoice = Literal["first", "all"]
 FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
 

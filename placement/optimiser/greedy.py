@@ -115,10 +115,9 @@ def search_from_many_starts(
     """Best of local optima: of `starts`, of the greedy set, and of sets that are drawn.
 
     Poses are drawn by `chance`, (n_poses,), such as their shares in a relaxed solution; by default
-    by the square of what each reaches alone. It ends at a set as good as `limit`, which none
-    exceeds, after one more than units in a row that brought nothing, or at the deadline, but
-    completes the first start. None if no set within the limits was found; the result may lack
-    something to the floors.
+    by the square of what each reaches alone. It ends at a set as good as `limit`, after one more
+    than units in a row that brought nothing, or at the deadline, but completes the first start.
+    None if no set within the limits was found; the result may lack something to the floors.
     """
     rng = np.random.default_rng(steering.SEED)
     forced, best, idle = forced_units(reduced), BestSet(), 0

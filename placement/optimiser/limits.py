@@ -237,9 +237,6 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
     return fits
 
 
-# ---------- sets that may be chosen
-
-
 class Choice(NamedTuple):
     """How many poses may join those that are forced, and where: plain arrays for kernels."""
 

@@ -1,10 +1,9 @@
 """Fourth rung: the placement model, one function per family of constraints, solved by HiGHS.
 
-x_c = 1: pose c is chosen. y_f: frame f is seen; so is a tail, which is a frame here. z_w: window w
-is seen as a whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
-if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is bounded
-from above by zeros and ones alone, and nothing bounds them from below but what we ask to be
-avoided, so that at the largest values they can take they are zeros and ones themselves.
+x_c = 1: pose c is chosen. y_f: frame f, or tail, is seen. z_w: window w is seen as a whole. a_k:
+one of the windows of a chain up to its k-th link is live; run r is avoided if a of its last link in
+time is 1. Only x has to be whole: given x, every y, z and a is bounded from above by zeros and ones
+alone, and from below by nothing but what must be avoided: their largest values are zeros and ones.
 """
 
 from __future__ import annotations
@@ -39,11 +38,8 @@ class Answer:
     """Answer of a solver to a problem that is maximised."""
 
     is_found: bool  # whether the variables hold a feasible point
-    # Whether that is best, or there is none, rather than the best within the time.
-    is_finished: bool
-    # No feasible point has a higher objective; minus infinity if there is none, plus infinity if
-    # nothing is known.
-    bound: float
+    is_finished: bool  # whether that is best, or there is none, not just the best within the time
+    bound: float  # of all feasible points; minus infinity: none, plus infinity: nothing is known
 
 
 def solver_text() -> str:
@@ -101,8 +97,7 @@ def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp
 
     1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site <= its
     capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site >= 1;
-    o_s + o_t <= 1 for rivals. For whole x, o is bounded from below by zeros and ones, and nothing
-    raises it.
+    o_s + o_t <= 1 for rivals.
     """
     import scipy.sparse as sp
 
@@ -298,10 +293,9 @@ def solve_window_model(
     """Best set of poses by one objective: UNITS, COST, APR or MEAN_MARGIN; None: any set.
 
     For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a given APR that
-    is the same. Requirements hold before units fail; what holds after failures is left to cuts.
-    The bound is in the objective's own unit: from above for what is maximised, else from below.
-    Where stating the model has taken half of the time, nothing is found: the solver is handed it in
-    as long again, and would be cut off.
+    is the same. What must hold after failures is left to cuts. The bound is in the objective's own
+    unit. Where stating the model has taken half of the time, nothing is found: the solver is handed
+    it in as long again.
     """
     import cvxpy as cp
 
@@ -310,8 +304,7 @@ def solve_window_model(
     x = cp.Variable(reduced.n_poses, boolean=True)
     o = cp.Variable(limits.n_sites, bounds=[0.0, 1.0])
     constraints = limit_constraints(x, o, limits)
-    goal: cp.Expression = cp.Constant(0.0)
-    unit = 1.0
+    goal, unit = cp.Constant(0.0), 1.0
     if objective is Objective.UNITS:
         goal = -x.sum()
     elif objective is Objective.COST:

@@ -1,9 +1,9 @@
 """Third rung where worlds are sampled: sets of two or three units, a class of poses and a pair.
 
-Where detections are drawn, that a pose sees the frame which a window is asked for says little:
-hardly any run is out of reach of a pose. It says much more when another unit is known, since what
-that one sees is not asked for any more. So poses of a site that avoid much the same runs are a
-*class*, as good as all of them together. Classes are gone through, each with those behind it:
+Where detections are drawn, hardly any run is out of reach of a pose; what a window is asked for
+says more when another unit is known, since what that one sees is not asked for any more. So poses
+of a site that avoid much the same runs are a *class*, as good as all of them together. Classes are
+gone through, each with those behind it:
 
 * Of the pieces, frames and tails, that are missing in a window, one unit of the pair sees the one
   that fewest see; and one sees all that are missing in some window, or both see some. Both are bits

@@ -4,15 +4,14 @@ Both kinds of fusion become one problem here. With "any", a frame is seen if a c
 detects in it, and a window needs all its frames. With "single", the frames of the reduced problem
 are the statements "this pose alone has confirmed by then", and each window needs one of them.
 
-A track that lives for a limited time needs more than a window: from every frame behind it on, the
-next detection must come in time, unless the last moment comes first. "A chosen pose detects in one
-of the frames that are in time" is a statement about one pose at a time, too, so that it is one more
-frame of the reduced problem here: a *tail*. A window whose tails are all seen is *live*. As a later
-window has fewer tails, one that is not seen ends all windows of the run up to some number.
+Where tracks live for a limited time, "a chosen pose detects in one of the frames in which the next
+detection must come" is a statement about one pose at a time, too, so that it is one more frame of
+the reduced problem: a *tail*. A window whose tails are all seen is *live*. As a later window has
+fewer tails, one that is not seen ends all windows of the run up to some number.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Annotated
 
@@ -66,15 +65,8 @@ class PresolveStatistics:
     ]
 
     def __str__(self) -> str:
-        return ", ".join(
-            f"{before} -> {after} {noun}"
-            for noun, (before, after) in (
-                ("poses", self.n_poses),
-                ("frames", self.n_frames),
-                ("windows", self.n_windows),
-                ("runs", self.n_runs),
-            )
-        )
+        sizes = ((field.name[2:], getattr(self, field.name)) for field in fields(self))
+        return ", ".join(f"{before} -> {after} {noun}" for noun, (before, after) in sizes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,8 +82,7 @@ class ReducedProblem:
     survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
     n_frames: int  # merged frames
     words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
-    # (n_frames, ceil(n_poses / 64)): the same bits along the poses; empty while presolve is on
-    columns: WordArray
+    columns: WordArray  # (n_frames, ceil(n_poses / 64)): the same bits along the poses
     base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
     chains: Chains  # of windows, and of what keeps them alive
     workers: int  # threads for all that is computed with them
@@ -129,19 +120,21 @@ class ReducedProblem:
         """The same poses and runs for another problem on the table.
 
         It may differ from the one that was presolved in floors, goal and failures to be survived:
-        where a pose can take the place of another one, no value gets worse, whatever is asked. Its
-        limits may be tighter on the numbers of units and on money that all poses together may take.
+        where a pose takes the place of another one, nothing that may be asked gets worse. And it
+        may allow fewer units or less money: what is dominated stays so.
         """
-        measures = [
-            problem.floor_measure(floor).of_runs(self.run_index) for floor in problem.floors
+        floors = [
+            Requirement(
+                measure=problem.floor_measure(floor).of_runs(self.run_index),
+                least=floor.share,
+                n_failures=floor.n_failures,
+            )
+            for floor in problem.floors
         ]
         return replace(
             self,
             limits=problem.limits.of_poses(self.pose_index),
-            floors=tuple(
-                Requirement(measure=measure, least=floor.share, n_failures=floor.n_failures)
-                for floor, measure in zip(problem.floors, measures, strict=True)
-            ),
+            floors=tuple(floors),
             objectives=problem.objectives,
             survive=problem.survive,
         )
@@ -212,13 +205,12 @@ def presolve(
     windows = _Windows(problem, workers)
     limits = problem.limits
     usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+    price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
     if limits.budget_eur is not None:
-        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         usable &= price <= limits.budget_eur + COST_TOLERANCE_EUR
     # What sees nothing would drop out below, but making the problem anew takes long.
     is_kept = windows.sees_any() | limits.is_forced_site[limits.site_index]
     if usable.any():
-        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         is_kept[np.flatnonzero(usable)[np.argmin(price[usable])]] = True
     usable = (usable & is_kept) | limits.is_forced
     drops_dominated &= windows.measure.is_mean
@@ -237,7 +229,6 @@ def presolve(
                 workers=workers,
             )
         if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
-            price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
             is_needless[np.argmin(price[poses])] = False
         if not is_needless.any():
             columns = transposed(reduced.words, reduced.n_frames, workers=workers)

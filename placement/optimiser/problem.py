@@ -113,9 +113,6 @@ def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
     return (*first, *(objective for objective in VALUE_OBJECTIVES if objective not in first))
 
 
-# ---------- the accident prevention ratio
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measure:
     """Accident prevention ratio of what is avoided.
@@ -334,11 +331,10 @@ def floor_value(problem: PlacementProblem, floor: Floor, pose_index: Sequence[in
 
 
 def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
-    """Time left, in every run, between the onset of braking and the last moment for it, (n_runs,).
+    """Last brake time - (confirmation + latency) of every run, (n_runs,), in seconds.
 
-    It is last brake time - (confirmation + latency), in seconds, for the track that is alive at the
-    last moment; minus infinity if there is none. The problem's budget and capacities do not matter
-    here. No poses at all are what the VUT detects by itself, if it sees.
+    For the track that is alive at the last moment; minus infinity if there is none. Limits do not
+    matter. No poses at all are what the VUT detects by itself, if it sees.
     """
     axis, rule = problem.table.axis, problem.rule
     detected = problem.detected(pose_index)
@@ -425,9 +421,6 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     return False
 
 
-# ---------- requirements
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Requirement:
     """A value that must be reached; more poses never reach less of it."""
@@ -487,10 +480,7 @@ class Chains(NamedTuple):
 
 
 def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:
-    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
-
-    Returns the last frame of each, its run, and the margin that it leaves [s].
-    """
+    """Windows that end in time, in runs with weight: last frame, run, margin [s], (n_windows,)."""
     run = run_of_frames(axis)
     last_brake_s = axis.last_brake_time_s[run]
     counts = (
@@ -509,10 +499,9 @@ def tails_behind(
 
     `end` and `run` are those of :func:`timely_windows_end`. Returns the frames, ascending, and the
     last frame behind each that still comes in time: the frame itself if none does. A window is live
-    if and only if, from its last frame on, a detection follows each of these frames in time. That
-    asks for it behind frames that are not detected, too, which changes nothing: the detection that
-    comes in time for the one before them does so for them. Frames from which the memory reaches the
-    last moment have no tail.
+    if and only if, from its last frame on, a detection follows each of these frames in time. (Of
+    frames that are not detected, that asks no more: what comes in time for the one before does.)
+    Frames from which the memory reaches the last moment have no tail.
     """
     if rule.track_memory_s == np.inf:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)

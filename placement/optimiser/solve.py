@@ -28,8 +28,6 @@ from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_
 
 _log = logging.getLogger(__name__)
 
-# ---------- wishes that cannot be met
-
 
 class UnmetError(InputError):
     """A wish that no layout meets, or none that was found."""
@@ -40,8 +38,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
 
     `pose_ids` are the names of the poses in messages.
 
-    Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that is too
-    small, money that does not suffice, rivals that are both forced, or no unit at all.
+    Raises UnmetError: two of them cannot both be met.
     """
     forced = np.flatnonzero(limits.is_forced)
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
@@ -127,9 +124,6 @@ def _rounded_down(share: float) -> str:
     return f"{np.floor(share * 1.0e4) / 1.0e4:g}"
 
 
-# ---------- large tables
-
-
 def is_large(problem: PlacementProblem) -> bool:
     """True if a problem is better not solved as a whole."""
     return problem.table.n_poses * problem.table.axis.n_frames > steering.MAX_BITS
@@ -147,9 +141,6 @@ def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
         ),
         limits=problem.limits.of_poses(pool),
     )
-
-
-# ---------- stages in order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,14 +165,11 @@ def solve_placement(
 
     `reduced` is the presolved problem, where that is at hand; `starts` are rows of the table that
     are tried first, (n,) each, such as a good layout for a unit less; only the first `n_stages`
-    objectives are bounded, by default all; `on_stage` is called with the name
-    of every stage when it begins. By default the effort is a minute.
+    objectives are bounded, by default all; `on_stage` is called with the name of every stage when
+    it begins. The bound of a stage is what no layout exceeds that is as good in all stages before.
 
-    The bound of a stage is what no layout can exceed that is as good in all stages before. A
-    problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur", one
-    that must survive failures with "apr_survived". Raises InputError if nothing meets the wishes,
-    with the one that cannot be met and the best that can, or if nothing was found that does in the
-    time given.
+    Raises InputError if nothing meets the wishes, with the one that cannot be met and the best that
+    can, or if nothing was found that does in the time given.
     """
     effort = Effort() if effort is None else effort
     deadline = deadline_in(effort.time_limit_s)
@@ -273,9 +261,9 @@ def _solve_as_if_units_failed(
 ) -> Solution | None:
     """The best where units fail, not sites; None where no set meets the wishes then.
 
-    A site takes at least one unit with it, so no set is worth more where sites fail. A set whose
-    units stand apart is worth the same: if it is best here, it is best there, and bounds hold. It
-    is far quicker to find: a pose may be replaced by one at another site.
+    No set is worth more where sites fail, and one whose units stand apart as much: if it is best
+    here, it is best there, and bounds hold. It is far quicker to find: a pose may be replaced by
+    one at another site.
     """
     by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
     effort = effort.until(deadline.of("as if units failed"))

@@ -29,8 +29,6 @@ from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementVal
 from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk, least_apr
 
-# ---------- the best set so far
-
 
 class Search:
     """The incumbent, the best set of poses so far, and what the proofs rest on."""
@@ -191,9 +189,6 @@ class Search:
         if key not in self._cuts:
             self._cuts[key] = first_cuts(problem, requirement)
         return self._cuts[key]
-
-
-# ---------- stages
 
 
 class Stages:
@@ -376,7 +371,9 @@ class Stages:
         if n_left < 1:
             return search.apr_of_vut
         # What is left when units fail is a layout with fewer, bound by no wish.
-        limits = replace(reduced.limits, budget_units=n_left, is_forced=None, is_forced_site=None)
+        names = "is_forced", "is_forced_site"
+        none = {name: np.zeros_like(getattr(reduced.limits, name)) for name in names}
+        limits = replace(reduced.limits, budget_units=n_left, **none)
         fewer = replace(reduced, floors=(), limits=limits)
         bound = self._relaxed(fewer, Objective.APR)
         limit = self._settle(self._left(n_failures), bound, limit)

@@ -79,9 +79,6 @@ def least_apr(reduced: ReducedProblem) -> float | None:
     return floor.least if is_of_all and not floor.n_failures else None
 
 
-# ---------- all sets, where they are few
-
-
 def best_of_few(
     reduced: ReducedProblem, *, max_sets: int, deadline: Deadline = NEVER
 ) -> tuple[IntArray | None, bool]:
@@ -135,9 +132,6 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
         grown = np.column_stack([grown[row], poses[later]])
         grown = grown[may_grow(limits, grown)]
     return sizes
-
-
-# ---------- the walk
 
 
 class SetWalk:

@@ -490,9 +490,6 @@ def grow(
     return DONE
 
 
-# ---------- sets of poses of the classes that a walk has found
-
-
 class Losses(NamedTuple):
     """What sets lose on the windows, and how much they may."""
 
@@ -582,9 +579,6 @@ def spell_out(
             unit += 1
     place[n_units] = unit
     return n_found
-
-
-# ---------- pairs, where worlds are sampled
 
 
 @kernel
