@@ -143,9 +143,8 @@ def number_rows(
 ) -> int:
     """Number distinct rows by their first appearance; how many there are.
 
-    Only the bits in `kept`, (n_words,), count; `mixed` are what :func:`mix_rows` makes of them.
-    `slots`, a power of two of -1, more than rows, is working space: what becomes of it are the
-    first rows with each number, behind one another.
+    Only the bits in `kept`, (n_words,), count; `mixed` is by :func:`mix_rows`. `slots`, a power of
+    two of -1, more than rows, begins with the first row of each number in the end.
     """
     first = np.empty(len(rows), dtype=np.int64)
     n_distinct, n_slots = 0, len(slots)
@@ -186,9 +185,8 @@ def find_dominated(
 ) -> None:
     """Poses whose dominators other units cannot use up.
 
-    Poses come in the order of dominance. Every `step`-th of them from `begin` on is looked at. A
-    dominator costs no more, by its `price` at the same site, by what it costs `elsewhere` at
-    another one, if the pose `may_move` there.
+    Poses come in the order of dominance; every `step`-th from `begin` on is looked at. A dominator
+    costs no more: its `price` at the same site, `elsewhere` at others, if the pose `may_move`.
     """
     n_words = words.shape[1]
     needed, at_site = np.empty(n_words, dtype=np.int64), np.zeros(len(capacity), dtype=np.int64)
@@ -239,8 +237,7 @@ def thin_out(
     """Windows of runs that are not dominated, and how many of them need each tail.
 
     `sets`, (n_windows, n_frames), are the frames of windows, run by run, ascending in time;
-    `n_links` says how many windows of its run need each tail, and becomes the number of those kept
-    that do.
+    `n_links` is how many windows of its run need each tail, in the end of those that are kept.
     """
     for run in range(len(set_start) - 1):
         begin, end = set_start[run], set_start[run + 1]
@@ -303,9 +300,8 @@ def look_through(
 ) -> int:
     """First live windows of chains in some order, until too much is lost: how many that took.
 
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one of a
-    union of merged frames; it has no rows if nothing can be lost. ``first[g]`` is the number of the
-    chain's windows where none is live.
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one, or
+    none if that is their number; it has no rows if nothing can be lost.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     total = 0.0
@@ -318,8 +314,8 @@ def look_through(
                 break
         while place < end:
             is_seen = True
-            for number in range(window_frames.shape[1]):
-                is_seen &= has_bit(union, window_frames[window[place], number])
+            for frame in window_frames[window[place]]:
+                is_seen &= has_bit(union, frame)
             if is_seen:
                 break
             place += 1
@@ -409,8 +405,7 @@ def avoid_with_each(
     """Poses with which a set avoids a run, and that see a piece that it is missing, (n_words,).
 
     A live window among the first `last` of the chain avoids it. `is_seen`, (n_frames,), is what the
-    set sees by itself; `part` is not looked for if it has no words. `space`, (2, n_words), is for
-    poses with which all tails so far are seen, and with which one window is live.
+    set sees by itself; `part` may have no words. `space`, (2, n_words), is working space.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     n_words, has_part, every = columns.shape[1], len(part) > 0, ~np.uint64(0)

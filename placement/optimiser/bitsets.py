@@ -71,11 +71,6 @@ def _tolerances(objectives: tuple[Objective, ...]) -> FloatArray:
     return np.array([TOLERANCE, *(objective.tolerance for objective in objectives)])
 
 
-def no_values(reduced: ReducedProblem, gain: float = -np.inf) -> SetValues:
-    """Values of a single set that is worse, or with a gain of infinity better, than any."""
-    return SetValues(reduced.objectives, np.full(1 + len(reduced.objectives), gain))
-
-
 class BestSet:
     """The best of the sets of poses that were offered; of equal ones the first."""
 
@@ -168,8 +163,7 @@ def set_values(reduced: ReducedProblem, sets: IntArray) -> SetValues:
 def values_with_each(reduced: ReducedProblem, units: IntArray) -> SetValues:
     """Values of a set of poses together with each pose in turn: row c is that of `units` and c.
 
-    Bits run along the poses here, 64 sets to a word: an order of magnitude faster than
-    :func:`set_values` of the same sets, one by one.
+    Bits run along the poses, 64 sets to a word: far faster than :func:`set_values` of these sets.
     """
     return _values(
         reduced,
@@ -301,8 +295,7 @@ def left_with_each(
 def best_with_each(reduced: ReducedProblem, units: IntArray, poses: IntArray) -> IntArray:
     """The best set of `units` and one of some poses, at least one; of equal ones the first.
 
-    Objective by objective only the best poses are looked at further, so that what takes long is
-    computed for few.
+    Objective by objective only the best poses are looked at further.
     """
     for find, tolerance in _quick_stages(reduced, units):
         if len(poses) <= FEW_PARTNERS:

@@ -98,8 +98,8 @@ def find_root(
 ) -> Root:
     """Ask for the frames, window by window, that bound sets of so many units best.
 
-    Windows are asked for the frame, or the tail, that the poses picked so far see least, again and
-    again, and the best round is taken. It ends at the deadline, but completes the first round.
+    Windows are asked for what the poses picked so far see least, again and again, and the best
+    round is taken. It ends at the deadline, but completes the first round.
     """
     choice = build_choice(reduced.limits, n_units)
     union = unions_of(reduced, forced_units(reduced)[None, :])[0]
@@ -209,10 +209,7 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
 def failure_limit(
     root: Root, n_failures: int, least: float, *, deadline: Deadline = NEVER
 ) -> float:
-    """No set that is worth `least` keeps more when units fail, nor is worth more without failures.
-
-    At the deadline it ends with the best limit so far.
-    """
+    """No set that is worth `least` keeps more when units fail, nor is worth more without."""
     limit, n_units = root.limit, root.choice.n_units
     for amount in steering.FAILURE_PRICES if n_failures else ():
         if deadline.is_over:
@@ -229,8 +226,7 @@ def relax(
     """Upper bound of all sets within the limits, and shares of poses near a relaxed solution.
 
     `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights times margins.
-    Limits of units, sites and money hold; other wishes are left out, which only makes the bound
-    higher. Infinite, and no shares, where that takes too long.
+    Wishes are left out, which only makes it higher. Infinite, and no shares, where it takes long.
     """
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or n_units < 1:
@@ -262,8 +258,8 @@ def relaxation_text() -> str:
 def polished(root: Root) -> Root:
     """Prices near those of the linear relaxation; the limit never rises.
 
-    OSQP is handed the poses that gain most. Prices that suit these are wrong for others: the best
-    point on the way to them is taken, and poses that gain too much at their end join the core.
+    OSQP is handed a core of poses that gain most. Of the way to its prices the best point is taken;
+    poses that gain too much at its end join the core.
     """
     n_units, best, share = root.choice.n_units, root, root.share
     if not len(root.weight) or n_units < 1:

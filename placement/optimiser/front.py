@@ -107,10 +107,7 @@ OnPoint = Callable[[FrontPoint], None]
 
 
 def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
-    """Check that a problem asks for nothing but the best.
-
-    Raises InputError: it has a target or failures to survive; or the stages are unknown.
-    """
+    """Raise InputError if a target, or failures to survive, are asked for, or stages unknown."""
     check_one_of("stages", stages, get_args(StageChoice))
     if problem.goal != "best" or problem.survive:
         option = "survive" if problem.goal == "best" else "target"
@@ -125,10 +122,7 @@ def solve_point(
     n_stages: int,
     starts: Sequence[Sequence[int]] = (),
 ) -> FrontPoint:
-    """The best layout for one point, its first stages proven; what comes after them is just good.
-
-    `reduced` has all but the limits of this point, though it may be presolved with wider ones.
-    """
+    """The best layout for one point; only its first stages are proven."""
     solution = solve_placement(
         problem,
         None if reduced is None else reduced.for_problem(problem),
@@ -272,7 +266,7 @@ def pareto_front(
             settled = units
         if on_point is not None:
             on_point(points[-1])
-    if refused and not points:
+    if not points:
         why = refused[-1][1]
         option = "max_units" if why.where == "budget" else why.where
         raise UnmetError(option, why.got, why.expected)
@@ -301,18 +295,13 @@ def front_below(
 ) -> Front:
     """A front that ends with a known layout, which was solved for the best, and its certificate.
 
-    It has points of fewer units, then the one given. The other arguments are as for
-    :func:`pareto_front`; all stages are optimised. Raises InputError as that does, but where the
-    wishes cannot be met with fewer units, the front has the last point alone.
+    It has points of fewer units, if any meet the wishes, then the one given. The other arguments
+    and errors are those of :func:`pareto_front`; all stages are optimised.
     """
     check_front(problem, "all")
     most = problem.limits.budget_units or len(pose_index)
-    last = FrontPoint(
-        units=most,
-        pose_index=pose_index,
-        value=placement_value(problem, pose_index),
-        certificate=certificate,
-    )
+    value = placement_value(problem, pose_index)
+    last = FrontPoint(units=most, pose_index=pose_index, value=value, certificate=certificate)
     alone = Front(by="units", points=(last,), stages="all", settled=None, refused=(), presolve=None)
     if max(min_units, int(problem.limits.is_forced.sum()), 1) >= most:
         return alone
@@ -354,10 +343,8 @@ def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
     """True if it is proven that no layout with more units costs less than a point's."""
     stage = point.stage(Objective.COST)
     prices = np.sort(problem.limits.unit_cost_eur[~problem.limits.is_forbidden])
-    more_eur = float(prices[: point.units + 1].sum())
-    return (
-        stage is not None and stage.gap == 0.0 and stage.objective <= more_eur + COST_TOLERANCE_EUR
-    )
+    more_eur = float(prices[: point.units + 1].sum()) + COST_TOLERANCE_EUR
+    return stage is not None and stage.gap == 0.0 and stage.objective <= more_eur
 
 
 def _is_free(problem: PlacementProblem) -> bool:
@@ -628,8 +615,7 @@ class _Climb:
         """The best layout for the cost of a step.
 
         No layout that is better than the point before costs less than `least_eur`. With `is_best`,
-        nothing with a higher APR than asked for costs as little: what was asked for need not be
-        asked again.
+        nothing with a higher APR costs as little: what was asked for need not be asked again.
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)
@@ -666,8 +652,7 @@ def _within(limits: Limits, cost_eur: float) -> Limits:
 def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
     """Points that cost less than a new one, which is better than all of them, and the new one.
 
-    What is better than the last of those that stay may be worse than one that goes: it costs at
-    least the least of what was proven of these.
+    What is better than the last that stays may be worse than one that goes, and cost as little.
     """
     least_eur = new.value.cost_eur - COST_TOLERANCE_EUR
     stay = [point for point in points if point.value.cost_eur < least_eur]

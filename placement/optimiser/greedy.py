@@ -29,11 +29,7 @@ from .steering import NEVER, TOLERANCE, Deadline
 def solve_greedy(
     problem: PlacementProblem, reduced: ReducedProblem | None = None
 ) -> tuple[int, ...]:
-    """Add, one by one, the pose with the highest APR; ties go to the later objectives.
-
-    Returns rows of the detection table, ascending, within the limits if those leave greedy choice a
-    way.
-    """
+    """Rows of the table, ascending: one by one the pose that makes the best set."""
     reduced = presolve(problem) if reduced is None else reduced
     return to_full(reduced, extend_greedily(reduced, forced_units(reduced)))
 
@@ -51,8 +47,7 @@ def forced_units(reduced: ReducedProblem) -> IntArray:
 def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     """Add poses to `units` one by one, the best first, as long as there is room.
 
-    With few or cheap units as the goal it stops when the floors are reached. Otherwise it may add
-    needless units, which exchanges and removals take away again.
+    With few or cheap units as the goal it stops when the floors are reached.
     """
     is_enough = reduced.objectives[0].is_minimised
     while len(units) < reduced.limits.max_units:
@@ -70,8 +65,7 @@ def improve(
 ) -> IntArray:
     """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
-    No set is better than `limit`: the search ends at a set that is as good, or at the deadline. The
-    result is at least as good as `units`.
+    No set is better than `limit`: the search ends at a set that is as good, or at the deadline.
     """
     value, place = set_values(reduced, units[None, :])[0], 0
     while limit.exceeds(value):

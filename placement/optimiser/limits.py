@@ -120,10 +120,8 @@ class Limits:
         )
 
     def __repr__(self) -> str:
-        return (
-            f"Limits({self.budget_units} units, {self.budget_eur} EUR, {self.n_poses} poses at "
-            f"{self.n_sites} sites)"
-        )
+        budgets = f"{self.budget_units} units, {self.budget_eur} EUR"
+        return f"Limits({budgets}, {self.n_poses} poses at {self.n_sites} sites)"
 
 
 def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
@@ -157,10 +155,7 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets of distinct poses, one at least, are within all limits, (n_sets,).
-
-    `sets` is (n_sets, n_units).
-    """
+    """Which sets of distinct poses, (n_sets, n_units), at least one, are within all limits."""
     most = np.inf if limits.budget_units is None else limits.budget_units
     sites = limits.site_index[sets]
     allowed: BoolArray = may_grow(limits, sets) & (1 <= sets.shape[1] <= most)
@@ -216,16 +211,13 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
         fits &= helps
     if limits.budget_eur is not None:
         left = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur(limits, units)
-        price = limits.unit_cost_eur + np.where(
-            at_site[sites] > 0, 0.0, limits.site_cost_eur[sites]
-        )
+        to_pay = np.where(at_site > 0, 0.0, limits.site_cost_eur)
+        price = limits.unit_cost_eur + to_pay[sites]
         to_open = np.unique(sites[missing & (at_site[sites] == 0)])
         reserve = float(limits.unit_cost_eur[missing].sum() + limits.site_cost_eur[to_open].sum())
-        at_missing = np.zeros(limits.n_sites)
-        for site in np.flatnonzero(missing_sites):
-            of_site = (sites == site) & ~limits.is_forbidden
-            cheapest = limits.unit_cost_eur[of_site].min(initial=np.inf)
-            at_missing[site] = cheapest + limits.site_cost_eur[site]
+        cheapest, may = np.full(limits.n_sites, np.inf), ~limits.is_forbidden
+        np.minimum.at(cheapest, sites[may], limits.unit_cost_eur[may])
+        at_missing = np.where(missing_sites, cheapest + limits.site_cost_eur, 0.0)
         reserve += float(at_missing.sum())
         if reserve == np.inf:  # a site that must be used has no pose that may
             return np.zeros(limits.n_poses, dtype=bool)

@@ -401,26 +401,22 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
     return [Cut(is_counted=c, n_units=n_units) for c in counted if not (has_base and c.all())]
 
 
-def violated_cuts(
-    reduced: ReducedProblem, units: IntArray, requirements: Sequence[Requirement]
-) -> list[Cut]:
-    """Cuts that a set of poses violates; none if and only if it meets all requirements."""
+def violated_cuts(reduced: ReducedProblem, units: IntArray, requirement: Requirement) -> list[Cut]:
+    """Cuts that a set of poses violates; none if and only if it meets a requirement."""
     cuts = []
-    for requirement in requirements:
-        fails, n_units = _fails(reduced, requirement), requirement.n_failures + 1
-        is_unit = reduced.limits.failing == "unit"
-        at = np.arange(len(units)) if is_unit else reduced.limits.site_index[units]
-        groups = np.unique(at)
-        n_left = max(len(groups) - requirement.n_failures, 0)
-        for left in combinations(groups.tolist(), n_left):
-            union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
-            if not fails(union[None, :])[0]:
-                continue
-            each = [fails]
-            if requirement.needs_all:
-                runs = _lost_runs(reduced, union, requirement)
-                each = [_fails(reduced, requirement, run) for run in runs]
-            cuts += [_cut(reduced, union, one, n_units=n_units) for one in each]
+    fails, n_units = _fails(reduced, requirement), requirement.n_failures + 1
+    is_unit = reduced.limits.failing == "unit"
+    at = np.arange(len(units)) if is_unit else reduced.limits.site_index[units]
+    groups = np.unique(at)
+    for left in combinations(groups.tolist(), max(len(groups) - requirement.n_failures, 0)):
+        union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
+        if not fails(union[None, :])[0]:
+            continue
+        each = [fails]
+        if requirement.needs_all:
+            runs = _lost_runs(reduced, union, requirement)
+            each = [_fails(reduced, requirement, run) for run in runs]
+        cuts += [_cut(reduced, union, one, n_units=n_units) for one in each]
     return cuts
 
 

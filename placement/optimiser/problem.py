@@ -64,10 +64,6 @@ class Objective(StrEnum):
         """
         return other - value if self.is_minimised else value - other
 
-    def is_better(self, value: float, other: float) -> bool:
-        """True if a value is better than another one by more than rounding noise."""
-        return self.excess(value, other) > self.tolerance
-
     def better(self, value: float, other: float) -> float:
         """The better one of two values."""
         return min(value, other) if self.is_minimised else max(value, other)
@@ -450,11 +446,6 @@ class Requirement:
             total: FloatArray = np.where(in_time, margin_s, 0.0) @ self.measure.weight
             return total
         return self.measure.of(in_time)
-
-    def __repr__(self) -> str:
-        return (
-            f"Requirement({self.least:g}, margin {self.min_margin_s:g} s, {self.n_failures} fail)"
-        )
 
 
 # ---------- windows that end in time, and what keeps them alive

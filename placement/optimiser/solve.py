@@ -34,12 +34,7 @@ class UnmetError(InputError):
 
 
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
-    """Check limits against each other, before anything is solved.
-
-    `pose_ids` are the names of the poses in messages.
-
-    Raises UnmetError: two of them cannot both be met.
-    """
+    """Raise UnmetError if two limits cannot both be met; `pose_ids` name poses in messages."""
     forced = np.flatnonzero(limits.is_forced)
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
@@ -74,10 +69,7 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
 
 
 def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
-    """Check that all poses together reach every floor.
-
-    Raises UnmetError: they do not.
-    """
+    """Raise UnmetError unless all poses together reach every floor."""
     everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
     is_avoided = union_margins_s(reduced, everything) > -np.inf
     for floor, requirement in zip(problem.floors, reduced.floors, strict=True):
@@ -91,11 +83,7 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
 
 
 def check_floors(problem: PlacementProblem, search: Search) -> None:
-    """Check that the set that was found reaches all floors.
-
-    Raises UnmetError: it does not: out of reach, and the best that can be reached, or not found in
-    time.
-    """
+    """Raise UnmetError unless the set that was found reaches all floors: out of reach, or late."""
     if search.units is not None and search.shortfall == 0.0:
         return
     reduced = search.reduced
@@ -176,9 +164,11 @@ def solve_placement(
     check_limits(problem.limits, problem.table.pose_ids)
     if problem.limits.failing == "site":
         found = _solve_as_if_units_failed(problem, effort, deadline, starts, n_stages, on_stage)
-        if found is not None and _are_apart(problem.limits, found.pose_index):
-            return found
-        starts = starts if found is None else [*starts, np.array(found.pose_index)]
+        if found is not None:
+            sites = problem.limits.site_index[list(found.pose_index)]
+            if len(np.unique(sites)) == len(sites):
+                return found
+            starts = [*starts, np.array(found.pose_index)]
     if reduced is None and effort.solver != "exact" and is_large(problem):
         return _solve_large(problem, effort, deadline, n_stages, on_stage)
     if reduced is None:
@@ -273,11 +263,6 @@ def _solve_as_if_units_failed(
         )
     except UnmetError:  # where sites fail, more is possible, or there was too little time
         return None
-
-
-def _are_apart(limits: Limits, pose_index: tuple[int, ...]) -> bool:
-    sites = limits.site_index[list(pose_index)]
-    return len(np.unique(sites)) == len(sites)
 
 
 def units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:

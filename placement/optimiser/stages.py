@@ -13,7 +13,6 @@ from . import steering
 from .bitsets import (
     SetValues,
     left_after_failures,
-    no_values,
     set_values,
     union_apr,
     union_margins_s,
@@ -36,8 +35,7 @@ class Search:
     def __init__(
         self, reduced: ReducedProblem, *, deadline: Deadline = NEVER, is_exact: bool = True
     ) -> None:
-        self.reduced = reduced
-        self.deadline = deadline
+        self.reduced, self.deadline = reduced, deadline
         self.is_exact = is_exact  # whether walks and models may be used
         self.proofs: dict[str, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
@@ -45,7 +43,8 @@ class Search:
         self.apr_of_vut = float(union_apr(reduced, reduced.base[None, :])[0])  # all units failed
         self.units: IntArray | None = None
         self.nothing_meets_all = False  # proven that no set meets limits and floors
-        self.row = no_values(reduced)
+        nothing = np.full(1 + len(reduced.objectives), -np.inf)
+        self.row = SetValues(reduced.objectives, nothing)
         self._cuts: dict[tuple[object, ...], list[Cut]] = {}
         self._root: Root | None = None
 
@@ -123,13 +122,11 @@ class Search:
             if found is not None:
                 self.keep(found)
 
-    def keep(self, units: IntArray) -> bool:
-        """Take a set if it is better than the best so far; whether it was."""
+    def keep(self, units: IntArray) -> None:
+        """Take a set if it is better than the best so far."""
         row = set_values(self.reduced, units[None, :])[0]
-        if self.units is not None and not row.exceeds(self.row):
-            return False
-        self.units, self.row = units, row
-        return True
+        if self.units is None or row.exceeds(self.row):
+            self.units, self.row = units, row
 
     def offer(self, units: IntArray) -> None:
         """Take a set after completing and improving it, if it is better then."""
@@ -171,16 +168,15 @@ class Search:
             bound = better(bound, result.bound)
             if result.units is None:
                 break
-            found: list[Cut] = []
+            n_before = len(cuts)
             for demand in demands:
-                new = violated_cuts(problem, result.units, [demand])
+                new = violated_cuts(problem, result.units, demand)
                 self._cuts_of(problem, demand).extend(new)
-                found += new
-            if not found:
+                cuts += new
+            if len(cuts) == n_before:
                 if reduced is None:
                     self.offer(result.units)
                 break
-            cuts += found
         return bound
 
     def _cuts_of(self, problem: ReducedProblem, requirement: Requirement) -> list[Cut]:
@@ -195,9 +191,7 @@ class Stages:
     """A method per stage that improves the best set, and says how much better one could be."""
 
     def __init__(self, problem: PlacementProblem, search: Search, effort: Effort) -> None:
-        self.problem = problem
-        self.search = search
-        self.effort = effort
+        self.problem, self.search, self.effort = problem, search, effort
         self.held: list[Requirement] = []
         self.apr_limit = search.reduced.measure.limit
         self.is_complete: bool | None = None  # not tried yet

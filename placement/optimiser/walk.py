@@ -19,9 +19,8 @@ fail is asked for in the walk, too.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -107,10 +106,7 @@ def best_of_few(
 
 
 def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
-    """All sets within limits, by their size: those that are forced and 0, 1, 2, .. others.
-
-    None if there are more than `max_sets` sets, or too many to find out.
-    """
+    """All sets within limits, by their size; None if more than `max_sets`, or too many to tell."""
     forced = np.flatnonzero(limits.is_forced)
     poses = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
     grown, sizes, n_sets = forced[None, :], [], 0
@@ -191,8 +187,8 @@ class SetWalk:
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until the deadline.
 
-        An empty block says that nothing was found for a while. All threads walk, each behind some
-        node near the root at a time: the order of the sets is left to chance.
+        An empty block says that nothing was found for a while. All threads walk, each behind a node
+        near the root: the order of the sets is left to chance.
         """
         if self.n_units == 1:
             yield self._alone()
@@ -404,8 +400,7 @@ class SomeWalk(Protocol):
         """Ask for more from here on."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tied:
+class Tied(NamedTuple):
     """Sets that tie at the best value of a stage."""
 
     sets: IntArray | None  # (n, n_units): all of them; None: too many, or not all were looked at
@@ -477,8 +472,6 @@ class TieSearch:
         return Tied(sets=sets, value=self.best, limit=limit, is_finished=is_proven)
 
     def _value_of(self, sets: IntArray) -> FloatArray:
-        if not self.n_failures:
-            return union_apr(self.reduced, unions_of(self.reduced, sets))
         return left_after_failures(self.reduced, self.reduced.measure, self.n_failures, sets)
 
     def _needs(self, need: float) -> tuple[float, float]:

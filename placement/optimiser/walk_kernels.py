@@ -197,11 +197,9 @@ def tighten_prices(
 ) -> float:
     """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
 
-    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `steering` has the first
-    length of a step, what steps are cut by, the share of the last direction that is carried over,
-    that of what was picked before, and the steps without a better bound after which they are cut.
-    Returns the bound; `price` becomes what proves it, and `share` how often each pose was picked of
-    late.
+    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `steering` has the numbers
+    of :mod:`placement.optimiser.steering` that the first line unpacks. Returns the bound; `price`
+    becomes what proves it, and `share` how often each pose was picked of late.
     """
     length, cut, deflection, memory, patience = steering
     n_units, is_open = choice.n_units, choice.is_open
@@ -382,8 +380,7 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
 def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
     """Bound the node at hand, drop candidates that cannot help, queue some; whether any is left.
 
-    Those queued cover the row that fewest cover, best first. When they have been tried, that row is
-    lost, and the node is looked at again.
+    Those queued cover the row that fewest cover, best first; then that row is lost.
     """
     depth = walk.where[0]
     left = len(walk.chosen) - depth
@@ -594,9 +591,8 @@ def lost_by_pairs(
     """Count what pairs of units, (n, 2), lose at least, (n,), until it is too much.
 
     Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row next to the
-    others, `may` where it sees the piece that is asked for, `part` where it sees one that is
-    missing. A pair may avoid a row only if one sees what is asked for, and one avoids it alone or
-    both see a part. `table` has what the bits of each byte weigh.
+    others, `may` where it sees what is asked for, `part` where it sees a piece that is missing. A
+    pair may avoid a row only if one sees what is asked for, and one avoids it or both see a part.
     """
     for number in range(len(pairs)):
         one, other, total = pairs[number, 0], pairs[number, 1], 0.0
