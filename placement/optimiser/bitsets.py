@@ -36,12 +36,6 @@ class SetValues:
         """Sum of what is lacking to the floors; 0 where all are reached."""
         return -self.gains[..., 0]
 
-    @property
-    def first(self) -> FloatArray:
-        """The first objective, the larger the better."""
-        gains: FloatArray = self.gains[..., 1]
-        return gains
-
     def of(self, objective: Objective) -> FloatArray:
         """Values of one objective, in its own unit."""
         gains: FloatArray = self.gains[..., 1 + self.objectives.index(objective)]

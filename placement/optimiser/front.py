@@ -1,8 +1,7 @@
 """Fronts: the best layouts for more and more units or money, each with its proof.
 
-A point is solved from the one before it: what was found for less is feasible for more. The best
-values therefore never fall from point to point, and what no layout with more can exceed, none with
-less can either.
+A point is solved from the one before it: what was found for less is feasible for more. So values
+never fall from point to point, and what no layout with more can exceed, none with less can either.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,8 +1,8 @@
 """First rung: layouts found quickly, without proof. Greedy choice, then exchanges from many starts.
 
-Greedy choice adds the pose that makes the best set, one by one; with fusion "any" no guarantee of
-quality holds: three units may be needed to complete one window. Exchanges replace one unit by
-another, or leave one out, until that does not help; then others are thrown out and drawn again.
+With fusion "any" no guarantee of quality holds: three units may be needed to complete one window.
+Exchanges replace one unit by another, or leave one out, until that does not help; then others are
+thrown out and drawn again.
 """
 
 from collections.abc import Callable, Iterable
@@ -141,7 +141,7 @@ def search_from_many_starts(
         idle += 1
         if not is_allowed(reduced.limits, units):
             continue
-        if best.values is not None and best.values.first >= limit.first - TOLERANCE:
+        if best.values is not None and best.values.gains[1] >= limit.gains[1] - TOLERANCE:
             units = _spread(reduced, units, deadline=deadline)
         units = improve(reduced, units, limit, deadline=deadline)
         before = best.units

@@ -48,10 +48,7 @@ def solver_text() -> str:
 
 
 def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:
-    """Maximise by HiGHS, as far as the time goes or down to a relative gap.
-
-    All variables of the problem are bounded.
-    """
+    """Maximise in bounded variables by HiGHS, as far as the time goes or down to a relative gap."""
     import cvxpy as cp
 
     with warnings.catch_warnings():

@@ -393,9 +393,9 @@ class _Windows:
             [window[slice(*place)] for place in pairwise(begin)],
             [(tail_frame[slice(*p)], n_links[slice(*p)]) for p in pairwise(tail_begin)],
         )
-        n_windows = np.diff(begin)
-        margin_s = np.full((len(run_index), n_windows.max(initial=0) + 1), -np.inf)
+        margin_s = np.full((len(run_index), np.diff(begin).max(initial=0) + 1), -np.inf)
         margin_s[of_run, np.arange(len(windows)) - begin[of_run]] = self.margin_s[windows]
+        n_whole = np.diff(axis.run_start) + 1 - problem.rule.n_confirmations  # in time or not
         return ReducedProblem(
             pose_index=poses,
             limits=problem.limits.of_poses(poses),
@@ -415,15 +415,10 @@ class _Windows:
             statistics=PresolveStatistics(
                 n_poses=(problem.table.n_poses, len(poses)),
                 n_frames=(axis.n_frames, len(kept)),
-                n_windows=(self._count_windows(), len(first_set)),
+                n_windows=(int(np.maximum(n_whole, 0).sum()), len(first_set)),
                 n_runs=(axis.n_runs, len(run_index)),
             ),
         )
-
-    def _count_windows(self) -> int:
-        """Windows of all runs, in time or not."""
-        n_frames = np.diff(self.problem.table.axis.run_start)
-        return int(np.maximum(n_frames + 1 - self.problem.rule.n_confirmations, 0).sum())
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""

@@ -183,8 +183,7 @@ def build_measure(
 ) -> Measure:
     """Measure of runs with weights, (n_runs,), and the sampled world of each, 0, 1, ..
 
-    By default there is one world. Raises InputError if the tail is not in 0 < tail <= 1, or the
-    samples are not numbered 0, 1, .. with weight.
+    By default there is one world. Raises InputError unless 0 < tail <= 1, and worlds have weight.
     """
     if not 0.0 < tail <= 1.0:
         raise InputError("tail", tail, "a share of the samples, 0 < share <= 1")

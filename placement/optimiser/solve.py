@@ -1,7 +1,7 @@
 """Layouts with proofs: wishes are checked, then stages solved in order, rung by rung.
 
-Of a table that is too large, all poses are bounded by relaxation alone. Their prices also say which
-poses gain most: among those the layout is sought.
+Of a table that is too large, all poses are bounded by relaxation alone; the layout is sought among
+those that gain most by its prices.
 """
 
 import logging

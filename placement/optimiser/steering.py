@@ -1,9 +1,8 @@
 """All numbers that steer the optimiser: tolerances, shares of the time, sizes, steps; and threads.
 
-No other module of this package has such numbers. Three kinds must not be mixed up: what counts as
-equal is part of what "best" means; what rounding or a solver may err by says how far a bound can be
-believed; all others change how long an answer takes and how good it is when the time is up, never
-whether a proof holds.
+Three kinds must not be mixed up: what counts as equal is part of what "best" means; what rounding
+or a solver may err by says how far a bound can be believed; all others change how long an answer
+takes and how good it is when the time is up, never whether a proof holds.
 """
 
 import os
@@ -34,8 +33,7 @@ SOLVER_SUM = 1.0e4
 """Sum to which an objective's coefficients are scaled: HiGHS's tolerances are absolute."""
 HELD_SLACK = 1.0e-3
 """Of the mean weight: rows that hold an earlier stage are relaxed by it, well above HiGHS's own
-tolerance. Asking for a sum to the last digit made it call feasible problems infeasible. Answers are
-checked exactly anyway."""
+tolerance: asked for the last digit it called feasible problems infeasible. Answers are checked."""
 TINY = 1.0e-300  # Keeps a sum of nothing from being divided by
 MOST_STEPS = 1.0e5
 """A common step is clearly larger than a solver's error if no value is more steps than this."""

@@ -149,7 +149,7 @@ class SetWalk:
     ) -> None:
         from .walk_kernels import Covers, Losses
 
-        self.reduced, self.root, self.n_failures = reduced, root, n_failures
+        self.reduced, self.n_failures = reduced, n_failures
         self.forced, choice = forced_units(reduced), root.choice
         self.n_units, self.capacity = choice.n_units, choice.room
         self.total = float(reduced.weight.sum())
@@ -517,7 +517,7 @@ def best_of_tied(
 ) -> IntArray | None:
     """Best of tied sets and of their parts that tie with them; None if there is none.
 
-    A part is as good in the first stages only if a whole set is that has room for one more.
+    A part is as good in the first stages only if a whole set is.
     """
     best = BestSet()
     while len(sets) and sets.shape[1] > 0:

@@ -1,8 +1,4 @@
-"""Numba kernels of the covering problem: what is asked for, prices, the walk, and what it leaves.
-
-All functions work on plain arrays; :mod:`placement.optimiser.bounds` and
-:mod:`placement.optimiser.walk` say what they hold.
-"""
+"""Numba kernels of the covering problem: what is asked for, prices, the walk, what it leaves."""
 
 from typing import NamedTuple
 
