@@ -119,7 +119,7 @@ def test_poses_are_dominated_where_others_cannot_use_up_their_dominators(
     seed: int, max_units: int, step: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    sees = rng.random((12, 70)) < rng.choice([0.02, 0.9])
+    sees = rng.random((12, 4)) < rng.choice([0.3, 0.7])
     site, capacity = rng.integers(0, 4, 12), rng.integers(0, 3, 4)
     price = rng.integers(1, 4, 12).astype(np.float64)
     elsewhere, may_move = price + rng.integers(0, 2, 12), rng.random(12) < 0.7
@@ -135,13 +135,13 @@ def test_poses_are_dominated_where_others_cannot_use_up_their_dominators(
 
 def runs_of_windows(rng: np.random.Generator) -> tuple[IntArray, ...]:
     """Frames of windows, run by run, and tails: a frame, and how many first windows need it."""
-    n_windows = rng.integers(1, 6, 2)
-    sets = np.sort(rng.integers(0, 6, (n_windows.sum(), 2)), axis=1)
+    n_windows = rng.integers(2, 7, 2)
+    sets = np.sort(rng.integers(0, 4, (n_windows.sum(), 2)), axis=1)
     tail_frame, n_links, n_tails = [], [], []
     for most in n_windows.tolist():
         links = sorted(rng.integers(1, most + 1, int(rng.integers(0, 3))).tolist(), reverse=True)
         n_links += links
-        tail_frame += rng.permutation(6)[: len(links)].tolist()
+        tail_frame += rng.permutation(4)[: len(links)].tolist()
         n_tails.append(len(links))
     starts = np.cumsum([0, *n_windows]), np.cumsum([0, *n_tails])
     return (
@@ -158,7 +158,7 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed: int) -
     sets, start, tail_frame, tail_start, n_links = runs_of_windows(np.random.default_rng(seed))
     before, is_kept = n_links.copy(), np.zeros(len(sets), dtype=bool)
     kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
-    unions = [set(seen) for size in range(7) for seen in combinations(range(6), size)]
+    unions = [set(seen) for size in range(5) for seen in combinations(range(4), size)]
     for run in range(2):
         windows = range(start[run], start[run + 1])
         tails = range(tail_start[run], tail_start[run + 1])
