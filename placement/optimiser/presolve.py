@@ -199,8 +199,6 @@ def presolve(
       unless `drops_dominated` is False, or only the worst worlds count. There the smallest margin
       may fall when more is seen: a run that is avoided in another world, too, adds nothing to
       their APR, but its margin counts.
-
-    All that is computed on the reduced problem takes `workers` threads.
     """
     windows = _Windows(problem, workers)
     limits = problem.limits
@@ -241,8 +239,8 @@ def is_dominated(
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
-    `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
-    (n_poses,): may be dropped, all together.
+    `words`, (n_poses, n_words), is what each sees; no set has more than `max_units` units. They may
+    be dropped all together, (n_poses,).
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
