@@ -415,6 +415,23 @@ def test_a_walk_with_failures_leaves_out_no_set_that_keeps_enough(
     assert all(lost_of(covers, one) <= may_lose[0] for one in found)
 
 
+@given(SEEDS)
+def test_a_walk_through_pairs_of_which_one_may_fail_finds_just_those_that_keep_enough(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    covers = build_covers(rng)
+    alone = np.array([lost_of(covers, (pose,)) for pose in range(6)])
+    may_lose = [float(rng.integers(4, 20)), float(rng.choice(alone))]
+    walk = build_walk(covers, 2, np.full(3, 3), may_lose)
+    expected = [
+        pair
+        for pair in combinations(range(6), 2)
+        if lost_of(covers, pair) <= may_lose[0] and alone[list(pair)].max() <= may_lose[1]
+    ]
+    assert sorted(walked(covers, walk, 1, work=10**9, n_out=100)) == expected
+
+
 def test_a_walk_stops_at_each_node_of_a_depth() -> None:
     rng = np.random.default_rng(5)
     covers = build_covers(rng)
@@ -475,6 +492,22 @@ def test_units_are_kept_if_they_lose_little_with_and_without_each(
     assert sorted(losses.order) == sorted(before)  # still all chains
     if found:
         assert (losses.order == before).all()
+
+
+@given(SEEDS)
+def test_units_are_kept_that_lose_just_what_they_may_and_not_more(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    chains, alone = random_chains(rng), rng.random(N_FRAMES) < 0.2
+    losses = build_losses(rng, chains, alone, [0.0, 0.0])
+    sees = random_sights(rng, 3)
+    in_all = loss(losses, sees.any(axis=0) | alone)
+    without = max(
+        loss(losses, np.delete(sees, unit, axis=0).any(axis=0) | alone) for unit in range(3)
+    )
+    for less_in_all, less_without in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
+        losses.may_lose[:] = in_all - less_in_all, without - less_without
+        found = kernels.can_keep(pack_words(sees), losses, True)
+        assert found == (less_in_all == less_without == 0.0)  # a loss of 0 is more than -1, too
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
