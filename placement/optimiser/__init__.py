@@ -1,18 +1,11 @@
 """From a detection table to the best poses, proven: four rungs, each where the one before ends.
 
-``problem`` says what is asked and what a set of poses is worth, ``objectives`` in which order sets
-are compared, ``limits`` what may be mounted together, ``steering`` how hard to try: it has all
-numbers that steer, the threads, and how the time is split. ``bitsets`` values many sets at once.
-
-1. ``presolve`` drops what does not matter; ``greedy`` finds good sets by greedy choice and swaps.
-2. ``bounds``: the Lagrangian bound, by subgradient steps and OSQP.
-3. ``walk``: all sets of so many units that may be as good, and the best of those that tie;
-   ``pairs`` does it where worlds are sampled.
-4. ``model``: HiGHS, for money, floors, forced units and all that is still open.
-
-``stages`` takes the objectives in order, rung by rung. ``solve`` calls it all, says which wish
-cannot be met, and solves tables that are too large. ``front`` says what more units or more
-money buy. Modules called ``.._kernels`` are compiled by Numba.
+``problem`` and ``limits`` say what is asked and what a set of poses is worth, ``steering`` how hard
+to try, ``bitsets`` what many sets are worth. 1. ``presolve`` drops what does not matter, ``greedy``
+finds good sets. 2. ``bounds``: the Lagrangian bound, polished by OSQP. 3. ``walk``: all sets that
+may be as good; ``pairs``, where worlds are sampled. 4. ``model``: HiGHS. ``stages`` takes the
+objectives in order, ``solve`` calls it all, ``front`` says what more units or more money buy.
+Modules called ``.._kernels`` are compiled by Numba.
 """
 
 from .greedy import solve_greedy

@@ -18,8 +18,6 @@ ByteArray = NDArray[np.uint8]
 
 _N_TOGETHER = 16  # words transposed at a time: a line of memory or two
 
-# ---------- transposing
-
 
 @kernel
 def count_bits(word: np.uint64) -> int:
@@ -129,17 +127,6 @@ def have_bits(rows: WordArray, kept: WordArray, has_bits: BoolArray) -> None:
 
 
 @kernel
-def lack_nothing(rows: WordArray, kept: WordArray, lacks_nothing: BoolArray) -> None:
-    """Find rows that have all the bits in `kept`, (n_words,), of the next row."""
-    for row in range(len(rows) - 1):
-        lacks_nothing[row] = True
-        for word in range(rows.shape[1]):
-            if rows[row + 1, word] & ~rows[row, word] & kept[word]:
-                lacks_nothing[row] = False
-                break
-
-
-@kernel
 def mix_rows(rows: WordArray, kept: WordArray, mixed: WordArray) -> None:
     """A number for each row, equal for rows that are equal within `kept`, (n_words,)."""
     for row in range(len(rows)):
@@ -156,9 +143,8 @@ def number_rows(
 ) -> int:
     """Number distinct rows by their first appearance; how many there are.
 
-    Only the bits in `kept`, (n_words,), count; `mixed` are what :func:`mix_rows` makes of them.
-    `slots`, a power of two of -1, more than rows, is working space: what becomes of it are the
-    first rows with each number, behind one another.
+    Only the bits in `kept`, (n_words,), count; `mixed` is by :func:`mix_rows`. `slots`, a power of
+    two of -1, more than rows, begins with the first row of each number in the end.
     """
     first = np.empty(len(rows), dtype=np.int64)
     n_distinct, n_slots = 0, len(slots)
@@ -199,9 +185,8 @@ def find_dominated(
 ) -> None:
     """Poses whose dominators other units cannot use up.
 
-    Poses come in the order of dominance. Every `step`-th of them from `begin` on is looked at. A
-    dominator costs no more, by its `price` at the same site, by what it costs `elsewhere` at
-    another one, if the pose `may_move` there.
+    Poses come in the order of dominance; every `step`-th from `begin` on is looked at. A dominator
+    costs no more: its `price` at the same site, `elsewhere` at others, if the pose `may_move`.
     """
     n_words = words.shape[1]
     needed, at_site = np.empty(n_words, dtype=np.int64), np.zeros(len(capacity), dtype=np.int64)
@@ -252,8 +237,7 @@ def thin_out(
     """Windows of runs that are not dominated, and how many of them need each tail.
 
     `sets`, (n_windows, n_frames), are the frames of windows, run by run, ascending in time;
-    `n_links` says how many windows of its run need each tail, and becomes the number of those kept
-    that do.
+    `n_links` is how many windows of its run need each tail, in the end of those that are kept.
     """
     for run in range(len(set_start) - 1):
         begin, end = set_start[run], set_start[run + 1]
@@ -300,6 +284,12 @@ def has_entry(entries: IntArray, entry: int) -> bool:
 
 
 @kernel
+def has_bit(union: WordArray, frame: int) -> bool:
+    """True if a frame is among those of a union."""
+    return bool((union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1))
+
+
+@kernel
 def look_through(
     union: WordArray,
     chains: Chains,
@@ -310,9 +300,8 @@ def look_through(
 ) -> int:
     """First live windows of chains in some order, until too much is lost: how many that took.
 
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one of a
-    union of merged frames; it has no rows if nothing can be lost. ``first[g]`` is the number of the
-    chain's windows where none is live.
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one, or
+    none if that is their number; it has no rows if nothing can be lost.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     total = 0.0
@@ -320,15 +309,13 @@ def look_through(
         chain = order[rank]
         place, end = start[chain], start[chain + 1]
         for tail in range(tail_start[chain], tail_start[chain + 1]):
-            frame = tail_frame[tail]
-            if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1) == 0:
+            if not has_bit(union, tail_frame[tail]):
                 place += tail_links[tail]
                 break
         while place < end:
-            is_seen = np.uint64(1)
-            for number in range(window_frames.shape[1]):
-                frame = window_frames[window[place], number]
-                is_seen &= union[frame >> 6] >> np.uint64(frame & 63)
+            is_seen = True
+            for frame in window_frames[window[place]]:
+                is_seen &= has_bit(union, frame)
             if is_seen:
                 break
             place += 1
@@ -377,9 +364,10 @@ def first_live_with_each(
         tail, n_tails = tail_start[chain], tail_start[chain + 1] - tail_start[chain]
         for number in range(n_tails):
             frame = tail_frame[tail + number]
-            for word in range(n_words):
-                seen = every if is_seen[frame] else columns[frame, word]
-                held[number + 1, word] = held[number, word] & seen
+            held[number + 1] = held[number]
+            if not is_seen[frame]:
+                for word in range(n_words):
+                    held[number + 1, word] &= columns[frame, word]
         n_links = start[chain + 1] - start[chain]
         first[chain] = n_links
         left[:] = every
@@ -417,8 +405,7 @@ def avoid_with_each(
     """Poses with which a set avoids a run, and that see a piece that it is missing, (n_words,).
 
     A live window among the first `last` of the chain avoids it. `is_seen`, (n_frames,), is what the
-    set sees by itself; `part` is not looked for if it has no words. `space`, (2, n_words), is for
-    poses with which all tails so far are seen, and with which one window is live.
+    set sees by itself; `part` may have no words. `space`, (2, n_words), is working space.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     n_words, has_part, every = columns.shape[1], len(part) > 0, ~np.uint64(0)
@@ -436,8 +423,7 @@ def avoid_with_each(
                 if has_part:
                     for word in range(n_words):
                         part[word] |= columns[frame, word]
-        for word in range(n_words):
-            live[word] = held[word]
+        live[:] = held
         for frame in window_frames[window[start[chain] + link]]:
             if not is_seen[frame]:
                 for word in range(n_words):
@@ -462,14 +448,12 @@ def add_weights_with_each(
 ) -> None:
     """Add the weight of each of some runs to all poses with which a set avoids it, (n_poses,).
 
-    The first ``last[r]`` windows of chain ``run_chain[r]`` are those of run r; the rest is as for
-    :func:`avoid_with_each`.
+    Of run r, the first ``last[r]`` windows of chain ``run_chain[r]`` are in time.
     """
     n_words = columns.shape[1]
     space, avoided = np.empty((2, n_words), dtype=np.uint64), np.empty(n_words, dtype=np.uint64)
     no_part = np.empty(0, dtype=np.uint64)
-    for number in range(len(runs)):
-        run = runs[number]
+    for run in runs:
         avoid_with_each(
             columns, is_seen, chains, run_chain[run], last[run], space, avoided, no_part
         )

@@ -1,19 +1,15 @@
 """Second rung: the Lagrangian bound of all sets of so many units, polished by OSQP.
 
-A set avoids a run only if one of its poses sees a certain frame of one of the run's windows, or a
-certain tail of it; any frame or tail of each window may be *asked for*. Every choice makes the
-problem a maximal covering problem of no lower value, in which a pose *covers* a run. Prices p >= 0
-on runs bound all sets of a maximal covering problem,
+Any frame or tail of each window may be *asked for*: a set avoids a run only if one of its poses
+sees what one of the run's windows is asked for. That makes the problem a maximal covering problem
+of no lower value, in which a pose *covers* a run. Prices p >= 0 on runs bound all its sets,
 
     f(S) <= sum over r of max(0, w[r] - p[r]) + max over S of sum over c in S of sum of p[r] over r
             that c covers,
 
 (Cornuejols, Fisher, Nemhauser 1977), and the second part separates by poses. Money has a price,
 too: with mu, poses are worth mu times their price less, and the budget is worth mu times itself.
-Subgradient steps lower the bound; OSQP solves the linear relaxation on the poses that gain most,
-and its multipliers are prices. Whatever it returns proves nothing by itself: the formula does.
-Then windows are asked for the frame or tail that the poses picked so far see least, again and
-again.
+OSQP's multipliers are prices; whatever it returns proves nothing by itself: the formula does.
 
 Margins are rows, too: to see a window or one before it is worth by how much its margin exceeds the
 next one's. What is left when N of K units fail is no more than what is left on average, and of the
@@ -37,8 +33,6 @@ from .limits import Choice, build_choice
 from .presolve import ReducedProblem, distinct_rows, transposed, unpack_words
 from .problem import Objective, WordArray
 from .steering import NEVER, Deadline, share_out
-
-# ---------- rows of the covering problem
 
 
 class Rows(NamedTuple):
@@ -66,9 +60,6 @@ def margin_rows(reduced: ReducedProblem) -> Rows:
     return Rows(reduced.run_chain[run], link + 1, step[run, link])
 
 
-# ---------- the bound
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Root:
     """A covering problem of no lower value than the windows', and prices on its rows."""
@@ -83,17 +74,23 @@ class Root:
 
     def gains(self, price: FloatArray | None = None) -> FloatArray:
         """Sum of the prices of what each pose covers, by default the own, (n_poses,)."""
-        from .walk_kernels import weigh_bytes, weights_of
+        from .walk_kernels import weights_of
 
-        price = self.price if price is None else price
-        n_words = self.covers.shape[1]
-        table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
-        padded = np.zeros(64 * n_words)
-        padded[: len(price)] = price
-        n_used = weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used)
+        table, used, n_used = byte_table(self.price if price is None else price, self.covers)
         gain = np.empty(len(self.covers))
         weights_of(self.covers.view(np.uint8), table, used, n_used, gain)
         return gain
+
+
+def byte_table(weight: FloatArray, rows: WordArray) -> tuple[FloatArray, IntArray, int]:
+    """What each value of each byte of bits along rows weighs, see ``walk_kernels.weigh_bytes``."""
+    from .walk_kernels import weigh_bytes
+
+    n_words = rows.shape[1]
+    table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
+    padded = np.zeros(64 * n_words)
+    padded[: len(weight)] = weight
+    return table, used, weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used)
 
 
 def find_root(
@@ -101,8 +98,8 @@ def find_root(
 ) -> Root:
     """Ask for the frames, window by window, that bound sets of so many units best.
 
-    Windows are asked for the frame, or the tail, that the poses picked so far see least, again and
-    again, and the best round is taken. It ends at the deadline, but completes the first round.
+    Windows are asked for what the poses picked so far see least, again and again, and the best
+    round is taken. It ends at the deadline, but completes the first round.
     """
     choice = build_choice(reduced.limits, n_units)
     union = unions_of(reduced, forced_units(reduced)[None, :])[0]
@@ -186,18 +183,14 @@ def is_covered_by(reduced: ReducedProblem, union: WordArray, rows: Rows) -> Bool
 
 
 def reward_of(n_units: int, n_failures: int) -> FloatArray:
-    """Mean worth of a row by the number of units that cover it, (n_units + 2,)."""
-    return np.array([_share_left(n, n_units, n_failures) for n in range(n_units + 2)])
+    """Mean worth of a row by the number of units that cover it, (n_units + 2,).
 
-
-def _share_left(n_covering: int, n_units: int, n_failures: int) -> float:
-    """Of the ways in which units fail, the share that leaves one of the covering units."""
-    if n_covering == 0:
-        return 0.0
-    if n_covering > n_failures or n_units < n_failures:
-        return 1.0
-    n_lost = comb(max(n_units - n_covering, 0), n_failures - n_covering)
-    return 1.0 - n_lost / comb(n_units, n_failures)
+    Of the ways in which units fail, it is the share that leaves one of those that cover.
+    """
+    reward: FloatArray = np.minimum(np.arange(n_units + 2.0), 1.0)
+    for n in range(1, n_failures + 1) if n_failures <= n_units else ():
+        reward[n] -= comb(n_units - n, n_failures - n) / comb(n_units, n_failures)
+    return reward
 
 
 def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
@@ -205,24 +198,9 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
     from .walk_kernels import tighten_prices
 
     choice, price, share = root.choice, root.price.copy(), np.zeros(len(root.covers))
-    limit = tighten_prices(
-        root.covers.view(np.uint8),
-        choice,
-        root.weight,
-        reward,
-        price,
-        n_steps,
-        np.array(
-            [
-                steering.STEP_LENGTH,
-                steering.STEP_CUT,
-                steering.DEFLECTION,
-                steering.MEMORY,
-                steering.PATIENCE,
-            ]
-        ),
-        share,
-    )
+    covers, s = root.covers.view(np.uint8), steering
+    how = np.array([s.STEP_LENGTH, s.STEP_CUT, s.DEFLECTION, s.MEMORY, s.PATIENCE])
+    limit = tighten_prices(covers, choice, root.weight, reward, price, n_steps, how, share)
     share *= choice.n_units / max(float(share.sum()), steering.TINY)
     limit = (root.reached + limit) * (1.0 + steering.ROUNDING)
     return replace(root, price=price, limit=limit, share=share)
@@ -231,10 +209,7 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
 def failure_limit(
     root: Root, n_failures: int, least: float, *, deadline: Deadline = NEVER
 ) -> float:
-    """No set that is worth `least` keeps more when units fail, nor is worth more without failures.
-
-    At the deadline it ends with the best limit so far.
-    """
+    """No set that is worth `least` keeps more when units fail, nor is worth more without."""
     limit, n_units = root.limit, root.choice.n_units
     for amount in steering.FAILURE_PRICES if n_failures else ():
         if deadline.is_over:
@@ -251,8 +226,7 @@ def relax(
     """Upper bound of all sets within the limits, and shares of poses near a relaxed solution.
 
     `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights times margins.
-    Limits of units, sites and money hold; other wishes are left out, which only makes the bound
-    higher. Infinite, and no shares, where that takes too long.
+    Wishes are left out, which only makes it higher. Infinite, and no shares, where it takes long.
     """
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or n_units < 1:
@@ -276,9 +250,6 @@ def rounded_down(reduced: ReducedProblem, limit: float) -> float:
     return min(limit, reduced.measure.limit)
 
 
-# ---------- OSQP
-
-
 def relaxation_text() -> str:
     """Name and version of the relaxation, for a certificate."""
     return f"Lagrangian relaxation with OSQP {version('osqp')}"
@@ -287,8 +258,8 @@ def relaxation_text() -> str:
 def polished(root: Root) -> Root:
     """Prices near those of the linear relaxation; the limit never rises.
 
-    OSQP is handed the poses that gain most. Prices that suit these are wrong for others: the best
-    point on the way to them is taken, and poses that gain too much at their end join the core.
+    OSQP is handed a core of poses that gain most. Of the way to its prices the best point is taken;
+    poses that gain too much at its end join the core.
     """
     n_units, best, share = root.choice.n_units, root, root.share
     if not len(root.weight) or n_units < 1:
@@ -296,9 +267,8 @@ def polished(root: Root) -> Root:
     reward = reward_of(n_units, 0)
     n_bits = np.bitwise_count(root.covers).sum(axis=1)
     n_core = min(steering.CORE_POSES, int(steering.CORE_BITS / max(float(n_bits.mean()), 1.0)))
-    core = np.union1d(
-        _worthiest(root.gains(), n_core), np.flatnonzero(share > steering.SMALL_SHARE)
-    )
+    of_share = np.flatnonzero(share > steering.SMALL_SHARE)
+    core = np.union1d(_worthiest(root.gains(), n_core), of_share)
     for _ in range(steering.POLISH_ROUNDS):
         price, of_core = _relaxed(best, core, share[core])
         share = np.zeros(len(root.covers))

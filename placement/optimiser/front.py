@@ -1,25 +1,24 @@
 """Fronts: the best layouts for more and more units or money, each with its proof.
 
-A point is solved from the one before it: what was found for less is feasible for more. The best
-values therefore never fall from point to point, and what no layout with more can exceed, none with
-less can either.
+A point is solved from the one before it: what was found for less is feasible for more. So values
+never fall from point to point, and what no layout with more can exceed, none with less can either.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.clock import now_s
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 
 from ..layout import Certificate, Stage
 from .bitsets import union_apr
 from .greedy import to_full
-from .limits import Limits
+from .limits import CENTS, Limits, whole_cents
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     VALUE_OBJECTIVES,
@@ -27,7 +26,6 @@ from .problem import (
     Objective,
     PlacementProblem,
     PlacementValue,
-    Requirement,
     is_better,
     placement_value,
 )
@@ -42,10 +40,7 @@ from .solve import (
     units_of,
 )
 from .stages import Search, Stages
-from .steering import COST_TOLERANCE_EUR, LEAST_S, TOLERANCE, Deadline, Effort, deadline_in
-
-# ---------- fronts
-
+from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 StageChoice = Literal["first", "all"]
 FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
@@ -55,9 +50,7 @@ FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
 class FrontPoint:
     """The best layout for so many units or so much money."""
 
-    # On a front by units those that were allowed, though the layout may have fewer; on one by cost
-    # those that it has.
-    units: int
+    units: int  # by units: those that were allowed, though the layout may have fewer
     pose_index: tuple[int, ...]  # rows of the detection table, ascending
     value: PlacementValue  # what the layout is worth
     certificate: Certificate  # a stage for every objective that was optimised, in order
@@ -76,23 +69,32 @@ class FrontPoint:
         """The stage of a name; None if it was not optimised."""
         return next((stage for stage in self.certificate.stages if stage.name == name), None)
 
+    def with_stages(self, stages: Iterable[Stage]) -> "FrontPoint":
+        """The same layout with other stages."""
+        return replace(self, certificate=replace(self.certificate, stages=tuple(stages)))
+
+    def bounded(self, bounds: Mapping[str, float]) -> "FrontPoint":
+        """The same layout with bounds of some stages that hold as well, where those are closer."""
+        return self.with_stages(
+            tightened(stage, bounds.get(stage.name, stage.bound))
+            for stage in self.certificate.stages
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Front:
     """Layouts for growing budgets."""
 
-    by: Literal["units", "cost"]  # What the points are allowed more and more of
-    # In ascending order, at least one; on a front by cost those at which something grows
-    points: tuple[FrontPoint, ...]
-    # What was optimised: APR and the APR when one unit fails, or margins and cost, too
-    stages: StageChoice
-    # Proven that from so many units, or euros, on nothing grows that was optimised, not even beyond
-    # the last point; None if that is not known
+    by: Literal["units", "cost"]  # what the points are allowed more and more of
+    points: tuple[
+        FrontPoint, ...
+    ]  # ascending, at least one; by cost those at which something grows
+    stages: StageChoice  # what was optimised: APR and APR when one unit fails, or all
+    # It is proven that from so many units, or euros, on nothing grows that was optimised, not even
+    # beyond the last point; None if that is not known.
     settled: float | None
-    # Numbers of units with which the wishes cannot be met, and why
-    refused: tuple[tuple[int, str], ...]
-    # What dropped out before, once for all points; None if each was solved by itself
-    presolve: PresolveStatistics | None
+    refused: tuple[tuple[int, str], ...]  # numbers of units that cannot meet the wishes, and why
+    presolve: PresolveStatistics | None  # once for all points; None if each was solved by itself
 
     @property
     def is_proven(self) -> bool:
@@ -104,18 +106,11 @@ OnPoint = Callable[[FrontPoint], None]
 
 
 def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
-    """Check that a problem asks for nothing but the best.
-
-    Raises InputError: it has a target or failures to survive; or the stages are unknown.
-    """
-    if stages not in ("first", "all"):
-        raise InputError("stages", stages, "first or all")
-    for option, is_asked in (
-        ("target", problem.goal != "best"),
-        ("survive", problem.survive != 0),
-    ):
-        if is_asked:
-            raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
+    """Raise InputError if a target, or failures to survive, are asked for, or stages unknown."""
+    check_one_of("stages", stages, get_args(StageChoice))
+    if problem.goal != "best" or problem.survive:
+        option = "survive" if problem.goal == "best" else "target"
+        raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
 
 
 def solve_point(
@@ -126,15 +121,10 @@ def solve_point(
     n_stages: int,
     starts: Sequence[Sequence[int]] = (),
 ) -> FrontPoint:
-    """The best layout for one point, its first stages proven; what comes after them is just good.
-
-    `reduced` has all but the limits of this point, though it may be presolved with wider ones.
-    """
-    if reduced is not None:
-        reduced = replace(reduced, limits=problem.limits.of_poses(reduced.pose_index))
+    """The best layout for one point; only its first stages are proven."""
     solution = solve_placement(
         problem,
-        reduced,
+        None if reduced is None else reduced.for_problem(problem),
         effort=effort,
         starts=[np.array(start, dtype=np.int64) for start in starts],
         n_stages=n_stages,
@@ -151,15 +141,10 @@ def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
     """A point, or with its bounds the layout of the one before, where that is better."""
     if not is_better(fewer.value, point.value):
         return point
-    stages = [
+    point = replace(point, pose_index=fewer.pose_index, value=fewer.value)
+    return point.with_stages(
         tightened(replace(stage, objective=fewer.value.of(Objective(stage.name))), stage.bound)
         for stage in point.certificate.stages
-    ]
-    return replace(
-        point,
-        pose_index=fewer.pose_index,
-        value=fewer.value,
-        certificate=replace(point.certificate, stages=tuple(stages)),
     )
 
 
@@ -197,13 +182,11 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
     when it had c, too. So no set keeps more than all poses but c reach, whichever c is.
     """
     words = reduced.words
-    everything, twice = np.zeros_like(words[0]), np.zeros_like(words[0])
-    for seen in words:
-        twice |= everything & seen
-        everything |= seen
+    before = np.bitwise_or.accumulate(words)  # what each pose and those before it see
+    everything, twice = before[-1], np.bitwise_or.reduce(before[:-1] & words[1:])
     once = everything & ~twice
-    needed = [pose for pose, seen in enumerate(words) if (seen & once).any()]
-    if not needed:
+    needed = np.flatnonzero((words & once).any(axis=1))
+    if not len(needed):
         return float(union_apr(reduced, everything[None, :])[0])
     return float(union_apr(reduced, everything & ~(words[needed] & once) | reduced.base).min())
 
@@ -211,9 +194,8 @@ def one_failed_limit(reduced: ReducedProblem) -> float:
 def tightened(stage: Stage, bound: float) -> Stage:
     """A stage with another bound that holds as well, where that is closer."""
     objective = Objective(stage.name)
-    return build_stage(
-        objective, stage.objective, objective.worse(bound, stage.bound), stage.seconds
-    )
+    bound = objective.worse(bound, stage.bound)
+    return build_stage(objective, stage.objective, bound, stage.seconds)
 
 
 # ---------- a front by units
@@ -235,20 +217,18 @@ def pareto_front(
     """Best layouts of so many units and all smaller numbers.
 
     `reduced` is the problem presolved for no fewer units than `max_units`, where that is at hand.
-    All limits and floors of the problem hold at every point but the number of units; kept units
-    count, and no point has fewer units than are forced. `stages` "first" optimises the APR, then
-    the APR when one unit fails; "all" margins and cost, too. The `effort` is that of all points
-    together: time that a point leaves is there for those after it. `on_point` is called with every
-    point as soon as it is solved; the next ones may still tighten its bounds.
+    All limits and floors hold at every point but the number of units, in which existing units
+    count. `stages` "first" optimises the APR, then the APR when one unit fails; "all" margins and
+    cost, too. The `effort` is that of all points together: time that a point leaves is there for
+    those after it. `on_point` is called with every point as soon as it is solved.
 
-    The front has a point for every number of units with which the wishes can be met. Once nothing
-    can grow, and no more money is saved, the points that are left are copies. Raises InputError if
-    the wishes cannot be met with any number of units, or ask for more than the best.
+    There is a point for every number of units with which the wishes can be met; once nothing can
+    grow, and no more money is saved, copies. Raises InputError if the wishes cannot be met with any
+    number, or ask for more than the best.
 
     Bounds are exchanged between points. A layout of K units is one of K + 1, too: what none of K +
-    1 exceeds, none of K does. That holds for a stage if both points hold the same in the stages
-    before it. And what is left of K units when one fails is a layout of K - 1, which no wish binds
-    if none is there.
+    1 exceeds, none of K does, if both points hold the same in the stages before. And what is left
+    of K units when one fails is a layout of K - 1, which no wish binds if none is there.
     """
     check_front(problem, stages)
     effort = Effort() if effort is None else effort
@@ -266,14 +246,13 @@ def pareto_front(
             points.append(replace(points[-1], units=units))  # as good, and as well proven
             continue
         of_point = deadline if units == max_units else deadline.of("point of a front")
-        share = replace(effort, time_limit_s=max(of_point.left_s(), LEAST_S))
         fewer = points[-1] if points else None
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
             point = solve_point(
                 at_point,
                 reduced,
-                effort=share,
+                effort=effort.until(of_point),
                 n_stages=len(FIRST_STAGES if stages == "first" else VALUE_OBJECTIVES),
                 starts=[fewer.pose_index] if fewer else [],
             )
@@ -286,7 +265,7 @@ def pareto_front(
             settled = units
         if on_point is not None:
             on_point(points[-1])
-    if refused and not points:
+    if not points:
         why = refused[-1][1]
         option = "max_units" if why.where == "budget" else why.where
         raise UnmetError(option, why.got, why.expected)
@@ -315,31 +294,20 @@ def front_below(
 ) -> Front:
     """A front that ends with a known layout, which was solved for the best, and its certificate.
 
-    It has points of fewer units, then the one given. The other arguments are as for
-    :func:`pareto_front`; all stages are optimised. Raises InputError as that does, but where the
-    wishes cannot be met with fewer units, the front has the last point alone.
+    It has points of fewer units, if any meet the wishes, then the one given. The other arguments
+    and errors are those of :func:`pareto_front`; all stages are optimised.
     """
     check_front(problem, "all")
     most = problem.limits.budget_units or len(pose_index)
-    last = FrontPoint(
-        units=most,
-        pose_index=pose_index,
-        value=placement_value(problem, pose_index),
-        certificate=certificate,
-    )
+    value = placement_value(problem, pose_index)
+    last = FrontPoint(units=most, pose_index=pose_index, value=value, certificate=certificate)
     alone = Front(by="units", points=(last,), stages="all", settled=None, refused=(), presolve=None)
-    first = max(min_units, int(problem.limits.is_forced.sum()), 1)
-    if first >= most:
+    if max(min_units, int(problem.limits.is_forced.sum()), 1) >= most:
         return alone
+    numbers = {"min_units": min_units, "max_units": most - 1}
     try:
         fewer = pareto_front(
-            problem,
-            max_units=most - 1,
-            min_units=first,
-            stages="all",
-            effort=effort,
-            on_point=on_point,
-            reduced=reduced,
+            problem, **numbers, stages="all", effort=effort, on_point=on_point, reduced=reduced
         )
     except UnmetError:
         return alone
@@ -374,10 +342,8 @@ def _is_cheap(problem: PlacementProblem, point: FrontPoint) -> bool:
     """True if it is proven that no layout with more units costs less than a point's."""
     stage = point.stage(Objective.COST)
     prices = np.sort(problem.limits.unit_cost_eur[~problem.limits.is_forbidden])
-    more_eur = float(prices[: point.units + 1].sum())
-    return (
-        stage is not None and stage.gap == 0.0 and stage.objective <= more_eur + COST_TOLERANCE_EUR
-    )
+    more_eur = float(prices[: point.units + 1].sum()) + COST_TOLERANCE_EUR
+    return stage is not None and stage.gap == 0.0 and stage.objective <= more_eur
 
 
 def _is_free(problem: PlacementProblem) -> bool:
@@ -390,36 +356,19 @@ def _exchange_bounds(points: Sequence[FrontPoint], *, is_free: bool) -> list[Fro
     """Points whose bounds are no worse than what those of other points imply."""
     tight = list(points)
     for index in reversed(range(len(points) - 1)):
-        tight[index] = _bounded_by_next(tight[index], tight[index + 1])
+        bounds: dict[str, float] = {}
+        stages = [point.certificate.stages for point in tight[index : index + 2]]
+        for mine, theirs in zip(*stages, strict=True):
+            bounds[mine.name] = theirs.bound
+            if abs(mine.objective - theirs.objective) > TOLERANCE:
+                break  # the stages after this one hold different things
+        tight[index] = tight[index].bounded(bounds)
     if is_free:
         for index, (fewer, point) in enumerate(pairwise(tight), start=1):
             bound = fewer.certificate.stages[0].bound
             if point.units == fewer.units + 1:
-                tight[index] = _with_bounds(point, {Objective.APR_ONE_FAILED: bound})
+                tight[index] = point.bounded({Objective.APR_ONE_FAILED: bound})
     return tight
-
-
-def _bounded_by_next(point: FrontPoint, following: FrontPoint) -> FrontPoint:
-    bounds: dict[str, float] = {}
-    for mine, theirs in zip(point.certificate.stages, following.certificate.stages, strict=True):
-        bounds[mine.name] = theirs.bound
-        if abs(mine.objective - theirs.objective) > TOLERANCE:
-            break  # the stages after this one hold different things
-    return _with_bounds(point, bounds)
-
-
-def _with_bounds(point: FrontPoint, bounds: dict[str, float]) -> FrontPoint:
-    certificate = point.certificate
-    return replace(
-        point,
-        certificate=Certificate(
-            stages=tuple(
-                tightened(stage, bounds[stage.name]) if stage.name in bounds else stage
-                for stage in certificate.stages
-            ),
-            solver=certificate.solver,
-        ),
-    )
 
 
 def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int | None:
@@ -427,9 +376,10 @@ def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int |
     if settled is None:
         return None
     last = next(point for point in points if point.units == settled)
+    reached = np.array([stage.objective for stage in last.certificate.stages])
     for point in points:
-        pairs = zip(point.certificate.stages, last.certificate.stages, strict=True)
-        if point.is_proven and all(abs(a.objective - b.objective) <= TOLERANCE for a, b in pairs):
+        values = [stage.objective for stage in point.certificate.stages]
+        if point.is_proven and (np.abs(values - reached) <= TOLERANCE).all():
             return point.units
     return settled
 
@@ -438,7 +388,6 @@ def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int |
 
 
 _MAX_LEVELS = 20_000
-_CENTS = 100.0
 
 
 def price_levels_eur(limits: Limits) -> FloatArray | None:
@@ -447,13 +396,9 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
     Not every amount need be the cost of a layout. None if prices are too many, or no whole cents.
     """
     usable = ~limits.is_forbidden | limits.is_forced
-    units = _cents(limits.unit_cost_eur[usable])
-    sites = _cents(limits.site_cost_eur[np.unique(limits.site_index[usable])])
-    if units is None or sites is None:
-        return None
-    most = limits.max_units
-    by_units = _sums(units, most)
-    by_sites = _sums(sites, min(most, limits.n_sites))
+    most, sites = limits.max_units, np.unique(limits.site_index[usable])
+    by_units = _sums(limits.unit_cost_eur[usable], most)
+    by_sites = _sums(limits.site_cost_eur[sites], min(most, limits.n_sites))
     if by_units is None or by_sites is None:
         return None
     # So many units need at least so many sites.
@@ -464,39 +409,26 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
             levels.update(a + b for a in by_units[n_units] for b in by_sites[n_sites])
             if len(levels) > _MAX_LEVELS:
                 return None
-    return np.array(sorted(levels)) / _CENTS
+    return np.array(sorted(levels)) / CENTS
 
 
-def level_at_least_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
-    """The first level that is no less than an amount; the amount where levels are not known."""
+def next_level_eur(levels_eur: FloatArray | None, amount_eur: float, *, is_more: bool) -> float:
+    """The first level that is no less than an amount, or more; itself where none are known."""
     if levels_eur is None or not np.isfinite(amount_eur):
         return amount_eur
-    above = levels_eur[levels_eur >= amount_eur - COST_TOLERANCE_EUR]
-    return float(above[0]) if len(above) else np.inf
+    from_eur = amount_eur + (COST_TOLERANCE_EUR if is_more else -COST_TOLERANCE_EUR)
+    place = np.searchsorted(levels_eur, from_eur, side="right" if is_more else "left")
+    return float(levels_eur[place]) if place < len(levels_eur) else np.inf
 
 
-def level_beyond_eur(levels_eur: FloatArray | None, amount_eur: float) -> float:
-    """The first level above an amount; the amount where levels are not known."""
-    if levels_eur is None or not np.isfinite(amount_eur):
-        return amount_eur
-    above = levels_eur[levels_eur > amount_eur + COST_TOLERANCE_EUR]
-    return float(above[0]) if len(above) else np.inf
-
-
-def _cents(amounts_eur: FloatArray) -> list[int] | None:
-    cents = np.unique(amounts_eur) * _CENTS
-    whole = np.rint(cents)
-    is_whole = len(cents) <= _MAX_LEVELS and bool(
-        (np.abs(cents - whole) <= COST_TOLERANCE_EUR * _CENTS).all()
-    )
-    return [int(number) for number in whole] if is_whole else None
-
-
-def _sums(prices: Iterable[int], most: int) -> list[set[int]] | None:
-    """Sums of 0, 1, .. prices, each of which may be taken again and again."""
+def _sums(prices_eur: FloatArray, most: int) -> list[set[int]] | None:
+    """Sums of 0, 1, .. prices in cents, each of which may be taken again and again."""
+    cents = whole_cents(np.unique(prices_eur))
+    if cents is None:
+        return None
     sums: list[set[int]] = [{0}]
     for _ in range(most):
-        sums.append({before + price for before in sums[-1] for price in prices})
+        sums.append({before + price for before in sums[-1] for price in cents.tolist()})
         if len(sums[-1]) > _MAX_LEVELS:
             return None
     return sums
@@ -521,9 +453,8 @@ def cost_front(
     """Cheapest layouts for a growing APR, and for a growing APR when one unit fails.
 
     All limits and floors of the problem hold at every point. A point must be better than the one
-    before it by `step_apr`, by default the smallest weight of a run: where runs weigh differently,
-    points that are closer are left out. `stages` "first" optimises the APR, then the APR when one
-    unit fails; "all" margins, too. The `effort` is that of all points together.
+    before it by `step_apr`, by default the smallest weight of a run: points that are closer are
+    left out. `stages`, `effort` and `on_point` are those of :func:`pareto_front`.
 
     The first point is the cheapest that avoids anything. The first stage of a certificate is the
     cost: nothing that is better than the point before costs less. Raises InputError if no layout
@@ -626,11 +557,8 @@ class _Climb:
         except UnmetError as error:
             if error.where != _ASKED:
                 raise
-            raise InputError(
-                "candidates",
-                Unquoted("no layout that avoids anything"),
-                "one within the limits and the time",
-            ) from None
+            got = Unquoted("no layout that avoids anything")
+            raise InputError("candidates", got, "one within the limits and the time") from None
         assert step.pose_index is not None  # check_floors has seen to it
         return self.point(step, step.least_eur)
 
@@ -650,12 +578,10 @@ class _Climb:
     def _cheapest(self, asked: Sequence[tuple[float, int]], last: FrontPoint | None) -> _Step:
         """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
         began_s = now_s()
-        problem, reduced = self._asking(asked, goal="cheapest")
-        reduced = reduced.with_goal("cheapest")
-        effort = self._effort()
-        search = Search(
-            reduced, deadline=deadline_in(effort.time_limit_s), is_exact=effort.is_exact
-        )
+        problem = self._asking(asked, goal="cheapest")
+        reduced, effort = self.reduced.for_problem(problem), self._effort()
+        end = deadline_in(effort.time_limit_s)
+        search = Search(reduced, deadline=end, is_exact=effort.is_exact)
         search.start([] if last is None else [units_of(reduced, np.array(last.pose_index))])
         known_eur = self._known_eur(last)
         if last is None:
@@ -665,7 +591,7 @@ class _Climb:
             return replace(_UNKNOWN, least_eur=least_eur)
         if search.value.cost_eur > known_eur + COST_TOLERANCE_EUR:
             bound = Stages(problem, search, effort).bound_first_cost_eur()
-            known_eur = max(known_eur, level_at_least_eur(self.levels_eur, bound))
+            known_eur = max(known_eur, next_level_eur(self.levels_eur, bound, is_more=False))
         units = search.units
         assert units is not None
         return _Step(
@@ -677,55 +603,39 @@ class _Climb:
         )
 
     def _known_eur(self, last: FrontPoint | None) -> float:
-        """Least cost of whatever is better than a point.
-
-        It is better than all points before, too; and it costs more than this point, if that is the
-        best at its cost.
-        """
+        """Least cost of whatever is better than a point, and so than all points before it."""
         if last is None:
-            return level_at_least_eur(self.levels_eur, 0.0)
-        if last.is_proven:
-            return level_beyond_eur(self.levels_eur, last.value.cost_eur)
+            return next_level_eur(self.levels_eur, 0.0, is_more=False)
+        if last.is_proven:  # the best at its cost
+            return next_level_eur(self.levels_eur, last.value.cost_eur, is_more=True)
         return last.certificate.stages[0].bound
 
     def point(self, step: _Step, least_eur: float, *, is_best: bool = True) -> FrontPoint:
         """The best layout for the cost of a step.
 
         No layout that is better than the point before costs less than `least_eur`. With `is_best`,
-        nothing with a higher APR than asked for costs as little: what was asked for need not be
-        asked again.
+        nothing with a higher APR costs as little: what was asked for need not be asked again.
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)
-        asked = () if is_best else step.floors
-        problem, reduced = self._asking(asked, limits=limits)
         point = solve_point(
-            problem,
-            reduced,
+            self._asking(() if is_best else step.floors, limits=limits),
+            self.reduced,
             effort=self._effort(),
             # No stage need ask for less money: that is the last one.
             n_stages=len(FIRST_STAGES) if self.stages == "first" else len(VALUE_OBJECTIVES) - 1,
             starts=[step.pose_index],
         )
         cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
-        return replace(
-            point, certificate=replace(point.certificate, stages=(cost, *point.certificate.stages))
-        )
+        return point.with_stages([cost, *point.certificate.stages])
 
-    def _asking(
-        self, asked: Sequence[tuple[float, int]], **changes: Any
-    ) -> tuple[PlacementProblem, ReducedProblem]:
-        """The problem with some changes where APRs must be reached, too, and what is left of it."""
-        shares = [(min(share, 1.0), n_failures) for share, n_failures in asked]
-        floors = [Floor(name=_ASKED, share=share, n_failures=n) for share, n in shares]
-        measure = self.reduced.measure
-        needs = [Requirement(measure=measure, least=share, n_failures=n) for share, n in shares]
-        problem = replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
-        return problem, replace(self.reduced, floors=(*self.reduced.floors, *needs))
+    def _asking(self, asked: Sequence[tuple[float, int]], **changes: Any) -> PlacementProblem:
+        """The problem with some changes where APRs must be reached, too."""
+        floors = [Floor(name=_ASKED, share=min(s, 1.0), n_failures=n) for s, n in asked]
+        return replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
 
     def _effort(self) -> Effort:
-        left_s = max(self.deadline.of("point of a front").left_s(), LEAST_S)
-        return replace(self.effort, time_limit_s=left_s)
+        return self.effort.until(self.deadline.of("point of a front"))
 
 
 def _within(limits: Limits, cost_eur: float) -> Limits:
@@ -741,16 +651,12 @@ def _within(limits: Limits, cost_eur: float) -> Limits:
 def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
     """Points that cost less than a new one, which is better than all of them, and the new one.
 
-    What is better than the last of those that stay may be worse than one that goes: it costs at
-    least the least of what was proven of these.
+    What is better than the last that stays may be worse than one that goes, and cost as little.
     """
-    stay = [
-        point for point in points if point.value.cost_eur < new.value.cost_eur - COST_TOLERANCE_EUR
-    ]
+    least_eur = new.value.cost_eur - COST_TOLERANCE_EUR
+    stay = [point for point in points if point.value.cost_eur < least_eur]
     cost, *others = new.certificate.stages
-    least_eur = min(
-        cost.bound, *(p.certificate.stages[0].bound for p in points[len(stay) :]), np.inf
-    )
+    least_eur = min(p.certificate.stages[0].bound for p in (new, *points[len(stay) :]))
     if least_eur < cost.bound:
         cost = build_stage(Objective.COST, cost.objective, least_eur, cost.seconds)
-    return [*stay, replace(new, certificate=replace(new.certificate, stages=(cost, *others)))]
+    return [*stay, new.with_stages([cost, *others])]

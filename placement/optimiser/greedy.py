@@ -1,12 +1,11 @@
 """First rung: layouts found quickly, without proof. Greedy choice, then exchanges from many starts.
 
-Greedy choice adds the pose that makes the best set, one by one; with fusion "any" no guarantee of
-quality holds: three units may be needed to complete one window. Exchanges replace one unit by
-another, or leave one out, until that does not help; then others are thrown out and drawn again.
+With fusion "any" no guarantee of quality holds: three units may be needed to complete one window.
+Exchanges replace one unit by another, or leave one out, until that does not help; then others are
+thrown out and drawn again.
 """
 
 from collections.abc import Callable, Iterable
-from itertools import count
 
 import numpy as np
 
@@ -30,11 +29,7 @@ from .steering import NEVER, TOLERANCE, Deadline
 def solve_greedy(
     problem: PlacementProblem, reduced: ReducedProblem | None = None
 ) -> tuple[int, ...]:
-    """Add, one by one, the pose with the highest APR; ties go to the later objectives.
-
-    Returns rows of the detection table, ascending, within the limits if those leave greedy choice a
-    way.
-    """
+    """Rows of the table, ascending: one by one the pose that makes the best set."""
     reduced = presolve(problem) if reduced is None else reduced
     return to_full(reduced, extend_greedily(reduced, forced_units(reduced)))
 
@@ -52,8 +47,7 @@ def forced_units(reduced: ReducedProblem) -> IntArray:
 def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     """Add poses to `units` one by one, the best first, as long as there is room.
 
-    With few or cheap units as the goal it stops when the floors are reached. Otherwise it may add
-    needless units, which exchanges and removals take away again.
+    With few or cheap units as the goal it stops when the floors are reached.
     """
     is_enough = reduced.objectives[0].is_minimised
     while len(units) < reduced.limits.max_units:
@@ -71,8 +65,7 @@ def improve(
 ) -> IntArray:
     """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
-    No set is better than `limit`: the search ends at a set that is as good, or at the deadline. The
-    result is at least as good as `units`.
+    No set is better than `limit`: the search ends at a set that is as good, or at the deadline.
     """
     value, place = set_values(reduced, units[None, :])[0], 0
     while limit.exceeds(value):
@@ -82,7 +75,7 @@ def improve(
                 return units
             if reduced.limits.is_forced[units[number]]:
                 continue
-            trial = (_exchanged if step < len(units) else _without)(reduced, units, number)
+            trial = _exchanged(reduced, units, number, is_out=step >= len(units))
             of_trial = None if trial is None else set_values(reduced, trial[None, :])[0]
             if trial is not None and of_trial is not None and of_trial.exceeds(value):
                 units, value, place = trial, of_trial, number  # the next one has moved up
@@ -92,18 +85,17 @@ def improve(
     return units
 
 
-def _exchanged(reduced: ReducedProblem, units: IntArray, number: int) -> IntArray | None:
-    """The best allowed set with another pose in the place of one unit; None if there is none."""
+def _exchanged(
+    reduced: ReducedProblem, units: IntArray, number: int, *, is_out: bool
+) -> IntArray | None:
+    """The best allowed set with another pose for one unit, or without it; None if there is none."""
     rest = np.delete(units, number)
+    if is_out:
+        return rest if is_allowed(reduced.limits, rest) else None
     free = np.flatnonzero(fitting(reduced.limits, rest))
     free = free[free != units[number]]
     free = free[are_allowed(reduced.limits, np.column_stack([np.tile(rest, (len(free), 1)), free]))]
     return best_with_each(reduced, rest, free) if len(free) else None
-
-
-def _without(reduced: ReducedProblem, units: IntArray, number: int) -> IntArray | None:
-    rest = np.delete(units, number)
-    return rest if is_allowed(reduced.limits, rest) else None
 
 
 def search_from_many_starts(
@@ -117,26 +109,25 @@ def search_from_many_starts(
     """Best of local optima: of `starts`, of the greedy set, and of sets that are drawn.
 
     Poses are drawn by `chance`, (n_poses,), such as their shares in a relaxed solution; by default
-    by the square of what each reaches alone. It ends at a set as good as `limit`, which none
-    exceeds, after one more than units in a row that brought nothing, or at the deadline, but
-    completes the first start. None if no set within the limits was found; the result may lack
-    something to the floors.
+    by the square of what each reaches alone. It ends at a set as good as `limit`, after one more
+    than units in a row that brought nothing, or at the deadline, but completes the first start.
+    None if no set within the limits was found; the result may lack something to the floors.
     """
     rng = np.random.default_rng(steering.SEED)
     forced, best, idle = forced_units(reduced), BestSet(), 0
     begin = [*starts, forced]
     weight: FloatArray | None = None
-    for number in count():
+    for number in range(len(begin) + steering.N_RESTARTS):
         n_units = reduced.limits.max_units if best.units is None else len(best.units)
         is_first = number < len(begin)
-        if not is_first and (idle > n_units or number >= len(begin) + steering.N_RESTARTS):
-            break
-        if number and deadline.is_over:
+        if (not is_first and idle > n_units) or (number and deadline.is_over):
             break
         if not is_first and weight is None:
-            weight = (
-                _chance_alone(reduced, forced) if chance is None else chance() + steering.ROUNDING
-            )
+            if chance is None:
+                alone = shares_with_each(reduced, forced) ** 2
+                weight = alone / max(float(alone.sum()), steering.TINY) + steering.ROUNDING
+            else:
+                weight = chance() + steering.ROUNDING
         if is_first or weight is None:
             units = begin[number]
         elif number % 2 or best.units is None:
@@ -150,7 +141,7 @@ def search_from_many_starts(
         idle += 1
         if not is_allowed(reduced.limits, units):
             continue
-        if best.values is not None and best.values.first >= limit.first - TOLERANCE:
+        if best.values is not None and best.values.gains[1] >= limit.gains[1] - TOLERANCE:
             units = _spread(reduced, units, deadline=deadline)
         units = improve(reduced, units, limit, deadline=deadline)
         before = best.units
@@ -160,12 +151,6 @@ def search_from_many_starts(
         if best.values is not None and not limit.exceeds(best.values):
             break
     return best.units
-
-
-def _chance_alone(reduced: ReducedProblem, forced: IntArray) -> FloatArray:
-    alone = shares_with_each(reduced, forced)
-    share: FloatArray = alone**2 / max(float((alone**2).sum()), steering.TINY) + steering.ROUNDING
-    return share
 
 
 def _drawn(
@@ -197,7 +182,9 @@ def _spread(reduced: ReducedProblem, units: IntArray, *, deadline: Deadline) -> 
         fits = np.flatnonzero(fitting(reduced.limits, rest))
         idle += 1
         if len(fits) and not is_forced[units[place]]:
-            total = (shares_with_each(reduced, rest) + left_with_each(reduced, rest, 1))[fits]
+            total = (
+                shares_with_each(reduced, rest) + left_with_each(reduced, rest, reduced.measure, 1)
+            )[fits]
             best = int(total.argmax())
             trial = np.append(rest, fits[best])
             if total[best] > value + TOLERANCE and is_allowed(reduced.limits, trial):

@@ -7,11 +7,11 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 
 from .steering import COST_TOLERANCE_EUR, ROUNDING
 
-_CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
+CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
 
 Failing = Literal["unit", "site"]
 """Fails at once: a unit, or a site (a pole) with everything that it carries."""
@@ -24,25 +24,21 @@ class Limits:
     # (n_poses,): site of every pose; a pose that belongs to no site has one of its own
     site_index: IntArray
     site_capacity: IntArray  # (n_sites,): units that each site can carry
-    # At most so many units in all, the forced ones among them; by default as many as the sites can
-    # carry
-    budget_units: int | None = None
-    budget_eur: float | None = None  # At most so much money; by default any. [EUR]
-    # (n_poses,): price of each unit; by default nothing. [EUR]
-    unit_cost_eur: FloatArray = None  # type: ignore[assignment]  # filled in below
-    # (n_sites,): paid once if a site carries anything; by default nothing. [EUR]
+    budget_units: int | None = None  # At most so many units in all, the forced ones among them
+    budget_eur: float | None = None  # At most so much money [EUR]
+    # What is None below is filled in: no prices, and no such poses, sites or pairs.
+    # (n_poses,): price of each unit [EUR]
+    unit_cost_eur: FloatArray = None  # type: ignore[assignment]
+    # (n_sites,): paid once if a site carries anything [EUR]
     site_cost_eur: FloatArray = None  # type: ignore[assignment]
-    # (n_poses,): poses that must, or must not, be chosen; by default none
+    # (n_poses,): poses that must, or must not, be chosen
     is_forced: BoolArray = None  # type: ignore[assignment]
     is_forbidden: BoolArray = None  # type: ignore[assignment]
-    # (n_sites,): sites that must carry at least one unit; by default none
+    # (n_sites,): sites that must carry at least one unit
     is_forced_site: BoolArray = None  # type: ignore[assignment]
-    # (n_pairs, 2): pairs of sites that must not both carry units, such as those too near to each
-    # other; by default none
+    # (n_pairs, 2): sites that must not both carry units, such as those too near to each other
     rivals: IntArray = None  # type: ignore[assignment]
-    # What fails at once, wherever failures are asked about: a unit, or a site with everything that
-    # it carries
-    failing: Failing = "unit"
+    failing: Failing = "unit"  # What fails at once, wherever failures are asked about
 
     def __post_init__(self) -> None:
         for field in ("site_index", "site_capacity"):
@@ -55,18 +51,12 @@ class Limits:
             raise InputError("site_index", self.site_index.tolist(), f"sites 0..{n_sites - 1}")
         if (self.site_capacity < 0).any():
             raise InputError("site_capacity", self.site_capacity.tolist(), "units, at least 0")
-        for field, size in (
-            ("unit_cost_eur", self.n_poses),
-            ("site_cost_eur", n_sites),
-            ("is_forced", self.n_poses),
-            ("is_forbidden", self.n_poses),
-            ("is_forced_site", n_sites),
-        ):
-            self._fill(field, size, bool if field.startswith("is_") else np.float64)
-        for field in ("unit_cost_eur", "site_cost_eur"):
-            cost = getattr(self, field)
+        for field, size in (("unit_cost_eur", self.n_poses), ("site_cost_eur", n_sites)):
+            cost = self._filled(field, size, np.float64)
             if not (np.isfinite(cost) & (cost >= 0.0)).all():
                 raise InputError(field, cost.tolist(), "euros, at least 0")
+        for field in ("is_forced", "is_forbidden", "is_forced_site"):
+            self._filled(field, n_sites if field == "is_forced_site" else self.n_poses, bool)
         rivals = np.zeros((0, 2)) if self.rivals is None else np.array(self.rivals)
         rivals = rivals.reshape(-1, 2).astype(np.int64)
         if len(rivals) and not (
@@ -74,25 +64,21 @@ class Limits:
         ):
             raise InputError("rivals", rivals.tolist(), f"pairs of two sites, 0..{n_sites - 1}")
         object.__setattr__(self, "rivals", freeze(rivals))
-        if self.failing not in get_args(Failing):
-            raise InputError("failing", self.failing, "one of " + ", ".join(get_args(Failing)))
-        self._check_budgets()
+        check_one_of("failing", self.failing, get_args(Failing))
+        units, money = self.budget_units, self.budget_eur
+        if units is not None and (type(units) is not int or units < 1):
+            raise InputError("budget", units, "a whole number of units, at least 1")
+        if money is not None and not 0.0 <= money < np.inf:
+            raise InputError("budget_cost", money, "euros, at least 0")
 
-    def _fill(self, field: str, size: int, kind: Any) -> None:
+    def _filled(self, field: str, size: int, kind: Any) -> Any:
+        """An array of a field, zeros by default, which it becomes."""
         value = getattr(self, field)
         array = np.zeros(size, dtype=kind) if value is None else np.array(value, dtype=kind)
         if array.shape != (size,):
             raise InputError(field, Unquoted(f"shape {array.shape}"), f"shape ({size},)")
         object.__setattr__(self, field, freeze(array))
-
-    def _check_budgets(self) -> None:
-        units, money = self.budget_units, self.budget_eur
-        if units is not None:
-            is_whole = isinstance(units, int) and not isinstance(units, bool)
-            if not (is_whole and units >= 1):
-                raise InputError("budget", units, "a whole number of units, at least 1")
-        if money is not None and not 0.0 <= money < np.inf:
-            raise InputError("budget_cost", money, "euros, at least 0")
+        return array
 
     @property
     def n_poses(self) -> int:
@@ -134,10 +120,8 @@ class Limits:
         )
 
     def __repr__(self) -> str:
-        return (
-            f"Limits({self.budget_units} units, {self.budget_eur} EUR, {self.n_poses} poses at "
-            f"{self.n_sites} sites)"
-        )
+        budgets = f"{self.budget_units} units, {self.budget_eur} EUR"
+        return f"Limits({budgets}, {self.n_poses} poses at {self.n_sites} sites)"
 
 
 def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
@@ -147,13 +131,17 @@ def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
     return float(limits.unit_cost_eur[poses].sum() + limits.site_cost_eur[sites].sum())
 
 
+def whole_cents(prices_eur: FloatArray) -> IntArray | None:
+    """Prices in cents; None where some are not whole, or so high that float64 lacks cents."""
+    cents = np.rint(prices_eur * CENTS)
+    is_off = np.abs(cents / CENTS - prices_eur) > ROUNDING
+    return None if is_off.any() or cents.max(initial=0.0) > _MAX_CENTS else cents.astype(np.int64)
+
+
 def price_step_eur(limits: Limits) -> float:
     """Largest amount that divides the cost of every set; 0 where there is none."""
-    prices = np.concatenate([limits.unit_cost_eur, limits.site_cost_eur])
-    cents = np.rint(prices * _CENTS)
-    if cents.max(initial=0.0) > _MAX_CENTS or (np.abs(cents / _CENTS - prices) > ROUNDING).any():
-        return 0.0
-    return float(np.gcd.reduce(cents.astype(np.int64), initial=0)) / _CENTS
+    cents = whole_cents(np.concatenate([limits.unit_cost_eur, limits.site_cost_eur]))
+    return 0.0 if cents is None else float(np.gcd.reduce(cents, initial=0)) / CENTS
 
 
 def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
@@ -167,19 +155,11 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets of distinct poses, one at least, are within all limits, (n_sets,).
-
-    `sets` is (n_sets, n_units).
-    """
-    n_sets, n_units = sets.shape
+    """Which sets of distinct poses, (n_sets, n_units), at least one, are within all limits."""
     most = np.inf if limits.budget_units is None else limits.budget_units
-    allowed = np.full(n_sets, 1 <= n_units <= most)
     sites = limits.site_index[sets]
-    n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-    allowed &= (n_there <= limits.site_capacity[sites]).all(axis=1)
+    allowed: BoolArray = may_grow(limits, sets) & (1 <= sets.shape[1] <= most)
     allowed &= ~limits.is_forbidden[sets].any(axis=1)
-    if limits.budget_eur is not None:
-        allowed &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
     for pose in np.flatnonzero(limits.is_forced):
         allowed &= (sets == pose).any(axis=1)
     for site in np.flatnonzero(limits.is_forced_site):
@@ -187,6 +167,16 @@ def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
     for one, other in limits.rivals:
         allowed &= ~((sites == one).any(axis=1) & (sites == other).any(axis=1))
     return allowed
+
+
+def may_grow(limits: Limits, sets: IntArray) -> BoolArray:
+    """Which sets, (n_sets, n_units), fit into sites and money, as all parts of allowed ones do."""
+    sites = limits.site_index[sets]
+    n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
+    fits: BoolArray = (n_there <= limits.site_capacity[sites]).all(axis=1)
+    if limits.budget_eur is not None:
+        fits &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
+    return fits
 
 
 def is_allowed(limits: Limits, pose_index: Sequence[int] | IntArray) -> bool:
@@ -221,17 +211,13 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
         fits &= helps
     if limits.budget_eur is not None:
         left = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur(limits, units)
-        price = limits.unit_cost_eur + np.where(
-            at_site[sites] > 0, 0.0, limits.site_cost_eur[sites]
-        )
-        reserve = float(limits.unit_cost_eur[missing].sum())
+        to_pay = np.where(at_site > 0, 0.0, limits.site_cost_eur)
+        price = limits.unit_cost_eur + to_pay[sites]
         to_open = np.unique(sites[missing & (at_site[sites] == 0)])
-        reserve += float(limits.site_cost_eur[to_open].sum())
-        at_missing = np.zeros(limits.n_sites)
-        for site in np.flatnonzero(missing_sites):
-            of_site = (sites == site) & ~limits.is_forbidden
-            cheapest = limits.unit_cost_eur[of_site].min(initial=np.inf)
-            at_missing[site] = cheapest + limits.site_cost_eur[site]
+        reserve = float(limits.unit_cost_eur[missing].sum() + limits.site_cost_eur[to_open].sum())
+        cheapest, may = np.full(limits.n_sites, np.inf), ~limits.is_forbidden
+        np.minimum.at(cheapest, sites[may], limits.unit_cost_eur[may])
+        at_missing = np.where(missing_sites, cheapest + limits.site_cost_eur, 0.0)
         reserve += float(at_missing.sum())
         if reserve == np.inf:  # a site that must be used has no pose that may
             return np.zeros(limits.n_poses, dtype=bool)
@@ -241,9 +227,6 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
         own = own + np.where(missing & np.isin(sites, to_open), limits.site_cost_eur[sites], 0.0)
         fits &= price + reserve - own <= left
     return fits
-
-
-# ---------- sets that may be chosen
 
 
 class Choice(NamedTuple):

@@ -1,10 +1,9 @@
 """Fourth rung: the placement model, one function per family of constraints, solved by HiGHS.
 
-x_c = 1: pose c is chosen. y_f: frame f is seen; so is a tail, which is a frame here. z_w: window w
-is seen as a whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
-if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is bounded
-from above by zeros and ones alone, and nothing bounds them from below but what we ask to be
-avoided, so that at the largest values they can take they are zeros and ones themselves.
+x_c = 1: pose c is chosen. y_f: frame f, or tail, is seen. z_w: window w is seen as a whole. a_k:
+one of the windows of a chain up to its k-th link is live; run r is avoided if a of its last link in
+time is 1. Only x has to be whole: given x, every y, z and a is bounded from above by zeros and ones
+alone, and from below by nothing but what must be avoided: their largest values are zeros and ones.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from . import steering
 from .bitsets import union_margins_s, unions_of
+from .bounds import Rows, margin_rows, run_rows
 from .limits import Limits
 from .presolve import ReducedProblem
 from .problem import Measure, Objective, Requirement, WordArray
@@ -38,11 +38,8 @@ class Answer:
     """Answer of a solver to a problem that is maximised."""
 
     is_found: bool  # whether the variables hold a feasible point
-    # Whether that is best, or there is none, rather than the best within the time.
-    is_finished: bool
-    # No feasible point has a higher objective; minus infinity if there is none, plus infinity if
-    # nothing is known.
-    bound: float
+    is_finished: bool  # whether that is best, or there is none, not just the best within the time
+    bound: float  # of all feasible points; minus infinity: none, plus infinity: nothing is known
 
 
 def solver_text() -> str:
@@ -51,10 +48,7 @@ def solver_text() -> str:
 
 
 def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:
-    """Maximise by HiGHS, as far as the time goes or down to a relative gap.
-
-    All variables of the problem are bounded.
-    """
+    """Maximise in bounded variables by HiGHS, as far as the time goes or down to a relative gap."""
     import cvxpy as cp
 
     with warnings.catch_warnings():
@@ -87,15 +81,11 @@ class Cut:
     n_units: int  # how many of them, or of their sites where sites fail, are needed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MilpResult:
-    """Answer of the solver to a placement model."""
+class MilpResult(NamedTuple):
+    """Answer of the solver to a placement model, as :class:`Answer`, in the objective's unit."""
 
     units: IntArray | None  # (n,): poses of the reduced problem; None if no feasible set was found
-    # No feasible set has a better objective; the worst infinity if there is no set, the best one if
-    # nothing is known.
     bound: float
-    # Whether `units` are best (or there are none), rather than the best within the time.
     is_finished: bool
 
 
@@ -104,10 +94,12 @@ def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp
 
     1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site <= its
     capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site >= 1;
-    o_s + o_t <= 1 for rivals. For whole x, o is bounded from below by zeros and ones, and nothing
-    raises it.
+    o_s + o_t <= 1 for rivals.
     """
-    at_site = _incidence(limits.site_index, limits.n_sites)
+    import scipy.sparse as sp
+
+    of_poses = np.ones(limits.n_poses), (limits.site_index, np.arange(limits.n_poses))
+    at_site = sp.csr_array(of_poses, shape=(limits.n_sites, limits.n_poses))
     constraints = [at_site @ x <= limits.site_capacity, x.sum() >= 1.0]
     if limits.budget_units is not None:
         constraints.append(x.sum() <= limits.budget_units)
@@ -128,23 +120,21 @@ def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp
     return constraints
 
 
-def seen_constraint(x: cp.Variable, y: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
-    """Frames: y_f <= sum of V[c, f] x_c."""
+def window_constraints(
+    x: cp.Variable, y: cp.Variable, z: cp.Variable, a: cp.Variable, reduced: ReducedProblem
+) -> list[cp.Constraint]:
+    """Frames, windows and chains.
+
+    y_f <= sum of V[c, f] x_c; z_w <= y_f for each f in w; a_k <= a_{k-1} + z_w(k): the sum of the z
+    up to link k, written link by link.
+    """
     import scipy.sparse as sp
 
-    return y <= sp.csr_array(reduced.detected().T).astype(np.float64) @ x
-
-
-def window_constraints(
-    y: cp.Variable, z: cp.Variable, reduced: ReducedProblem
-) -> list[cp.Constraint]:
-    """Windows: z_w <= y_f for each f in w."""
-    return [z <= y[frames] for frames in reduced.window_frames.T]
-
-
-def chain_constraint(z: cp.Variable, a: cp.Variable, reduced: ReducedProblem) -> cp.Constraint:
-    """Chains: a_k <= a_{k-1} + z_w(k): the sum of the z up to link k, written link by link."""
-    return difference(reduced) @ a <= z[reduced.chains.window]
+    return [
+        y <= sp.csr_array(reduced.detected().T).astype(np.float64) @ x,
+        *(z <= y[frames] for frames in reduced.window_frames.T),
+        difference(reduced) @ a <= z[reduced.chains.window],
+    ]
 
 
 def tail_constraints(
@@ -190,14 +180,9 @@ def difference(reduced: ReducedProblem) -> sp.csr_array:
     import scipy.sparse as sp
 
     n_links = len(reduced.chains.window)
-    later = np.setdiff1d(np.arange(n_links), reduced.chains.start)
-    links = np.arange(n_links)
-    return sp.csr_array(
-        (
-            np.append(np.ones(n_links), -np.ones(len(later))),
-            (np.append(links, later), np.append(links, later - 1)),
-        ),
-        shape=(n_links, n_links),
+    is_later = ~np.isin(np.arange(1, n_links), reduced.chains.start)
+    return sp.diags_array(
+        [np.ones(n_links), -is_later.astype(np.float64)], offsets=[0, -1], format="csr"
     )
 
 
@@ -207,7 +192,7 @@ def requirement_constraints(
     """Requirements, as far as they can be stated in a: failures are left to cuts."""
     weight = requirement.measure.weight
     if requirement.sums_margins:
-        row = margin_weights(reduced, weight)
+        row = link_weights(reduced, margin_rows(reduced))
         unit = max(float(row.sum()), TOLERANCE)
         return [(row / unit) @ a >= requirement.least / unit - steering.HELD_SLACK * TOLERANCE]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
@@ -283,24 +268,14 @@ def last_links(reduced: ReducedProblem, *, min_margin_s: float = -np.inf) -> Int
     return np.where(n_links > 0, reduced.chains.start[reduced.run_chain] + n_links - 1, -1)
 
 
-def avoided_weights(reduced: ReducedProblem) -> FloatArray:
-    """Objective of the first stage: weight of avoided runs, as weights of a, (n_links,)."""
-    weights = np.zeros(len(reduced.chains.window))
-    np.add.at(weights, last_links(reduced), reduced.weight)
-    return weights
+def link_weights(reduced: ReducedProblem, rows: Rows) -> FloatArray:
+    """Sum of the weights of rows that are covered, as weights of a, (n_links,).
 
-
-def margin_weights(reduced: ReducedProblem, weight: FloatArray) -> FloatArray:
-    """Objective of the mean margin: weight x margin, summed over avoided runs, as weights of a.
-
-    A run whose first live window is its k-th has all a from link k on: the margins' decrease from
-    link to link, down to 0 after the last one in time, sums up to its margin.
+    A row is covered if a is 1 at its last link: with the rows of runs that is the APR, with those
+    of margins the sum of weights times margins.
     """
     weights = np.zeros(len(reduced.chains.window))
-    for chain, margin, run_weight in zip(reduced.run_chain, reduced.margin_s, weight, strict=True):
-        in_time = margin[margin > -np.inf]
-        start = reduced.chains.start[chain]
-        weights[start : start + len(in_time)] -= run_weight * np.diff(in_time, append=0.0)
+    np.add.at(weights, reduced.chains.start[rows.chain] + rows.last - 1, rows.weight)
     return weights
 
 
@@ -315,10 +290,9 @@ def solve_window_model(
     """Best set of poses by one objective: UNITS, COST, APR or MEAN_MARGIN; None: any set.
 
     For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a given APR that
-    is the same. Requirements hold before units fail; what holds after failures is left to cuts.
-    The bound is in the objective's own unit: from above for what is maximised, else from below.
-    Where stating the model has taken half of the time, nothing is found: the solver is handed it in
-    as long again, and would be cut off.
+    is the same. What must hold after failures is left to cuts. The bound is in the objective's own
+    unit. Where stating the model has taken half of the time, nothing is found: the solver is handed
+    it in as long again.
     """
     import cvxpy as cp
 
@@ -327,8 +301,7 @@ def solve_window_model(
     x = cp.Variable(reduced.n_poses, boolean=True)
     o = cp.Variable(limits.n_sites, bounds=[0.0, 1.0])
     constraints = limit_constraints(x, o, limits)
-    goal: cp.Expression = cp.Constant(0.0)
-    unit = 1.0
+    goal, unit = cp.Constant(0.0), 1.0
     if objective is Objective.UNITS:
         goal = -x.sum()
     elif objective is Objective.COST:
@@ -340,9 +313,7 @@ def solve_window_model(
         z = cp.Variable(len(reduced.window_frames), bounds=[0.0, 1.0])
         a = cp.Variable(len(reduced.chains.window), bounds=[0.0, 1.0])
         constraints += [
-            seen_constraint(x, y, reduced),
-            *window_constraints(y, z, reduced),
-            chain_constraint(z, a, reduced),
+            *window_constraints(x, y, z, a, reduced),
             *tail_constraints(y, a, reduced),
             *stabbing_constraints(x, a, reduced),
         ]
@@ -352,11 +323,8 @@ def solve_window_model(
             goal, more = _tail_share(a, reduced.measure, last_links(reduced))
             constraints += more
         elif objective in (Objective.APR, Objective.MEAN_MARGIN):
-            weights = (
-                avoided_weights(reduced)
-                if objective is Objective.APR
-                else margin_weights(reduced, reduced.weight)
-            )
+            rows = run_rows(reduced) if objective is Objective.APR else margin_rows(reduced)
+            weights = link_weights(reduced, rows)
             unit = max(float(weights.sum()), TOLERANCE) / steering.SOLVER_SUM
             goal = (weights / unit) @ a
     if cuts:
@@ -400,15 +368,6 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
     return sp.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n_links, reduced.n_poses))
 
 
-def _incidence(group: IntArray, n_groups: int) -> sp.csr_array:
-    """Which member belongs to which group, (n_groups, n_members)."""
-    import scipy.sparse as sp
-
-    return sp.csr_array(
-        (np.ones(len(group)), (group, np.arange(len(group)))), shape=(n_groups, len(group))
-    )
-
-
 # ---------- cuts: failures, which no row of the model speaks of
 
 
@@ -422,53 +381,39 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
     """
     if not (requirement.needs_all and requirement.n_failures):
         return []
-    counted = np.flatnonzero(requirement.measure.weight > 0.0)
-    links = last_links(reduced, min_margin_s=requirement.min_margin_s)[counted]
-    cuts = []
-    last = np.unique(links[links >= 0])
+    links = last_links(reduced, min_margin_s=requirement.min_margin_s)
+    last = np.unique(links[(links >= 0) & (requirement.measure.weight > 0.0)])
     chains = np.searchsorted(reduced.chains.start, last, "right") - 1
+    counted, detected = [], reduced.detected()
     for chain, link in zip(chains, last - reduced.chains.start[chains], strict=True):
         frames, n_links = reduced.tails(int(chain))
-        for frame in frames[n_links > link]:
-            sees = (reduced.words[:, frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1)
-            cuts.append(Cut(is_counted=sees != 0, n_units=requirement.n_failures + 1))
+        counted += list(detected[:, frames[n_links > link]].T)
     for phase in range(reduced.window_frames.shape[1]):
         enters = entering_poses(reduced, phase).toarray() > 0.0
         for start, link in zip(reduced.chains.start[chains], last, strict=True):
-            cuts.append(
-                Cut(
-                    is_counted=np.logical_or.reduce(enters[start : link + 1], axis=0),
-                    n_units=requirement.n_failures + 1,
-                )
-            )
+            counted.append(np.logical_or.reduce(enters[start : link + 1], axis=0))
     # What all poses see, the VUT may see when all of them have failed.
     has_base = bool(reduced.base.any())
-    return [cut for cut in cuts if not (has_base and cut.is_counted.all())]
+    n_units = requirement.n_failures + 1
+    return [Cut(is_counted=c, n_units=n_units) for c in counted if not (has_base and c.all())]
 
 
-def violated_cuts(
-    reduced: ReducedProblem, units: IntArray, requirements: Sequence[Requirement]
-) -> list[Cut]:
-    """Cuts that a set of poses violates; none if and only if it meets all requirements."""
+def violated_cuts(reduced: ReducedProblem, units: IntArray, requirement: Requirement) -> list[Cut]:
+    """Cuts that a set of poses violates; none if and only if it meets a requirement."""
     cuts = []
-    for requirement in requirements:
-        fails = _fails_requirement(reduced, requirement)
-        n_units = requirement.n_failures + 1
-        is_unit = reduced.limits.failing == "unit"
-        at = np.arange(len(units)) if is_unit else reduced.limits.site_index[units]
-        groups = np.unique(at)
-        n_left = max(len(groups) - requirement.n_failures, 0)
-        for left in combinations(groups.tolist(), n_left):
-            union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
-            if not fails(union[None, :])[0]:
-                continue
-            if requirement.needs_all:
-                cuts += [
-                    _cut(reduced, union, _fails_run(reduced, run, requirement), n_units=n_units)
-                    for run in _lost_runs(reduced, union, requirement)
-                ]
-            else:
-                cuts.append(_cut(reduced, union, fails, n_units=n_units))
+    fails, n_units = _fails(reduced, requirement), requirement.n_failures + 1
+    is_unit = reduced.limits.failing == "unit"
+    at = np.arange(len(units)) if is_unit else reduced.limits.site_index[units]
+    groups = np.unique(at)
+    for left in combinations(groups.tolist(), max(len(groups) - requirement.n_failures, 0)):
+        union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
+        if not fails(union[None, :])[0]:
+            continue
+        each = [fails]
+        if requirement.needs_all:
+            runs = _lost_runs(reduced, union, requirement)
+            each = [_fails(reduced, requirement, run) for run in runs]
+        cuts += [_cut(reduced, union, one, n_units=n_units) for one in each]
     return cuts
 
 
@@ -477,25 +422,21 @@ def _lost_runs(reduced: ReducedProblem, union: WordArray, requirement: Requireme
     margin = union_margins_s(reduced, union[None, :])[0]
     is_lost = ~requirement.counts_run(margin) & (requirement.measure.weight > 0.0)
     last = last_links(reduced, min_margin_s=requirement.min_margin_s)
-    hardest = []
-    for chain in np.unique(reduced.run_chain[is_lost]):
-        runs = np.flatnonzero(is_lost & (reduced.run_chain == chain))
-        hardest.append(int(runs[np.argmin(last[runs])]))
+    runs = np.flatnonzero(is_lost)[np.argsort(last[is_lost], kind="stable")]
+    _, first = np.unique(reduced.run_chain[runs], return_index=True)
+    hardest: list[int] = runs[first].tolist()
     return hardest
 
 
-def _fails_requirement(reduced: ReducedProblem, requirement: Requirement) -> Fails:
+def _fails(reduced: ReducedProblem, requirement: Requirement, run: int | None = None) -> Fails:
+    """Tells which unions do not meet a requirement, or avoid a run as it asks."""
+
     def fails(unions: WordArray) -> BoolArray:
-        reached = requirement.reached(union_margins_s(reduced, unions))
-        result: BoolArray = reached < requirement.least - TOLERANCE
+        margin_s = union_margins_s(reduced, unions)
+        if run is not None:
+            return ~requirement.counts_run(margin_s[:, run])
+        result: BoolArray = requirement.reached(margin_s) < requirement.least - TOLERANCE
         return result
-
-    return fails
-
-
-def _fails_run(reduced: ReducedProblem, run: int, requirement: Requirement) -> Fails:
-    def fails(unions: WordArray) -> BoolArray:
-        return ~requirement.counts_run(union_margins_s(reduced, unions)[:, run])
 
     return fails
 

@@ -1,9 +1,9 @@
 """Third rung where worlds are sampled: sets of two or three units, a class of poses and a pair.
 
-Where detections are drawn, that a pose sees the frame which a window is asked for says little:
-hardly any run is out of reach of a pose. It says much more when another unit is known, since what
-that one sees is not asked for any more. So poses of a site that avoid much the same runs are a
-*class*, as good as all of them together. Classes are gone through, each with those behind it:
+Where detections are drawn, hardly any run is out of reach of a pose; what a window is asked for
+says more when another unit is known, since what that one sees is not asked for any more. So poses
+of a site that avoid much the same runs are a *class*, as good as all of them together. Classes are
+gone through, each with those behind it:
 
 * Of the pieces, frames and tails, that are missing in a window, one unit of the pair sees the one
   that fewest see; and one sees all that are missing in some window, or both see some. Both are bits
@@ -17,8 +17,9 @@ higher than that over all, which bounds it.
 
 from collections.abc import Callable, Iterator
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,11 +27,12 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from . import steering
 from .bitsets import shares_with_each, union_apr, unions_of
-from .bounds import Rows, coverers_of, is_covered_by, run_rows
+from .bounds import Rows, byte_table, coverers_of, is_covered_by, run_rows
+from .limits import may_grow
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import WordArray
 from .steering import Deadline
-from .walk import Tied, TieSearch, in_threads, lost_by_chain
+from .walk import Tied, TieSearch, group_by_class, in_threads, lost_by_chain
 
 
 def goes_by_pairs(reduced: ReducedProblem) -> bool:
@@ -54,10 +56,7 @@ def walk_by_pairs(
     if reduced.measure.is_mean:
         walk = PairWalk(reduced, need=0.0)
         search = TieSearch(
-            reduced,
-            units,
-            walk_from=lambda need, _: walk.again(need),
-            on_better=on_better,
+            reduced, units, walk_from=lambda need, _: walk.again(need), on_better=on_better
         )
         return search.find(deadline)
     value = float(union_apr(reduced, unions_of(reduced, units[None, :]))[0])
@@ -70,8 +69,7 @@ def walk_by_pairs(
     return Tied(sets=None, value=value, limit=max(limit, value), is_finished=False)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Units:
+class _Units(NamedTuple):
     """Poses, or classes of poses."""
 
     words: WordArray  # (n, n_frame_words): what each sees, as bits along the frames
@@ -85,6 +83,8 @@ class PairWalk:
     """
 
     def __init__(self, reduced: ReducedProblem, *, need: float) -> None:
+        from .walk_kernels import Losses
+
         self.reduced, self.need = reduced, need
         self.n_units = reduced.limits.max_units
         self.total = float(reduced.weight.sum())
@@ -93,15 +93,17 @@ class PairWalk:
         self.usable = ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
         self.rows, avoided = _hardest_first(reduced)
         self.seen = np.bitwise_count(reduced.columns).sum(axis=1).astype(np.float64)
-        self.lost = lost_by_chain(reduced)
         chains = self.rows.chain
-        self.order = chains[np.sort(np.unique(chains, return_index=True)[1])]
+        self.losses = Losses(
+            chains=reduced.chains,
+            lost=lost_by_chain(reduced),
+            order=chains[np.sort(np.unique(chains, return_index=True)[1])],
+            may_lose=np.zeros(2),
+            base=np.zeros_like(reduced.base),
+        )
         self.class_of = _classes(limits.site_index, self.usable, avoided, self.rows.weight)
-        self.member = np.argsort(self.class_of, kind="stable")[np.sum(self.class_of < 0) :]
-        self.size = np.bincount(self.class_of[self.member])
-        self.start = np.cumsum(self.size) - self.size
-        words = np.zeros((len(self.size), reduced.words.shape[1]), dtype=np.uint64)
-        np.bitwise_or.at(words, self.class_of[self.member], reduced.words[self.member])
+        self.member, start, words = group_by_class(reduced, self.class_of)
+        self.start, self.size = start[:-1], np.diff(start)
         columns = transposed(words, reduced.n_frames, workers=reduced.workers)
         self.classes = _Units(words=words, columns=columns)
         self.poses = _Units(words=reduced.words, columns=reduced.columns)
@@ -143,7 +145,8 @@ class PairWalk:
         share = shares_with_each(self.reduced, np.array([pose]))
         later = np.flatnonzero((self.total - share <= self.may_lose) & self.usable)
         later = later[later > pose]
-        return self._within_sites(np.column_stack([np.full(len(later), pose), later]))
+        sets = np.column_stack([np.full(len(later), pose), later])
+        return sets[may_grow(self.reduced.limits, sets)]
 
     def _beside_class(self, one: int) -> IntArray:
         """Sets of a class and two of those from it on that reach the need."""
@@ -174,7 +177,8 @@ class PairWalk:
             sets = np.column_stack([np.full(len(left), member), left])
             # Two or three of the class itself: once, in ascending order.
             is_later = (self.class_of[sets[:, 1:]] != one) | (sets[:, 1:] > sets[:, :1])
-            found.append(self._keep(self._within_sites(sets[is_later.all(axis=1)])))
+            sets = sets[is_later.all(axis=1)]
+            found.append(self._keep(sets[may_grow(self.reduced.limits, sets)]))
         return np.concatenate(found)
 
     def _beside_member(self, member: int, pairs: IntArray) -> IntArray:
@@ -205,35 +209,23 @@ class PairWalk:
         self, units: _Units, union: WordArray, rows: Rows, pairs: IntArray
     ) -> IntArray:
         """Pairs of units, (n, 2), that may lose little of some rows next to a union."""
-        from .walk_kernels import lost_by_pairs, weigh_bytes
+        from .walk_kernels import lost_by_pairs
 
         if not len(pairs) or not len(rows.chain):
             return pairs
         bits = _cover_beside(self.reduced, units, union, rows, self.seen)
-        n_words = bits[0].shape[1]
-        padded = np.zeros(64 * n_words)
-        padded[: len(rows.weight)] = rows.weight
-        table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
-        every = np.full(n_words, ~np.uint64(0))
-        weigh_bytes(padded, every, table, used)
+        table, _, _ = byte_table(rows.weight, bits[0])
         lost = np.empty(len(pairs))
         lost_by_pairs(*bits, table, self.may_lose, pairs, lost)
         return pairs[lost <= self.may_lose]
-
-    def _within_sites(self, sets: IntArray) -> IntArray:
-        limits = self.reduced.limits
-        sites = limits.site_index[sets]
-        n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-        fitting: IntArray = sets[(n_there <= limits.site_capacity[sites]).all(axis=1)]
-        return fitting
 
     def _keep(self, sets: IntArray) -> IntArray:
         """Sets that reach the need."""
         from .walk_kernels import keep_sets
 
-        kept = np.zeros(len(sets), dtype=bool)
-        reduced, order = self.reduced, self.order.copy()
-        keep_sets(reduced.words, reduced.chains, self.lost, order, sets, self.may_lose, kept)
+        kept, order = np.zeros(len(sets), dtype=bool), self.losses.order.copy()
+        losses = self.losses._replace(order=order, may_lose=np.full(2, self.may_lose))
+        keep_sets(self.reduced.words, sets, losses, kept)
         return sets[kept]
 
 

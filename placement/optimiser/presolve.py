@@ -4,15 +4,14 @@ Both kinds of fusion become one problem here. With "any", a frame is seen if a c
 detects in it, and a window needs all its frames. With "single", the frames of the reduced problem
 are the statements "this pose alone has confirmed by then", and each window needs one of them.
 
-A track that lives for a limited time needs more than a window: from every frame behind it on, the
-next detection must come in time, unless the last moment comes first. "A chosen pose detects in one
-of the frames that are in time" is a statement about one pose at a time, too, so that it is one more
-frame of the reduced problem here: a *tail*. A window whose tails are all seen is *live*. As a later
-window has fewer tails, one that is not seen ends all windows of the run up to some number.
+Where tracks live for a limited time, "a chosen pose detects in one of the frames in which the next
+detection must come" is a statement about one pose at a time, too, so that it is one more frame of
+the reduced problem: a *tail*. A window whose tails are all seen is *live*. As a later window has
+fewer tails, one that is not seen ends all windows of the run up to some number.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Annotated
 
@@ -66,15 +65,8 @@ class PresolveStatistics:
     ]
 
     def __str__(self) -> str:
-        return ", ".join(
-            f"{before} -> {after} {noun}"
-            for noun, (before, after) in (
-                ("poses", self.n_poses),
-                ("frames", self.n_frames),
-                ("windows", self.n_windows),
-                ("runs", self.n_runs),
-            )
-        )
+        sizes = ((field.name[2:], getattr(self, field.name)) for field in fields(self))
+        return ", ".join(f"{before} -> {after} {noun}" for noun, (before, after) in sizes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,8 +82,7 @@ class ReducedProblem:
     survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
     n_frames: int  # merged frames
     words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
-    # (n_frames, ceil(n_poses / 64)): the same bits along the poses; empty while presolve is on
-    columns: WordArray
+    columns: WordArray  # (n_frames, ceil(n_poses / 64)): the same bits along the poses
     base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
     chains: Chains  # of windows, and of what keeps them alive
     workers: int  # threads for all that is computed with them
@@ -125,6 +116,29 @@ class ReducedProblem:
         """Problem for another goal."""
         return replace(self, objectives=objectives_in_order(goal, survive=self.survive))
 
+    def for_problem(self, problem: PlacementProblem) -> "ReducedProblem":
+        """The same poses and runs for another problem on the table.
+
+        It may differ from the one that was presolved in floors, goal and failures to be survived:
+        where a pose takes the place of another one, nothing that may be asked gets worse. And it
+        may allow fewer units or less money: what is dominated stays so.
+        """
+        floors = [
+            Requirement(
+                measure=problem.floor_measure(floor).of_runs(self.run_index),
+                least=floor.share,
+                n_failures=floor.n_failures,
+            )
+            for floor in problem.floors
+        ]
+        return replace(
+            self,
+            limits=problem.limits.of_poses(self.pose_index),
+            floors=tuple(floors),
+            objectives=problem.objectives,
+            survive=problem.survive,
+        )
+
     @property
     def n_chains(self) -> int:
         """Number of chains."""
@@ -145,11 +159,6 @@ class ReducedProblem:
         chains = self.chains
         mine = slice(chains.tail_start[chain_index], chains.tail_start[chain_index + 1])
         return chains.tail_frame[mine], chains.tail_links[mine]
-
-    @property
-    def can_unpack(self) -> bool:
-        """True if models and relaxations may look at all detections one by one."""
-        return self.n_poses * self.n_frames <= steering.MAX_CELLS
 
     def detected(self) -> BoolArray:
         """V[c, f] on the merged frames, (n_poses, n_frames)."""
@@ -190,19 +199,16 @@ def presolve(
       unless `drops_dominated` is False, or only the worst worlds count. There the smallest margin
       may fall when more is seen: a run that is avoided in another world, too, adds nothing to
       their APR, but its margin counts.
-
-    All that is computed on the reduced problem takes `workers` threads.
     """
     windows = _Windows(problem, workers)
     limits = problem.limits
     usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+    price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
     if limits.budget_eur is not None:
-        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         usable &= price <= limits.budget_eur + COST_TOLERANCE_EUR
     # What sees nothing would drop out below, but making the problem anew takes long.
     is_kept = windows.sees_any() | limits.is_forced_site[limits.site_index]
     if usable.any():
-        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         is_kept[np.flatnonzero(usable)[np.argmin(price[usable])]] = True
     usable = (usable & is_kept) | limits.is_forced
     drops_dominated &= windows.measure.is_mean
@@ -221,25 +227,20 @@ def presolve(
                 workers=workers,
             )
         if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
-            price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
             is_needless[np.argmin(price[poses])] = False
         if not is_needless.any():
             columns = transposed(reduced.words, reduced.n_frames, workers=workers)
-            return replace(reduced, columns=columns)
+            return replace(reduced, columns=columns).for_problem(problem)
         usable[poses[is_needless]] = False
 
 
 def is_dominated(
-    words: WordArray,
-    limits: Limits,
-    *,
-    max_units: int,
-    workers: int = WORKERS,
+    words: WordArray, limits: Limits, *, max_units: int, workers: int = WORKERS
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
 
-    `words`, (n_poses, n_words): what each pose sees. `max_units`: no set has more units. Returns
-    (n_poses,): may be dropped, all together.
+    `words`, (n_poses, n_words), is what each sees; no set has more than `max_units` units. They may
+    be dropped all together, (n_poses,).
 
     Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
     is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
@@ -260,13 +261,7 @@ def is_dominated(
     """
     from .bit_kernels import find_dominated
 
-    n_poses = len(words)
-    count = np.empty(n_poses, dtype=np.int64)
-
-    def count_bits(begin: int, end: int) -> None:
-        count[begin:end] = np.bitwise_count(words[begin:end]).sum(axis=1, dtype=np.int64)
-
-    share_out(count_bits, n_poses, workers=workers)
+    count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
     order = np.lexsort((limits.unit_cost_eur, -count))
     sites, price = limits.site_index[order], limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
@@ -275,26 +270,14 @@ def is_dominated(
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
-    ordered = words[order]
-    dominated = np.zeros(n_poses, dtype=bool)
+    poses = words[order], sites, price, elsewhere, ~is_bound_site[sites]
+    dominated, result = np.zeros((2, len(words)), dtype=bool)
 
     def look(begin: int) -> None:
-        find_dominated(
-            ordered,
-            sites,
-            price,
-            elsewhere,
-            ~is_bound_site[sites],
-            limits.site_capacity,
-            max_units,
-            begin,
-            workers,
-            dominated,
-        )
+        find_dominated(*poses, limits.site_capacity, max_units, begin, workers, dominated)
 
     with ThreadPoolExecutor(workers) as threads:
         list(threads.map(look, range(workers)))
-    result = np.zeros(n_poses, dtype=bool)
     result[order] = dominated
     return result & ~limits.is_forced
 
@@ -307,7 +290,6 @@ class _Windows:
 
         self.problem, self.workers = problem, workers
         self.measure = problem.measure()
-        self.floor_measures = [problem.floor_measure(floor) for floor in problem.floors]
         axis, rule = problem.table.axis, problem.rule
         self.end, self.run, self.margin_s = timely_windows_end(axis, rule)
         frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
@@ -324,13 +306,11 @@ class _Windows:
         self.n_used, self.n_bits = len(used), n_bits
         _transpose(packed, np.arange(n_bits), used, self.columns, workers)
         # Those between frames that are used are used.
-        tail_begin = np.searchsorted(used, self.tail_end, side="right")
-        tail_until = np.searchsorted(used, last, side="right")
+        begin, end = (np.searchsorted(used, at, side="right") for at in (self.tail_end, last))
 
-        def join(begin: int, end: int) -> None:
-            part = slice(begin, end)
-            tails = self.columns[self.n_used :]
-            join_ranges(self.columns, tail_begin[part], tail_until[part], tails[part])
+        def join(one: int, other: int) -> None:
+            part, tails = slice(one, other), self.columns[self.n_used :]
+            join_ranges(self.columns, begin[part], end[part], tails[part])
 
         share_out(join, len(last), workers=workers)
         if problem.fusion == "single":
@@ -411,22 +391,15 @@ class _Windows:
             [window[slice(*place)] for place in pairwise(begin)],
             [(tail_frame[slice(*p)], n_links[slice(*p)]) for p in pairwise(tail_begin)],
         )
-        n_windows = np.diff(begin)
-        margin_s = np.full((len(run_index), n_windows.max(initial=0) + 1), -np.inf)
+        margin_s = np.full((len(run_index), np.diff(begin).max(initial=0) + 1), -np.inf)
         margin_s[of_run, np.arange(len(windows)) - begin[of_run]] = self.margin_s[windows]
+        n_whole = np.diff(axis.run_start) + 1 - problem.rule.n_confirmations  # in time or not
         return ReducedProblem(
             pose_index=poses,
             limits=problem.limits.of_poses(poses),
             run_index=run_index,
             measure=self.measure.of_runs(run_index),
-            floors=tuple(
-                Requirement(
-                    measure=measure.of_runs(run_index),
-                    least=floor.share,
-                    n_failures=floor.n_failures,
-                )
-                for floor, measure in zip(problem.floors, self.floor_measures, strict=True)
-            ),
+            floors=(),
             objectives=problem.objectives,
             survive=problem.survive,
             n_frames=len(kept),
@@ -440,22 +413,15 @@ class _Windows:
             statistics=PresolveStatistics(
                 n_poses=(problem.table.n_poses, len(poses)),
                 n_frames=(axis.n_frames, len(kept)),
-                n_windows=(self._count_windows(), len(first_set)),
+                n_windows=(int(np.maximum(n_whole, 0).sum()), len(first_set)),
                 n_runs=(axis.n_runs, len(run_index)),
             ),
         )
 
-    def _count_windows(self) -> int:
-        """Windows of all runs, in time or not."""
-        n_frames = np.diff(self.problem.table.axis.run_start)
-        return int(np.maximum(n_frames + 1 - self.problem.rule.n_confirmations, 0).sum())
-
     def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""
-        from .bit_kernels import lack_nothing
-
-        is_needless = np.zeros(len(self.tail_run), dtype=bool)
-        lack_nothing(self.columns[self.n_used :], mask, is_needless)
+        tails, is_needless = self.columns[self.n_used :], np.zeros(len(self.tail_run), dtype=bool)
+        is_needless[:-1] = ~_have_bits(tails[1:] & ~tails[:-1], mask)
         is_needless[:-1] &= self.tail_run[1:] == self.tail_run[:-1]
         return is_needless
 
@@ -479,12 +445,12 @@ def distinct_rows(
     return slots[:n_distinct].copy(), number
 
 
-def _have_bits(rows: WordArray, mask: WordArray | None = None) -> BoolArray:
-    """Which rows have any bit within a mask."""
+def _have_bits(rows: WordArray, mask: WordArray) -> BoolArray:
+    """Which rows have any bit within a mask, (n_words,)."""
     from .bit_kernels import have_bits
 
     has_bits = np.empty(len(rows), dtype=bool)
-    have_bits(rows, np.full(rows.shape[1], ~np.uint64(0)) if mask is None else mask, has_bits)
+    have_bits(rows, mask, has_bits)
     return has_bits
 
 

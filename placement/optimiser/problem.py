@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
 from scenarios.runs import FrameAxis, live_confirmation_times_s
 
@@ -64,10 +64,6 @@ class Objective(StrEnum):
         """
         return other - value if self.is_minimised else value - other
 
-    def is_better(self, value: float, other: float) -> bool:
-        """True if a value is better than another one by more than rounding noise."""
-        return self.excess(value, other) > self.tolerance
-
     def better(self, value: float, other: float) -> float:
         """The better one of two values."""
         return min(value, other) if self.is_minimised else max(value, other)
@@ -113,9 +109,6 @@ def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
     return (*first, *(objective for objective in VALUE_OBJECTIVES if objective not in first))
 
 
-# ---------- the accident prevention ratio
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measure:
     """Accident prevention ratio of what is avoided.
@@ -124,14 +117,11 @@ class Measure:
     over the worst share, in which one world may count in part.
     """
 
-    # (n_runs,): weights of the runs that can be avoided; all runs together weigh 1, or what counts
-    # does.
-    weight: FloatArray
+    weight: FloatArray  # (n_runs,): of the runs that can be avoided; what counts weighs 1 in all
     sample_index: IntArray  # (n_runs,): sampled world of each run; all 0 where nothing was sampled
     # (n_samples,): what all runs of each world weigh together, also those that nothing avoids.
     sample_weight: FloatArray
-    # Share of the worlds that counts, the worst ones: 1 is the expectation, up to 1 / n_samples the
-    # worst world alone.
+    # Share of the worlds that counts, the worst ones: 1 for the mean, 1 / n_samples for the worst.
     tail: float = 1.0
 
     @property
@@ -161,16 +151,12 @@ class Measure:
             total: FloatArray = by_sample.sum(axis=-1)
             return total
         ratio = by_sample / self.sample_weight
-        parts, order = self._counted(ratio)
-        worst_first = np.take_along_axis(ratio, order, axis=-1)
-        result: FloatArray = (parts * worst_first).sum(axis=-1) / self.tail
-        return result
-
-    def _counted(self, ratio: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Weights of the worst worlds up to the tail, worst first, and that order."""
-        order = np.argsort(ratio, axis=-1, kind="stable")
+        order = np.argsort(ratio, axis=-1, kind="stable")  # the worst first, up to the tail
         ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
-        return np.diff(ends, axis=-1, prepend=0.0), order
+        worst_first = np.take_along_axis(ratio, order, axis=-1)
+        counted = np.diff(ends, axis=-1, prepend=0.0) * worst_first
+        result: FloatArray = counted.sum(axis=-1) / self.tail
+        return result
 
     @property
     def limit(self) -> float:
@@ -197,8 +183,7 @@ def build_measure(
 ) -> Measure:
     """Measure of runs with weights, (n_runs,), and the sampled world of each, 0, 1, ..
 
-    By default there is one world. Raises InputError if the tail is not in 0 < tail <= 1, or the
-    samples are not numbered 0, 1, .. with weight.
+    By default there is one world. Raises InputError unless 0 < tail <= 1, and worlds have weight.
     """
     if not 0.0 < tail <= 1.0:
         raise InputError("tail", tail, "a share of the samples, 0 < share <= 1")
@@ -243,8 +228,7 @@ class Floor:
 
     name: str  # Who asks for it, such as "target", for messages
     share: float  # The ratio, 0..1
-    # (n_runs,): runs that count, such as those of a case; by default all, by the problem's own
-    # measure
+    # (n_runs,): runs that count, such as those of a case; None: all, by the problem's own measure
     is_counted: BoolArray | None = None
     n_failures: int = 0  # It must still be reached when any so many units fail
 
@@ -264,17 +248,14 @@ class PlacementProblem:
 
     table: DetectionTable  # V[c, f]
     limits: Limits  # What may be mounted together
-    # "any": a frame counts if any unit detects; "single": one unit must confirm alone
-    fusion: Fusion
+    fusion: Fusion  # "any": a frame counts if any unit detects; "single": one must confirm alone
     rule: AebRule  # Confirmation and latency
     floors: tuple[Floor, ...] = ()  # What must be reached in any case
-    # "fewest", "cheapest": of the sets that reach the floors only those with the fewest units, or
-    # of the least cost, are looked at; then the best of them
+    # "fewest", "cheapest": the best of those that reach the floors with the fewest units, or money
     goal: Goal = "best"
     survive: int = 0  # If not 0, the APR when so many units fail is the first objective
     sample_index: IntArray | None = None  # (n_runs,): sampled world of each run
-    # See :class:`placement.optimiser.problem.Measure`: how the APR sums up the sampled worlds
-    tail: float = 1.0
+    tail: float = 1.0  # See :class:`Measure`: how the APR sums up the sampled worlds
     # (n_frames,): frames in which the VUT's own sensors detect. They are in every set, also in that
     # of no pose, and never fail. None: cars are blind.
     seen_by_vut: BoolArray | None = None
@@ -287,26 +268,18 @@ class PlacementProblem:
             )
         if (self.table.axis.last_brake_time_s == np.inf).any():
             raise InputError("last_brake_time_s", np.inf, "a time, or minus infinity")
-        if self.fusion not in get_args(Fusion):
-            raise InputError("fusion", self.fusion, "one of " + ", ".join(get_args(Fusion)))
-        if self.goal not in get_args(Goal):
-            raise InputError("goal", self.goal, "one of " + ", ".join(get_args(Goal)))
+        check_one_of("fusion", self.fusion, get_args(Fusion))
+        check_one_of("goal", self.goal, get_args(Goal))
         if self.survive < 0:
             raise InputError("survive", self.survive, "units that may fail, at least 0")
+        axis = self.table.axis
         if self.seen_by_vut is not None:
             object.__setattr__(self, "seen_by_vut", freeze(np.array(self.seen_by_vut, dtype=bool)))
-            if self.seen_by_vut.shape != (self.table.axis.n_frames,):
-                raise InputError(
-                    "seen_by_vut",
-                    Unquoted(f"shape {self.seen_by_vut.shape}"),
-                    "a flag for each frame",
-                )
-        for floor in self.floors:
-            counted = floor.is_counted
-            if counted is not None and counted.shape != (self.table.axis.n_runs,):
-                raise InputError(
-                    floor.name, Unquoted(f"shape {counted.shape}"), "a flag for each run"
-                )
+        flags = [("seen_by_vut", self.seen_by_vut, axis.n_frames, "frame")]
+        flags += [(floor.name, floor.is_counted, axis.n_runs, "run") for floor in self.floors]
+        for name, flag, size, noun in flags:
+            if flag is not None and flag.shape != (size,):
+                raise InputError(name, Unquoted(f"shape {flag.shape}"), f"a flag for each {noun}")
         self.measure()  # checks samples and tail
 
     @property
@@ -353,11 +326,10 @@ def floor_value(problem: PlacementProblem, floor: Floor, pose_index: Sequence[in
 
 
 def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
-    """Time left, in every run, between the onset of braking and the last moment for it, (n_runs,).
+    """Last brake time - (confirmation + latency) of every run, (n_runs,), in seconds.
 
-    It is last brake time - (confirmation + latency), in seconds, for the track that is alive at the
-    last moment; minus infinity if there is none. The problem's budget and capacities do not matter
-    here. No poses at all are what the VUT detects by itself, if it sees.
+    For the track that is alive at the last moment; minus infinity if there is none. Limits do not
+    matter. No poses at all are what the VUT detects by itself, if it sees.
     """
     axis, rule = problem.table.axis, problem.rule
     detected = problem.detected(pose_index)
@@ -444,18 +416,13 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     return False
 
 
-# ---------- requirements
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Requirement:
     """A value that must be reached; more poses never reach less of it."""
 
     measure: Measure  # what is counted, over the runs of the reduced problem
-    # What must be reached, in the measure's unit; times seconds where margins are summed.
-    least: float
-    # Runs avoided with less than this do not count; minus infinity: just avoided [s].
-    min_margin_s: float = -np.inf
+    least: float  # in the measure's unit; times seconds where margins are summed
+    min_margin_s: float = -np.inf  # runs that are avoided with less do not count [s]
     n_failures: int = 0  # it must still be reached when any so many units fail
     sums_margins: bool = False  # count the weights times the margins instead of the weights
 
@@ -479,11 +446,6 @@ class Requirement:
             return total
         return self.measure.of(in_time)
 
-    def __repr__(self) -> str:
-        return (
-            f"Requirement({self.least:g}, margin {self.min_margin_s:g} s, {self.n_failures} fail)"
-        )
-
 
 # ---------- windows that end in time, and what keeps them alive
 
@@ -497,8 +459,7 @@ class Chains(NamedTuple):
     Runs that go through the same windows, to different ends, share a chain.
     """
 
-    # (n_windows, n_confirmations or 1): merged frames that each window needs; one may stand there
-    # twice.
+    # (n_windows, n_confirmations or 1): merged frames that each window needs, some perhaps twice.
     window_frames: IntArray
     window: IntArray  # (n_links,): the windows of all chains, chain after chain
     start: IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
@@ -509,10 +470,7 @@ class Chains(NamedTuple):
 
 
 def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:
-    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
-
-    Returns the last frame of each, its run, and the margin that it leaves [s].
-    """
+    """Windows that end in time, in runs with weight: last frame, run, margin [s], (n_windows,)."""
     run = run_of_frames(axis)
     last_brake_s = axis.last_brake_time_s[run]
     counts = (
@@ -531,10 +489,9 @@ def tails_behind(
 
     `end` and `run` are those of :func:`timely_windows_end`. Returns the frames, ascending, and the
     last frame behind each that still comes in time: the frame itself if none does. A window is live
-    if and only if, from its last frame on, a detection follows each of these frames in time. That
-    asks for it behind frames that are not detected, too, which changes nothing: the detection that
-    comes in time for the one before them does so for them. Frames from which the memory reaches the
-    last moment have no tail.
+    if and only if, from its last frame on, a detection follows each of these frames in time. (Of
+    frames that are not detected, that asks no more: what comes in time for the one before does.)
+    Frames from which the memory reaches the last moment have no tail.
     """
     if rule.track_memory_s == np.inf:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)

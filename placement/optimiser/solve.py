@@ -1,7 +1,7 @@
 """Layouts with proofs: wishes are checked, then stages solved in order, rung by rung.
 
-Of a table that is too large, all poses are bounded by relaxation alone. Their prices also say which
-poses gain most: among those the layout is sought.
+Of a table that is too large, all poses are bounded by relaxation alone; the layout is sought among
+those that gain most by its prices.
 """
 
 import logging
@@ -22,13 +22,11 @@ from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
 from .limits import Limits, cost_eur
 from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import Floor, Measure, Objective, PlacementProblem, apr, objective_values
+from .problem import Floor, Objective, PlacementProblem, apr, objective_values
 from .stages import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 _log = logging.getLogger(__name__)
-
-# ---------- wishes that cannot be met
 
 
 class UnmetError(InputError):
@@ -36,66 +34,42 @@ class UnmetError(InputError):
 
 
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
-    """Check limits against each other, before anything is solved.
-
-    `pose_ids` are the names of the poses in messages.
-
-    Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that is too
-    small, money that does not suffice, rivals that are both forced, or no unit at all.
-    """
+    """Raise UnmetError if two limits cannot both be met; `pose_ids` name poses in messages."""
     forced = np.flatnonzero(limits.is_forced)
-    both = np.flatnonzero(limits.is_forced & limits.is_forbidden)
-    if len(both):
-        raise UnmetError(
-            pose_ids[int(both[0])], Unquoted("forced and forbidden"), "one of the two at most"
-        )
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
+    usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+    for pose in forced[limits.is_forbidden[forced]]:
+        got = Unquoted("forced and forbidden")
+        raise UnmetError(pose_ids[int(pose)], got, "one of the two at most")
     for site in np.flatnonzero(at_site > limits.site_capacity):
         names = ", ".join(pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site)
-        raise UnmetError(
-            "forced units",
-            Unquoted(f"{at_site[site]} at one site ({names})"),
-            f"at most {limits.site_capacity[site]}, what the site can carry",
-        )
-    usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
+        got = Unquoted(f"{at_site[site]} at one site ({names})")
+        most = limits.site_capacity[site]
+        raise UnmetError("forced units", got, f"at most {most}, what the site can carry")
     if not usable.any():
         raise UnmetError("candidates", Unquoted("none that may be used"), "at least one")
-    for site in np.flatnonzero(limits.is_forced_site):
-        if not usable[limits.site_index == site].any():
-            raise UnmetError(
-                "forced sites", Unquoted("a site without a pose that may be used"), "one or more"
-            )
+    n_usable = np.bincount(limits.site_index[usable], minlength=limits.n_sites)
+    if (limits.is_forced_site & (n_usable == 0)).any():
+        got = Unquoted("a site without a pose that may be used")
+        raise UnmetError("forced sites", got, "one or more")
     must_carry = limits.is_forced_site | (at_site > 0)
-    for one, other in limits.rivals:
-        if must_carry[one] and must_carry[other]:
-            raise UnmetError(
-                "separation_m",
-                Unquoted("two sites nearer than that which must both carry units"),
-                "one of them at most",
-            )
+    if must_carry[limits.rivals].all(axis=1).any():
+        got = Unquoted("two sites nearer than that which must both carry units")
+        raise UnmetError("separation_m", got, "one of them at most")
     n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
     if limits.budget_units is not None and n_needed > limits.budget_units:
-        raise UnmetError(
-            "budget",
-            limits.budget_units,
-            f"at least {n_needed}, the units that are forced or stand at forced sites",
-        )
-    if limits.budget_eur is None:
-        return
-    price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
-    needed = cost_eur(limits, forced)
-    what = "the price of the forced units"
+        expected = f"at least {n_needed}, the units that are forced or stand at forced sites"
+        raise UnmetError("budget", limits.budget_units, expected)
+    needed, what = cost_eur(limits, forced), "the price of the forced units"
     if not len(forced):
+        price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
         needed, what = float(price[usable].min()), "the price of the cheapest unit with its site"
-    if needed > limits.budget_eur + COST_TOLERANCE_EUR:
+    if limits.budget_eur is not None and needed > limits.budget_eur + COST_TOLERANCE_EUR:
         raise UnmetError("budget_cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
 
 
 def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
-    """Check that all poses together reach every floor.
-
-    Raises UnmetError: they do not.
-    """
+    """Raise UnmetError unless all poses together reach every floor."""
     everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
     is_avoided = union_margins_s(reduced, everything) > -np.inf
     for floor, requirement in zip(problem.floors, reduced.floors, strict=True):
@@ -109,45 +83,33 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
 
 
 def check_floors(problem: PlacementProblem, search: Search) -> None:
-    """Check that the set that was found reaches all floors.
-
-    Raises UnmetError: it does not: out of reach, and the best that can be reached, or not found in
-    time.
-    """
+    """Raise UnmetError unless the set that was found reaches all floors: out of reach, or late."""
     if search.units is not None and search.shortfall == 0.0:
         return
     reduced = search.reduced
     if search.units is None:
         why = "no set of poses meets all of them" if search.nothing_meets_all else "none was found"
         raise UnmetError("limits", Unquoted(why), "limits that leave a choice")
-    worst = max(
-        zip(problem.floors, reduced.floors, strict=True),
-        key=lambda pair: pair[1].least - _reached(search, pair[1].measure, pair[1].n_failures),
+    sets = search.units[None, :]
+    reached = [
+        float(left_after_failures(reduced, floor.measure, floor.n_failures, sets)[0])
+        for floor in reduced.floors
+    ]
+    worst = int(
+        np.argmax([f.share - share for f, share in zip(problem.floors, reached, strict=True)])
     )
-    floor, requirement = worst
-    reached = _reached(search, requirement.measure, requirement.n_failures)
-    failing = f" when any {floor.n_failures} fail" if floor.n_failures else ""
-    if search.nothing_meets_all:
-        expected = f"at most {_rounded_down(reached)}{failing}, what the best set found reaches"
-    else:
+    floor, most = problem.floors[worst], _rounded_down(reached[worst])
+    most += f" when any {floor.n_failures} fail" if floor.n_failures else ""
+    expected = f"at most {most}, what the best set found reaches"
+    if not search.nothing_meets_all:
         expected = (
-            f"more time than the limit, or at most {_rounded_down(reached)}{failing}, what the "
-            "best set found in it reaches"
+            f"more time than the limit, or at most {most}, what the best set found in it reaches"
         )
     raise UnmetError(floor.name, Unquoted(f"{floor.share:g}"), expected)
 
 
-def _reached(search: Search, measure: Measure, n_failures: int) -> float:
-    assert search.units is not None
-    left = left_after_failures(search.reduced, measure, n_failures, search.units[None, :])
-    return float(left[0])
-
-
 def _rounded_down(share: float) -> str:
     return f"{np.floor(share * 1.0e4) / 1.0e4:g}"
-
-
-# ---------- large tables
 
 
 def is_large(problem: PlacementProblem) -> bool:
@@ -167,9 +129,6 @@ def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
         ),
         limits=problem.limits.of_poses(pool),
     )
-
-
-# ---------- stages in order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,23 +153,22 @@ def solve_placement(
 
     `reduced` is the presolved problem, where that is at hand; `starts` are rows of the table that
     are tried first, (n,) each, such as a good layout for a unit less; only the first `n_stages`
-    objectives are bounded, by default all; `on_stage` is called with the name
-    of every stage when it begins. By default the effort is a minute.
+    objectives are bounded, by default all; `on_stage` is called with the name of every stage when
+    it begins. The bound of a stage is what no layout exceeds that is as good in all stages before.
 
-    The bound of a stage is what no layout can exceed that is as good in all stages before. A
-    problem whose goal is "fewest" or "cheapest" begins with the stage "units" or "cost_eur", one
-    that must survive failures with "apr_survived". Raises InputError if nothing meets the wishes,
-    with the one that cannot be met and the best that can, or if nothing was found that does in the
-    time given.
+    Raises InputError if nothing meets the wishes, with the one that cannot be met and the best that
+    can, or if nothing was found that does in the time given.
     """
     effort = Effort() if effort is None else effort
     deadline = deadline_in(effort.time_limit_s)
     check_limits(problem.limits, problem.table.pose_ids)
     if problem.limits.failing == "site":
         found = _solve_as_if_units_failed(problem, effort, deadline, starts, n_stages, on_stage)
-        if found is not None and _are_apart(problem.limits, found.pose_index):
-            return found
-        starts = starts if found is None else [*starts, np.array(found.pose_index)]
+        if found is not None:
+            sites = problem.limits.site_index[list(found.pose_index)]
+            if len(np.unique(sites)) == len(sites):
+                return found
+            starts = [*starts, np.array(found.pose_index)]
     if reduced is None and effort.solver != "exact" and is_large(problem):
         return _solve_large(problem, effort, deadline, n_stages, on_stage)
     if reduced is None:
@@ -220,9 +178,8 @@ def solve_placement(
     search = Search(reduced, deadline=deadline, is_exact=effort.is_exact)
     search.start([units_of(reduced, poses) for poses in starts])
     check_floors(problem, search)
-    stages = Stages(problem, search, effort)
     records = []
-    for objective, find_bound in stages.plan()[:n_stages]:
+    for objective, find_bound in Stages(problem, search, effort).plan()[:n_stages]:
         if on_stage is not None:
             on_stage(objective.value)
         began_s = now_s()
@@ -231,9 +188,12 @@ def solve_placement(
         _log.info("%s: bound %.6g after %.2f s", objective, bound, records[-1][-1])
     assert search.units is not None
     pose_index = to_full(reduced, search.units)
+    values = objective_values(problem, pose_index)
+    stages = tuple(build_stage(one, values[one], bound, s) for one, bound, s in records)
+    solver = " and ".join(search.proofs) or "simple bounds, no solver"
     return Solution(
         pose_index=pose_index,
-        certificate=build_certificate(problem, pose_index, records, search),
+        certificate=Certificate(stages=stages, solver=solver),
         presolve=reduced.statistics,
     )
 
@@ -257,19 +217,24 @@ def solve_sturdily(
 ) -> tuple[Solution, Solution | None]:
     """The layout of the highest APR; and the one that keeps most when a unit fails.
 
-    The second is that of :func:`sturdy_problem`. It is None where nothing may be given up, for a
-    single unit, and of a table that is too large to be solved as a whole. Raises InputError as
-    :func:`solve_placement`.
+    The second is that of :func:`sturdy_problem`, on what the first was presolved to. It is None
+    where nothing may be given up, for a single unit, and of a table that is too large to be solved
+    as a whole. Raises InputError as :func:`solve_placement`.
     """
     deadline = deadline_in(effort.time_limit_s)
     has_two = give_up > 0.0 and problem.limits.max_units > 1 and not is_large(problem)
     first = replace(effort, time_limit_s=effort.time_limit_s / 2.0) if has_two else effort
+    if has_two and reduced is None and problem.limits.failing == "unit":
+        check_limits(problem.limits, problem.table.pose_ids)
+        reduced = presolve(problem, workers=effort.workers)
     highest = solve_placement(problem, reduced, effort=first, on_stage=on_stage)
     if not has_two or len(highest.pose_index) < 2:
         return highest, None
+    asked = sturdy_problem(problem, highest, give_up)
     sturdy = solve_placement(
-        sturdy_problem(problem, highest, give_up),
-        effort=replace(effort, time_limit_s=max(deadline.left_s(), steering.LEAST_S)),
+        asked,
+        None if reduced is None else reduced.for_problem(asked),
+        effort=effort.until(deadline),
         starts=[np.array(highest.pose_index)],
         on_stage=on_stage,
     )
@@ -286,24 +251,18 @@ def _solve_as_if_units_failed(
 ) -> Solution | None:
     """The best where units fail, not sites; None where no set meets the wishes then.
 
-    A site takes at least one unit with it, so no set is worth more where sites fail. A set whose
-    units stand apart is worth the same: if it is best here, it is best there, and bounds hold. It
-    is far quicker to find: a pose may be replaced by one at another site.
+    No set is worth more where sites fail, and one whose units stand apart as much: if it is best
+    here, it is best there, and bounds hold. It is far quicker to find: a pose may be replaced by
+    one at another site.
     """
     by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
-    left_s = max(deadline.of("as if units failed").left_s(), steering.LEAST_S)
-    effort = replace(effort, time_limit_s=left_s)
+    effort = effort.until(deadline.of("as if units failed"))
     try:
         return solve_placement(
             by_unit, effort=effort, starts=starts, n_stages=n_stages, on_stage=on_stage
         )
     except UnmetError:  # where sites fail, more is possible, or there was too little time
         return None
-
-
-def _are_apart(limits: Limits, pose_index: tuple[int, ...]) -> bool:
-    sites = limits.site_index[list(pose_index)]
-    return len(np.unique(sites)) == len(sites)
 
 
 def units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:
@@ -326,13 +285,8 @@ def _solve_large(
     most = Search(every)
     apr, chosen = every.measure.limit, np.arange(0)
     if len(every.weight):
-        root = find_root(
-            every,
-            run_rows(every),
-            n_units=every.limits.max_units,
-            deadline=deadline.of("relaxation"),
-        )
-        root = polished(root)
+        end, n_units = deadline.of("relaxation"), every.limits.max_units
+        root = polished(find_root(every, run_rows(every), n_units=n_units, deadline=end))
         apr = min(rounded_down(every, root.limit), apr)
         chosen = np.argsort(-root.gains(), kind="stable")[: steering.POOL_POSES]
     pool = np.union1d(every.pose_index[chosen], np.flatnonzero(problem.limits.is_forced))
@@ -340,28 +294,16 @@ def _solve_large(
     pool = pool[usable & ~problem.limits.is_forbidden[pool]]
     pool = pool if len(pool) else every.pose_index
     part = of_pool(problem, pool)
-    found = solve_placement(
-        part,
-        presolve(part, workers=effort.workers),
-        effort=replace(
-            effort, solver="greedy", time_limit_s=max(deadline.left_s(), steering.LEAST_S)
-        ),
-        n_stages=n_stages,
-        on_stage=on_stage,
-    )
-    largest_s = mean_s = float(most.margin_limit_s.max(initial=0.0))
+    reduced = presolve(part, workers=effort.workers)
+    effort = replace(effort.until(deadline), solver="greedy")
+    found = solve_placement(part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage)
     value = {stage.name: stage.objective for stage in found.certificate.stages}
-    if problem.tail == 1.0 and value[Objective.APR] > 0.0:
-        total_s = float(every.weight @ np.maximum(most.margin_limit_s, 0.0))
-        mean_s = min(mean_s, total_s / value[Objective.APR])
-    bounds = {
+    avoided = value[Objective.APR] if problem.tail == 1.0 else 0.0
+    bounds = dict.fromkeys(Objective, apr) | {
         Objective.UNITS: 1.0,
         Objective.COST: 0.0,
-        Objective.APR_SURVIVED: apr,
-        Objective.APR: apr,
-        Objective.APR_ONE_FAILED: apr,
-        Objective.SMALLEST_MARGIN: largest_s,
-        Objective.MEAN_MARGIN: mean_s,
+        Objective.SMALLEST_MARGIN: most.mean_margin_limit_s(0.0),
+        Objective.MEAN_MARGIN: most.mean_margin_limit_s(avoided),
     }
     stages = []
     for stage in found.certificate.stages:
@@ -376,23 +318,6 @@ def _solve_large(
             f"{len(pool)}",
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
-    )
-
-
-def build_certificate(
-    problem: PlacementProblem,
-    pose_index: tuple[int, ...],
-    records: Sequence[tuple[Objective, float, float]],
-    search: Search,
-) -> Certificate:
-    """A certificate from the bound and the seconds of each stage."""
-    values = objective_values(problem, pose_index)
-    return Certificate(
-        stages=tuple(
-            build_stage(objective, values[objective], bound, seconds)
-            for objective, bound, seconds in records
-        ),
-        solver=" and ".join(search.proofs) or "simple bounds, no solver",
     )
 
 

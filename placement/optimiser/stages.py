@@ -2,17 +2,17 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import FloatArray, IntArray
 
 from . import steering
 from .bitsets import (
     SetValues,
     left_after_failures,
-    no_values,
     set_values,
     union_apr,
     union_margins_s,
@@ -28,8 +28,6 @@ from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementVal
 from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk, least_apr
 
-# ---------- the best set so far
-
 
 class Search:
     """The incumbent, the best set of poses so far, and what the proofs rest on."""
@@ -37,8 +35,7 @@ class Search:
     def __init__(
         self, reduced: ReducedProblem, *, deadline: Deadline = NEVER, is_exact: bool = True
     ) -> None:
-        self.reduced = reduced
-        self.deadline = deadline
+        self.reduced, self.deadline = reduced, deadline
         self.is_exact = is_exact  # whether walks and models may be used
         self.proofs: dict[str, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
@@ -46,22 +43,20 @@ class Search:
         self.apr_of_vut = float(union_apr(reduced, reduced.base[None, :])[0])  # all units failed
         self.units: IntArray | None = None
         self.nothing_meets_all = False  # proven that no set meets limits and floors
-        self.row = no_values(reduced)
-        self._cuts: dict[tuple[float, ...], list[Cut]] = {}
-        self._root: tuple[ReducedProblem, Root] | None = None
+        nothing = np.full(1 + len(reduced.objectives), -np.inf)
+        self.row = SetValues(reduced.objectives, nothing)
+        self._cuts: dict[tuple[object, ...], list[Cut]] = {}
+        self._root: Root | None = None
 
     @property
     def root(self) -> Root:
         """Prices on runs for sets of as many units as allowed."""
-        if self._root is None or self._root[0] is not self.reduced:
-            root = find_root(
-                self.reduced,
-                run_rows(self.reduced),
-                n_units=self.reduced.limits.max_units,
-                deadline=self.deadline,
+        if self._root is None:
+            reduced, n_units = self.reduced, self.reduced.limits.max_units
+            self._root = find_root(
+                reduced, run_rows(reduced), n_units=n_units, deadline=self.deadline
             )
-            self._root = self.reduced, root
-        return self._root[1]
+        return self._root
 
     @property
     def value(self) -> PlacementValue:
@@ -80,17 +75,22 @@ class Search:
         largest: dict[Objective, float] = {}
         if len(reduced.weight):
             all_runs, most = reduced.measure.limit, reduced.limits.max_units
+            margin_s = self.margin_limit_s
             largest = {
                 Objective.APR_SURVIVED: all_runs if most > reduced.survive else self.apr_of_vut,
                 Objective.APR: all_runs,
                 Objective.APR_ONE_FAILED: all_runs if most > 1 else self.apr_of_vut,
-                Objective.SMALLEST_MARGIN: float(self.margin_limit_s.min()),
-                Objective.MEAN_MARGIN: float(
-                    np.average(self.margin_limit_s, weights=reduced.weight)
-                ),
+                Objective.SMALLEST_MARGIN: float(margin_s.min()),
+                Objective.MEAN_MARGIN: float(np.average(margin_s, weights=reduced.weight)),
             }
         gains = [largest.get(objective, 0.0) for objective in reduced.objectives]
         return SetValues(reduced.objectives, np.array([0.0, *gains]))
+
+    def mean_margin_limit_s(self, apr: float) -> float:
+        """No set of an APR has a larger mean margin: no more seconds are there to share out."""
+        largest_s = float(self.margin_limit_s.max(initial=0.0))
+        total_s = float(self.reduced.weight @ np.maximum(self.margin_limit_s, 0.0))
+        return min(largest_s, total_s / apr) if apr > 0.0 else largest_s
 
     def start(self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None) -> None:
         """Find a good set, from some to begin with; there may be none that reaches the floors.
@@ -102,12 +102,10 @@ class Search:
                 self.keep(start)
         uses_root = can_walk(self.reduced) and not goes_by_pairs(self.reduced)
         shares = (lambda: self.root.share) if uses_root else None
+        chances = shares if chance is None else lambda: chance
+        end = self.deadline.of("first set")
         units = search_from_many_starts(
-            self.reduced,
-            self.limit,
-            starts=starts,
-            chance=shares if chance is None else lambda: chance,
-            deadline=self.deadline.of("first set"),
+            self.reduced, self.limit, starts=starts, chance=chances, deadline=end
         )
         if units is not None:
             self.keep(units)
@@ -117,29 +115,18 @@ class Search:
     def restrict(self, limits: Limits) -> None:
         """Look for the best set within tighter limits, which the best so far meets."""
         self.reduced = replace(self.reduced, limits=limits).with_goal("best")
-        units = self.units
-        self.units = None
-        again = search_from_many_starts(
-            self.reduced, self.limit, deadline=self.deadline.of("first set")
-        )
+        units, self.units, self._root = self.units, None, None
+        end = self.deadline.of("first set")
+        again = search_from_many_starts(self.reduced, self.limit, deadline=end)
         for found in (units, again):
             if found is not None:
                 self.keep(found)
 
-    def avoided(self) -> BoolArray:
-        """Runs that the best set avoids, (n_runs,)."""
-        assert self.units is not None
-        union = unions_of(self.reduced, self.units[None, :])
-        is_avoided: BoolArray = union_margins_s(self.reduced, union)[0] > -np.inf
-        return is_avoided
-
-    def keep(self, units: IntArray) -> bool:
-        """Take a set if it is better than the best so far; whether it was."""
+    def keep(self, units: IntArray) -> None:
+        """Take a set if it is better than the best so far."""
         row = set_values(self.reduced, units[None, :])[0]
-        if self.units is not None and not row.exceeds(self.row):
-            return False
-        self.units, self.row = units, row
-        return True
+        if self.units is None or row.exceeds(self.row):
+            self.units, self.row = units, row
 
     def offer(self, units: IntArray) -> None:
         """Take a set after completing and improving it, if it is better then."""
@@ -168,14 +155,12 @@ class Search:
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
         cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
-        while self.is_exact and problem.can_unpack and not self.deadline.is_over:
+        fits = problem.n_poses * problem.n_frames <= steering.MAX_CELLS
+        while self.is_exact and fits and not self.deadline.is_over:
             self.proofs[solver_text()] = None
+            left_s = self.deadline.left_s()
             result = solve_window_model(
-                problem,
-                objective,
-                requirements=demands,
-                cuts=cuts,
-                time_limit_s=self.deadline.left_s(),
+                problem, objective, requirements=demands, cuts=cuts, time_limit_s=left_s
             )
             if result.units is None and result.is_finished:
                 return np.inf if is_minimised else -np.inf
@@ -183,42 +168,30 @@ class Search:
             bound = better(bound, result.bound)
             if result.units is None:
                 break
-            found: list[Cut] = []
+            n_before = len(cuts)
             for demand in demands:
-                new = violated_cuts(problem, result.units, [demand])
+                new = violated_cuts(problem, result.units, demand)
                 self._cuts_of(problem, demand).extend(new)
-                found += new
-            if not found:
+                cuts += new
+            if len(cuts) == n_before:
                 if reduced is None:
                     self.offer(result.units)
                 break
-            cuts += found
         return bound
 
     def _cuts_of(self, problem: ReducedProblem, requirement: Requirement) -> list[Cut]:
         """Cuts that hold for all sets that meet a requirement, to be added to."""
-        key = (
-            float(id(requirement.measure)),
-            requirement.least,
-            requirement.min_margin_s,
-            float(requirement.n_failures),
-            float(requirement.sums_margins),
-        )
+        key = tuple(getattr(requirement, field.name) for field in fields(requirement))
         if key not in self._cuts:
             self._cuts[key] = first_cuts(problem, requirement)
         return self._cuts[key]
-
-
-# ---------- stages
 
 
 class Stages:
     """A method per stage that improves the best set, and says how much better one could be."""
 
     def __init__(self, problem: PlacementProblem, search: Search, effort: Effort) -> None:
-        self.problem = problem
-        self.search = search
-        self.effort = effort
+        self.problem, self.search, self.effort = problem, search, effort
         self.held: list[Requirement] = []
         self.apr_limit = search.reduced.measure.limit
         self.is_complete: bool | None = None  # not tried yet
@@ -248,15 +221,10 @@ class Stages:
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
             if n_units > bound:
-                bound = max(
-                    bound, np.ceil(search.look_for(Objective.UNITS, ()) - steering.SOLVER_TOLERANCE)
-                )
+                found = search.look_for(Objective.UNITS, ()) - steering.SOLVER_TOLERANCE
+                bound = max(bound, np.ceil(found))
         n_units = len(self._units())
-        search.restrict(replace(search.reduced.limits, budget_units=n_units))
-        if self.is_complete:
-            return float(n_units)
-        self.is_complete = None  # fewer sets are left now
-        return min(bound, float(n_units))
+        return self._restricted(float(n_units), bound, budget_units=n_units)
 
     def bound_first_cost_eur(self) -> float:
         """No layout that reaches the floors costs less; from here on none costs more."""
@@ -265,11 +233,15 @@ class Stages:
         if not self._is_complete() and search.value.cost_eur > bound + COST_TOLERANCE_EUR:
             bound = max(bound, search.look_for(Objective.COST, ()))
         cost = search.value.cost_eur
-        search.restrict(replace(search.reduced.limits, budget_eur=cost))
+        return self._restricted(cost, self._settled_from_below(cost, bound), budget_eur=cost)
+
+    def _restricted(self, value: float, bound: float, **limits: Any) -> float:
+        """Bound of a stage whose value limits all sets from here on."""
+        self.search.restrict(replace(self.search.reduced.limits, **limits))
         if self.is_complete:
-            return cost
+            return value
         self.is_complete = None  # fewer sets are left now
-        return min(self._settled_from_below(cost, bound), cost)
+        return min(bound, value)
 
     def bound_apr_survived(self) -> float:
         """No layout keeps a higher APR when its worst units fail."""
@@ -288,7 +260,7 @@ class Stages:
             if self._is_settled(search.value.apr, self.apr_limit):
                 break
             self.apr_limit = self._settle(search.value.apr, bound(), self.apr_limit)
-        self.held.append(Requirement(measure=search.reduced.measure, least=search.value.apr))
+        self.held.append(self._demand(search.value.apr))
         return self.apr_limit
 
     def bound_apr_one_failed(self) -> float:
@@ -300,22 +272,24 @@ class Stages:
     def bound_smallest_margin_s(self) -> float:
         """No layout that holds the stages before has a larger smallest margin."""
         search = self.search
-        reduced = search.reduced
         limit = self._smallest_margin_limit_s()
-        if self._is_settled(search.value.smallest_margin_s, limit):
-            return self._hold_margin(limit)
+        if not self._is_settled(search.value.smallest_margin_s, limit):
+            limit = self._largest_margin_s(limit)
+        demand = self._demand(search.value.apr, min_margin_s=search.value.smallest_margin_s)
+        self.held.append(demand)
+        return limit
+
+    def _largest_margin_s(self, limit: float) -> float:
+        """By halving: the largest margin at which it is not proven that no layout has it."""
+        search = self.search
         if self._is_complete():
-            return self._hold_margin(search.value.smallest_margin_s)
-        margins = reduced.margin_s
+            return search.value.smallest_margin_s
+        margins = search.reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
         low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
         high, probe = len(candidates), low
         while low < high:
-            demand = Requirement(
-                measure=reduced.measure,
-                least=search.value.apr,
-                min_margin_s=float(candidates[probe]),
-            )
+            demand = self._demand(search.value.apr, min_margin_s=float(candidates[probe]))
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 high = probe
             elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
@@ -323,18 +297,14 @@ class Stages:
             else:
                 break  # time is up
             probe = (low + high) // 2
-        bound = float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
-        return self._hold_margin(bound)
+        return float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
 
     def bound_mean_margin_s(self) -> float:
         """No layout that holds the stages before has a larger mean margin."""
         search = self.search
         if self._avoids_nothing():
             return 0.0
-        limit = float(search.margin_limit_s.max())
-        if search.value.apr > 0.0:  # what avoids as much has no larger sum of margins to share out
-            total_s = float(search.reduced.weight @ np.maximum(search.margin_limit_s, 0.0))
-            limit = min(limit, total_s / search.value.apr)
+        limit = search.mean_margin_limit_s(search.value.apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         if self._is_complete():
@@ -354,13 +324,12 @@ class Stages:
         cost, least = search.value.cost_eur, self._cheapest_unit_eur()
         if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
             return cost
-        total_s = search.value.mean_margin_s * self._avoided_weight()
-        mean = Requirement(measure=search.reduced.measure, least=total_s, sums_margins=True)
+        union = unions_of(search.reduced, self._units()[None, :])
+        is_avoided = union_margins_s(search.reduced, union)[0] > -np.inf
+        total_s = search.value.mean_margin_s * float(search.reduced.weight @ is_avoided)
+        mean = self._demand(total_s, sums_margins=True)
         bound = search.look_for(Objective.COST, [*self.held, mean])
         return max(least, self._settled_from_below(search.value.cost_eur, bound))
-
-    def _avoided_weight(self) -> float:
-        return float(self.search.reduced.weight @ self.search.avoided())
 
     def _relaxed(self, reduced: ReducedProblem, worth: Objective) -> float:
         """Upper bound of all sets by relaxation; infinite where that is not asked.
@@ -378,7 +347,6 @@ class Stages:
 
     def _bound_failed(self, n_failures: int, limit: float) -> float:
         """No layout that holds the stages before keeps a higher APR when its worst units fail."""
-        search = self.search
         value = self._left(n_failures)
         if not self._is_settled(value, limit):
             if self._is_complete() or self._walk(n_failures):
@@ -387,11 +355,7 @@ class Stages:
                 limit = self.walk_limit[n_failures]
             else:
                 limit = self._bound_failed_by_models(n_failures, limit)
-        self.held.append(
-            Requirement(
-                measure=search.reduced.measure, least=self._left(n_failures), n_failures=n_failures
-            )
-        )
+        self.held.append(self._demand(self._left(n_failures), n_failures=n_failures))
         return limit
 
     def _bound_failed_by_models(self, n_failures: int, limit: float) -> float:
@@ -401,16 +365,10 @@ class Stages:
         if n_left < 1:
             return search.apr_of_vut
         # What is left when units fail is a layout with fewer, bound by no wish.
-        fewer = replace(
-            reduced,
-            floors=(),
-            limits=replace(
-                reduced.limits,
-                budget_units=n_left,
-                is_forced=np.zeros_like(reduced.limits.is_forced),
-                is_forced_site=np.zeros_like(reduced.limits.is_forced_site),
-            ),
-        )
+        names = "is_forced", "is_forced_site"
+        none = {name: np.zeros_like(getattr(reduced.limits, name)) for name in names}
+        limits = replace(reduced.limits, budget_units=n_left, **none)
+        fewer = replace(reduced, floors=(), limits=limits)
         bound = self._relaxed(fewer, Objective.APR)
         limit = self._settle(self._left(n_failures), bound, limit)
         if not self._is_settled(self._left(n_failures), limit):
@@ -418,14 +376,12 @@ class Stages:
             limit = self._settle(self._left(n_failures), bound, limit)
         all_runs = reduced.measure.limit
         if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
-            demand = Requirement(measure=reduced.measure, least=all_runs, n_failures=n_failures)
+            demand = self._demand(all_runs, n_failures=n_failures)
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 limit = all_runs - float(reduced.weight.min())
         while self._left(n_failures) < limit - TOLERANCE:
             before = self._left(n_failures)
-            demand = Requirement(
-                measure=reduced.measure, least=before + steering.STEP_UP, n_failures=n_failures
-            )
+            demand = self._demand(before + steering.STEP_UP, n_failures=n_failures)
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
             if self._left(n_failures) <= before + TOLERANCE:
@@ -433,26 +389,16 @@ class Stages:
         return limit
 
     def _left(self, n_failures: int) -> float:
-        search = self.search
-        sets = self._units()[None, :]
-        left = left_after_failures(search.reduced, search.reduced.measure, n_failures, sets)
-        return float(left[0])
+        reduced, sets = self.search.reduced, self._units()[None, :]
+        return float(left_after_failures(reduced, reduced.measure, n_failures, sets)[0])
 
     def _units(self) -> IntArray:
         units = self.search.units
         assert units is not None  # a first set is there, or solve_placement has given up
         return units
 
-    def _hold_margin(self, bound: float) -> float:
-        search = self.search
-        self.held.append(
-            Requirement(
-                measure=search.reduced.measure,
-                least=search.value.apr,
-                min_margin_s=search.value.smallest_margin_s,
-            )
-        )
-        return bound
+    def _demand(self, least: float, **how: Any) -> Requirement:
+        return Requirement(measure=self.search.reduced.measure, least=least, **how)
 
     def _is_settled(self, value: float, limit: float) -> bool:
         return limit - value <= max(TOLERANCE, self.effort.gap * abs(value))
@@ -506,10 +452,9 @@ class Stages:
                 deadline = search.deadline.of("few sets")
                 has_money = search.reduced.limits.budget_eur is not None
                 most = steering.MAX_SETS_OF_MONEY if has_money else steering.MAX_FEW_SETS
+                most = min(most, int(deadline.left_s() * steering.FEW_SETS_PER_SECOND))
                 units, self.is_complete = best_of_few(
-                    search.reduced,
-                    max_sets=min(most, int(deadline.left_s() * steering.FEW_SETS_PER_SECOND)),
-                    deadline=deadline,
+                    search.reduced, max_sets=most, deadline=deadline
                 )
                 if units is not None:
                     search.keep(units)
@@ -528,22 +473,24 @@ class Stages:
         n_forced = int(reduced.limits.is_forced.sum())
         if not can_walk(reduced) or not search.is_exact or search.deadline.is_over:
             return False
-        if goes_by_pairs(reduced):
-            if n_failures:  # nothing but ties that were met tells of failures
-                return False
-            tied = walk_by_pairs(
-                reduced,
-                self._units(),
-                deadline=search.deadline.of("worlds"),
-                on_better=self._improved,
-            )
-        elif not reduced.measure.is_mean or (n_forced and n_failures):
+        by_pairs = goes_by_pairs(reduced)
+        # By pairs, nothing but ties that were met tells of failures.
+        if n_failures and (by_pairs or n_forced):
             return False
-        else:
+        if by_pairs:
+            end = search.deadline.of("worlds")
+            tied = walk_by_pairs(reduced, self._units(), deadline=end, on_better=self._improved)
+        elif reduced.measure.is_mean:
             tied = self._find_tied(n_failures)
+        else:
+            return False
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
-        self._take_tied(tied, n_failures)
+        if tied.sets is not None:
+            best = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
+            if best is not None:
+                search.keep(best)
+            self.is_complete = True
         return tied.is_finished
 
     def _find_tied(self, n_failures: int) -> Tied:
@@ -553,12 +500,14 @@ class Stages:
         held = None
         if n_failures:
             held = least_apr(reduced) if self.problem.survive else search.value.apr
+
+        def walk_from(need: float, left: float) -> SetWalk:
+            return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)
+
         return TieSearch(
             reduced,
             self._units(),
-            walk_from=lambda need, left: SetWalk(
-                reduced, root, need=need, n_failures=n_failures, left=left
-            ),
+            walk_from=walk_from,
             limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
             ahead=steering.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,
@@ -571,11 +520,3 @@ class Stages:
         search = self.search
         search.keep(improve(search.reduced, units, search.limit, deadline=search.deadline))
         return self._units()
-
-    def _take_tied(self, tied: Tied, n_failures: int) -> None:
-        if tied.sets is None:
-            return
-        best = best_of_tied(self.search.reduced, tied.sets, n_failures=n_failures, value=tied.value)
-        if best is not None:
-            self.search.keep(best)
-        self.is_complete = True

@@ -1,29 +1,27 @@
 """All numbers that steer the optimiser: tolerances, shares of the time, sizes, steps; and threads.
 
-No other module of this package has such numbers. Three kinds must not be mixed up: what counts as
-equal is part of what "best" means; what rounding or a solver may err by says how far a bound can be
-believed; all others change how long an answer takes and how good it is when the time is up, never
-whether a proof holds.
+Three kinds must not be mixed up: what counts as equal is part of what "best" means; what rounding
+or a solver may err by says how far a bound can be believed; all others change how long an answer
+takes and how good it is when the time is up, never whether a proof holds.
 """
 
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.clock import now_s
-from geometry.errors import InputError
+from geometry.errors import InputError, check_one_of
 
 # ---------- ties: what counts as equal
 
 TOLERANCE = 1.0e-9
 """Shares and times that differ by no more count as equal: they carry rounding noise."""
-COST_TOLERANCE_EUR = 1.0e-6
-"""Sums of prices that differ by no more are equal."""
+COST_TOLERANCE_EUR = 1.0e-6  # Sums of prices that differ by no more are equal
 
 # ---------- how far a computed number can be believed
 
@@ -35,10 +33,8 @@ SOLVER_SUM = 1.0e4
 """Sum to which an objective's coefficients are scaled: HiGHS's tolerances are absolute."""
 HELD_SLACK = 1.0e-3
 """Of the mean weight: rows that hold an earlier stage are relaxed by it, well above HiGHS's own
-tolerance. Asking for a sum to the last digit made it call feasible problems infeasible. Answers are
-checked exactly anyway."""
-TINY = 1.0e-300
-"""Keeps a sum of nothing from being divided by."""
+tolerance: asked for the last digit it called feasible problems infeasible. Answers are checked."""
+TINY = 1.0e-300  # Keeps a sum of nothing from being divided by
 MOST_STEPS = 1.0e5
 """A common step is clearly larger than a solver's error if no value is more steps than this."""
 STEP_UP = 2.0 * TOLERANCE
@@ -59,74 +55,56 @@ TIME_SHARES = {
     "model stated": 0.5,  # HiGHS is handed a model in as long again
 }
 """Share of the time left that a step may take, by step."""
-LONGEST_S = 1.0e6
-"""HiGHS is given no more: eleven days."""
-LEAST_S = 1.0e-3
-"""Left to a step when the time is up, so that every answer has a layout."""
+LONGEST_S = 1.0e6  # HiGHS is given no more: eleven days
+LEAST_S = 1.0e-3  # Left to a step when the time is up, so that every answer has a layout
 WALK_WORK = 30_000_000
 """Bytes that a walk looks at between two looks at the clock: some hundredths of a second."""
-SPELL_S = 0.1
-"""Time of a thread for sets that are valued, between two looks at the clock. [s]"""
+SPELL_S = 0.1  # Time of a thread for sets that are valued, between two looks at the clock. [s]
 
 # ---------- sizes up to which a method is used
 
 MAX_BITS = 1_000_000_000
 """Detections in a table that is still solved as a whole: 125 MB, presolved in seconds."""
-MAX_CELLS = 1 << 28
-"""Poses x merged frames in a model of HiGHS: it takes some bytes for each."""
+MAX_CELLS = 1 << 28  # Poses x merged frames in a model of HiGHS: it takes some bytes for each
 MAX_FEW_SETS, MAX_SETS_OF_MONEY = 60_000, 1_000_000
 """Sets that are valued one by one: a second or two; more where money is short, as no walk does."""
 FEW_SETS_PER_SECOND = 30_000
 """Measured: two to three times as many; where less time is left, fewer sets are few."""
-MAX_GROWN_SETS = 20_000_000
-"""Sets whose limits are looked at to find out how many are allowed."""
-MAX_WALK_UNITS = 16
-"""A walk through sets of more units does not end."""
-MAX_PAIR_UNITS = 3
-"""Units of sets that are gone through pair by pair: two or three."""
-MAX_TIED = 100_000
-"""Sets that tie and are kept, to choose among them in later stages."""
+MAX_GROWN_SETS = 20_000_000  # Sets whose limits are looked at to find out how many are allowed
+MAX_WALK_UNITS = 16  # A walk through sets of more units does not end
+MAX_PAIR_UNITS = 3  # Units of sets that are gone through pair by pair: two or three
+MAX_TIED = 100_000  # Sets that tie and are kept, to choose among them in later stages
 POOL_POSES = 400
 """Of a large table, the poses among which a layout is looked for: those that gain most."""
-BLOCK_SETS = 1 << 12
-"""Sets that are valued at a time: their margins stay in the cache."""
-FEW_TASKS = 64
-"""Fewer tasks are not worth threads."""
-MANY_ROWS = 1 << 12
-"""Rows whose hashes are worth threads."""
+BLOCK_SETS = 1 << 12  # Sets that are valued at a time: their margins stay in the cache
+FEW_TASKS = 64  # Fewer tasks are not worth threads
+MANY_ROWS = 1 << 12  # Rows whose hashes are worth threads
 
 # ---------- first sets
 
-SEED = 1
-"""Of restarts."""
-N_RESTARTS = 40
-"""At most so many; they end after one more than units without a better set."""
+SEED = 1  # Of restarts
+N_RESTARTS = 40  # At most so many; they end after one more than units without a better set
 FEW_PARTNERS = 32
 """Poses that are valued in all objectives one by one; for more, bits along the poses are faster."""
 
 # ---------- Lagrangian bound
 
-PRICE_START = 0.3
-"""First price of a row, as a share of its weight: near what it is at the end."""
+PRICE_START = 0.3  # First price of a row, as a share of its weight: near what it is at the end
 STEP_LENGTH = 0.7
 """First step, as a share of the way to a bound of 0 (Polyak's rule with that target)."""
 DEFLECTION = 0.7
 """Share of the last direction that is carried over (Camerini, Fratta, Maffioli 1975)."""
-STEP_CUT = 0.6
-"""Steps are cut by it after so many without a better bound:"""
+STEP_CUT = 0.6  # Steps are cut by it after so many without a better bound:
 PATIENCE = 6
-MEMORY = 0.97
-"""Share of what was picked before, in averages that tend to a relaxed solution."""
+MEMORY = 0.97  # Share of what was picked before, in averages that tend to a relaxed solution
 FIRST_STEPS, LATER_STEPS = 250, 120
 """Steps of the first round, and of rounds that begin with good prices."""
 ASK_ROUNDS = 8
 """Rounds in which windows are asked for the frame that is seen least; most settle before."""
-SETTLED = 1.0e-5
-"""Relative: a round that lowers the bound by less is the last one."""
+SETTLED = 1.0e-5  # Relative: a round that lowers the bound by less is the last one
 SHARE_DIGITS = 3
 """Frames whose shares agree to so many places are seen alike: the first is asked for."""
-SMALL_SHARE = 1.0e-3
-"""Poses with less are no part of a relaxed solution."""
+SMALL_SHARE = 1.0e-3  # Poses with less are no part of a relaxed solution
 FAILURE_PRICES = (0.0, 0.3, 1.0, 3.0)
 """Prices of the whole APR that are tried where units fail: the best is near one of them."""
 CORE_POSES, CORE_BITS = 500, 100_000
@@ -144,55 +122,39 @@ OSQP_TOLERANCE, OSQP_PENALTY, OSQP_OVERRELAXATION = 1.0e-5, 1.0, 1.8
 
 NEAR = 0.009
 """Relative: where ties are many, it is first proven that no set is better by more than that."""
-STOP_DEPTH = 2
-"""Nodes of this depth are handed out to threads."""
-OUT_SETS = 1 << 8
-"""Sets of classes that a walk finds before they are valued."""
+STOP_DEPTH = 2  # Nodes of this depth are handed out to threads
+OUT_SETS = 1 << 8  # Sets of classes that a walk finds before they are valued
 CLASS_POSES, MAX_LIKE_POSES = 12, 2000
 """Poses of a class, on average, where worlds are sampled; how many are compared in one go."""
 HARD_ROWS = 512
 """Runs by which pairs of poses are found out that lose too much: those in which most is lost."""
-FEW_PAIRS = 200
-"""Pairs of poses next to a class that are valued with each of its poses at once."""
-TOGETHER = 16
-"""A run is hard if so many poses drawn at random are likely to lose it together."""
+FEW_PAIRS = 200  # Pairs of poses next to a class that are valued with each of its poses at once
+TOGETHER = 16  # A run is hard if so many poses drawn at random are likely to lose it together
 
 
 # ---------- effort, threads, the clock
 
 
 SolverName = Literal["auto", "exact", "relax", "greedy"]
-WORKERS = os.cpu_count() or 1
-"""Threads by default."""
+WORKERS = os.cpu_count() or 1  # Threads by default
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effort:
-    """How hard to try.
+    """How hard to try."""
 
-    Attributes
-    ----------
-    solver : {"auto", "exact", "relax", "greedy"}
-        "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
-        relaxations, too; "exact": walks and mixed-integer models, too, until the time is up;
-        "auto": the same, but of a table that is too large the most promising poses alone.
-    time_limit_s : float
-        For all stages together; presolve and the first layout are finished in any case. When it is
-        up, the best layout found is kept and the gaps say what is not proven. [s]
-    gap : float
-        Relative gap at which a stage counts as settled.
-    workers : int
-        Threads, at least 1; by default one per processor. They change no result that is proven.
-    """
-
+    # "greedy": search only, bounded by what all poses together reach; "relax": the bounds of
+    # relaxations, too; "exact": walks and mixed-integer models, too, until the time is up; "auto":
+    # the same, but of a table that is too large the most promising poses alone.
     solver: SolverName = "auto"
+    # For all stages together; presolve and the first layout are finished in any case. When it is
+    # up, the best layout found is kept and the gaps say what is not proven. [s]
     time_limit_s: float = 60.0
-    gap: float = 0.0
-    workers: int = WORKERS
+    gap: float = 0.0  # Relative gap at which a stage counts as settled
+    workers: int = WORKERS  # Threads, at least 1; they change no result that is proven
 
     def __post_init__(self) -> None:
-        if self.solver not in ("auto", "exact", "relax", "greedy"):
-            raise InputError("solver", self.solver, "one of auto, exact, relax, greedy")
+        check_one_of("solver", self.solver, get_args(SolverName))
         if not self.time_limit_s > 0.0:
             raise InputError("time_limit", self.time_limit_s, "seconds, more than 0")
         if not 0.0 <= self.gap < 1.0:
@@ -204,6 +166,10 @@ class Effort:
     def is_exact(self) -> bool:
         """True if walks and models may prove what relaxations do not."""
         return self.solver in ("auto", "exact")
+
+    def until(self, deadline: "Deadline") -> "Effort":
+        """The same effort for the time left, or for hardly any."""
+        return replace(self, time_limit_s=max(deadline.left_s(), LEAST_S))
 
 
 @dataclass(frozen=True, slots=True)

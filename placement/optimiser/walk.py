@@ -1,10 +1,9 @@
 """Third rung: all sets of so many units that lose little, and the best of those that tie.
 
-As in :mod:`placement.optimiser.bounds`, a set avoids a run only if one of its poses *covers* it,
-and runs that the same poses cover are one row. Of the poses at a site, most cover no row that
-another one there does not cover: a *class* is a pose that is widest in this sense with those below
-it. Every set of poses is one of each of so many classes, some of them perhaps several times. So the
-walk is one through sets of classes, each as good as its widest pose:
+As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the same poses cover are
+one row. Of the poses at a site, most cover no row that another one there does not cover: a *class*
+is a pose that is widest in this sense with those below it. So the walk is one through sets of
+classes, each as good as its widest pose:
 
 * It asks which class covers the row that fewest cover. Where hardly anything may be lost, that
   leaves few classes at every node. When they have been tried, the row is lost.
@@ -13,18 +12,15 @@ walk is one through sets of classes, each as good as its widest pose:
   alone. The gains are weighed by the rows' weights, and by Lagrangian prices.
 
 What remains is spelled out: sets of poses, one of each class, valued on the windows, where poses of
-a class that is not settled yet see together. A walk that ends has met every set.
-
-The stages after the APR choose among sets that tie. Where few do, they are all valued, and every
-later stage is proven at once. Where they are many, the APR that is left when units fail is asked
-for in the walk, too; few sets are best in both.
+a class that is not settled yet see together. A walk that ends has met every set. Where few tie, all
+are valued, and every later stage is proven at once; where many do, the APR that is left when units
+fail is asked for in the walk, too.
 """
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -41,13 +37,13 @@ from .bitsets import (
 )
 from .bounds import Root, rounded_down
 from .greedy import forced_units
-from .limits import Limits, are_allowed, costs_eur
+from .limits import Limits, are_allowed, may_grow
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import Objective
-from .steering import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, deadline_in
+from .steering import NEVER, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:
-    from .walk_kernels import Walk
+    from .walk_kernels import Classes, Walk
 
 
 _T = TypeVar("_T")
@@ -82,16 +78,13 @@ def least_apr(reduced: ReducedProblem) -> float | None:
     return floor.least if is_of_all and not floor.n_failures else None
 
 
-# ---------- all sets, where they are few
-
-
 def best_of_few(
     reduced: ReducedProblem, *, max_sets: int, deadline: Deadline = NEVER
 ) -> tuple[IntArray | None, bool]:
     """Best of all allowed sets, of any size, where they are few.
 
-    Gives up if there are more than `max_sets`, or at the deadline. The units are None if no set is
-    allowed or it gave up at once; the flag says whether all sets were gone through.
+    Gives up if there are more than `max_sets`, or at the deadline: the flag says whether all sets
+    were gone through. The units are None if no set was.
     """
     sizes = allowed_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
@@ -113,10 +106,7 @@ def best_of_few(
 
 
 def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
-    """All sets within limits, by their size: those that are forced and 0, 1, 2, .. others.
-
-    None if there are more than `max_sets` sets, or too many to find out.
-    """
+    """All sets within limits, by their size; None if more than `max_sets`, or too many to tell."""
     forced = np.flatnonzero(limits.is_forced)
     poses = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
     grown, sizes, n_sets = forced[None, :], [], 0
@@ -129,31 +119,15 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
             sizes.append(np.sort(sets, axis=1))
         if n_units == limits.max_units or not len(grown):
             break
-        if len(grown) * len(poses) > max(
-            steering.MANY_ROWS, min(steering.MAX_GROWN_SETS, 100 * max_sets)
-        ):
+        most = max(steering.MANY_ROWS, min(steering.MAX_GROWN_SETS, 100 * max_sets))
+        if len(grown) * len(poses) > most:
             return None
         # A later pose than the last one: every set comes up once.
-        is_later = np.ones((len(grown), len(poses)), dtype=bool)
-        if n_units > len(forced):
-            is_later = poses[None, :] > grown[:, -1:]
-        row, later = np.nonzero(is_later)
+        last = grown[:, -1:] if n_units > len(forced) else np.full((1, 1), -1)
+        row, later = np.nonzero(poses[None, :] > last)
         grown = np.column_stack([grown[row], poses[later]])
-        grown = grown[_may_grow(limits, grown)]
+        grown = grown[may_grow(limits, grown)]
     return sizes
-
-
-def _may_grow(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets fit into sites and money; what is forced may still be missing."""
-    sites = limits.site_index[sets]
-    n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
-    fits: BoolArray = (n_there <= limits.site_capacity[sites]).all(axis=1)
-    if limits.budget_eur is not None:
-        fits &= costs_eur(limits, sets) <= limits.budget_eur + COST_TOLERANCE_EUR
-    return fits
-
-
-# ---------- the walk
 
 
 class SetWalk:
@@ -173,21 +147,17 @@ class SetWalk:
         n_failures: int = 0,
         left: float = 0.0,
     ) -> None:
-        from .walk_kernels import Covers
+        from .walk_kernels import Covers, Losses
 
-        self.reduced, self.root, self.n_failures = reduced, root, n_failures
+        self.reduced, self.n_failures = reduced, n_failures
         self.forced, choice = forced_units(reduced), root.choice
-        self.base = unions_of(reduced, self.forced[None, :])[0]
         self.n_units, self.capacity = choice.n_units, choice.room
         self.total = float(reduced.weight.sum())
         usable = (choice.is_open > 0) & (choice.room > 0)[choice.site]
         rows = unpack_words(root.covers, len(root.weight))
         widest, class_of = widest_poses(rows, choice.site, usable)
-        self.member = np.argsort(class_of, kind="stable")[np.count_nonzero(class_of < 0) :]
-        size = np.bincount(class_of[class_of >= 0], minlength=len(widest))
-        self.start = np.cumsum([0, *size])
-        self.of_class = np.zeros((len(widest), reduced.words.shape[1]), dtype=np.uint64)
-        np.bitwise_or.at(self.of_class, class_of[self.member], reduced.words[self.member])
+        self.classes = group_by_class(reduced, class_of)
+        size = np.diff(self.classes.start)
         covers = root.covers[widest]
         self.covers = Covers(
             covers=covers,
@@ -198,22 +168,27 @@ class SetWalk:
             site=choice.site[widest],
             copies=np.minimum(size, choice.room[choice.site[widest]]),
         )
-        self.lost = lost_by_chain(reduced)
-        self.order = _hardest_first(reduced, self.lost, root)
-        self.may_lose = np.zeros(2)
+        lost = lost_by_chain(reduced)
+        self.losses = Losses(
+            chains=reduced.chains,
+            lost=lost,
+            order=_hardest_first(reduced, lost, root),
+            may_lose=np.zeros(2),
+            base=unions_of(reduced, self.forced[None, :])[0],
+        )
         self.is_finished = False  # whether all sets were gone through
         self.raise_needs(need, left)
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
-        self.may_lose[:] = [self.total - need, self.total - left]
-        self.may_lose += steering.ROUNDING * max(self.total, 1.0)
+        self.losses.may_lose[:] = [self.total - need, self.total - left]
+        self.losses.may_lose[:] += steering.ROUNDING * max(self.total, 1.0)
 
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until the deadline.
 
-        An empty block says that nothing was found for a while. All threads walk, each behind some
-        node near the root at a time: the order of the sets is left to chance.
+        An empty block says that nothing was found for a while. All threads walk, each behind a node
+        near the root: the order of the sets is left to chance.
         """
         if self.n_units == 1:
             yield self._alone()
@@ -237,9 +212,10 @@ class SetWalk:
     def _alone(self) -> IntArray:
         """Sets of the forced poses and one more that lose little."""
         share = shares_with_each(self.reduced, self.forced)
-        share[~np.isin(np.arange(len(share)), self.member)] = -np.inf
+        share[~np.isin(np.arange(len(share)), self.classes.member)] = -np.inf
         self.is_finished = True
-        return self._with_forced([np.flatnonzero(self.total - share <= self.may_lose[0])[:, None]])
+        is_kept = self.total - share <= self.losses.may_lose[0]
+        return self._with_forced([np.flatnonzero(is_kept)[:, None]])
 
     def _tasks(self, spare: "list[_Task]") -> "Iterator[_Task]":
         """The nodes near the root, one after the other; tasks that are done are taken again."""
@@ -269,17 +245,16 @@ class _Task:
 
         self.owner, self.is_done, self.is_walked = owner, False, False
         self.waiting: list[IntArray] = []  # to be spelled out
-        self.order = owner.order.copy()
+        self.losses = owner.losses._replace(order=owner.losses.order.copy())
         n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
-        of_rows = (n_units + 1, n_words)
         self.out = np.empty((steering.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
             where=np.array([0, 1, 0, 0, 0]),
-            may_lose=owner.may_lose,
+            may_lose=owner.losses.may_lose,
             chosen=np.zeros(n_units, dtype=np.int64),
-            once=np.zeros(of_rows, dtype=np.uint64),
-            twice=np.zeros(of_rows, dtype=np.uint64),
-            gone=np.zeros(of_rows, dtype=np.uint64),
+            once=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            twice=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            gone=np.zeros((n_units + 1, n_words), dtype=np.uint64),
             lost=np.zeros(n_units + 1),
             is_open=np.ones((n_units + 1, n_poses), dtype=bool),
             room=np.tile(owner.capacity, (n_units + 1, 1)),
@@ -328,20 +303,9 @@ class _Task:
         place, found = np.append(np.full(len(classes), -1), 0), []
         while place[-1] >= 0:
             sets = np.empty((256, len(classes)), dtype=np.int64)
+            words, has_failures = owner.reduced.words, owner.n_failures > 0
             n_found = spell_out(
-                owner.reduced.words,
-                owner.of_class,
-                owner.base,
-                owner.start,
-                owner.member,
-                owner.reduced.chains,
-                owner.lost,
-                self.order,
-                owner.may_lose,
-                owner.n_failures > 0,
-                classes,
-                place,
-                sets,
+                words, owner.classes, self.losses, has_failures, classes, place, sets
             )
             found.append(sets[:n_found])
         return found
@@ -369,6 +333,17 @@ def widest_poses(
         widest.append(poses[is_widest])
         n_classes += int(is_widest.sum())
     return np.concatenate([np.empty(0, dtype=np.int64), *widest]), class_of
+
+
+def group_by_class(reduced: ReducedProblem, class_of: IntArray) -> "Classes":
+    """Poses of classes 0, 1, .., in their order; those of class -1 are left out."""
+    from .walk_kernels import Classes
+
+    member = np.argsort(class_of, kind="stable")[np.count_nonzero(class_of < 0) :]
+    size = np.bincount(class_of[member])
+    words = np.zeros((len(size), reduced.words.shape[1]), dtype=np.uint64)
+    np.bitwise_or.at(words, class_of[member], reduced.words[member])
+    return Classes(member=member, start=np.cumsum([0, *size]), words=words)
 
 
 def lost_by_chain(reduced: ReducedProblem) -> FloatArray:
@@ -425,8 +400,7 @@ class SomeWalk(Protocol):
         """Ask for more from here on."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tied:
+class Tied(NamedTuple):
     """Sets that tie at the best value of a stage."""
 
     sets: IntArray | None  # (n, n_units): all of them; None: too many, or not all were looked at
@@ -474,7 +448,7 @@ class TieSearch:
         is_near = self.ahead > 0.0
         ahead = self.ahead if is_near else step
         if deadline.is_over:
-            return self._unproven(self.reduced.measure.limit)
+            return self._tied(self.reduced.measure.limit, False)
         limit = self.reduced.measure.limit
         if self.limit is not None:
             need = self.best if self.least_apr is None else self.least_apr
@@ -482,28 +456,22 @@ class TieSearch:
         is_proven = False
         if ahead > 0.0 and (not is_near or limit >= self.best + ahead):
             if not self._walk(deadline, ahead):
-                return self._unproven(limit)
+                return self._tied(limit, False)
             is_proven = not is_near
             limit = min(limit, rounded_down(self.reduced, self.best + ahead))
             if deadline.is_over:
-                return self._unproven(self.best if is_proven else limit, is_finished=is_proven)
+                return self._tied(limit, is_proven)
         is_finished = self._walk(deadline, 0.0, is_proven=is_proven)
-        is_proven |= is_finished
-        sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
-        return Tied(
-            sets=sets if is_finished and self.has_all else None,
-            value=self.best,
-            limit=self.best if is_proven else max(limit, self.best),
-            is_finished=is_proven,
-        )
+        sets = None
+        if is_finished and self.has_all:
+            sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
+        return self._tied(limit, is_proven or is_finished, sets)
 
-    def _unproven(self, limit: float, *, is_finished: bool = False) -> Tied:
-        limit = max(limit, self.best)
-        return Tied(sets=None, value=self.best, limit=limit, is_finished=is_finished)
+    def _tied(self, limit: float, is_proven: bool, sets: IntArray | None = None) -> Tied:
+        limit = self.best if is_proven else max(limit, self.best)
+        return Tied(sets=sets, value=self.best, limit=limit, is_finished=is_proven)
 
     def _value_of(self, sets: IntArray) -> FloatArray:
-        if not self.n_failures:
-            return union_apr(self.reduced, unions_of(self.reduced, sets))
         return left_after_failures(self.reduced, self.reduced.measure, self.n_failures, sets)
 
     def _needs(self, need: float) -> tuple[float, float]:
@@ -549,7 +517,7 @@ def best_of_tied(
 ) -> IntArray | None:
     """Best of tied sets and of their parts that tie with them; None if there is none.
 
-    A part is as good in the first stages only if a whole set is that has room for one more.
+    A part is as good in the first stages only if a whole set is.
     """
     best = BestSet()
     while len(sets) and sets.shape[1] > 0:

@@ -1,8 +1,4 @@
-"""Numba kernels of the covering problem: what is asked for, prices, the walk, and what it leaves.
-
-All functions work on plain arrays; :mod:`placement.optimiser.bounds` and
-:mod:`placement.optimiser.walk` say what they hold.
-"""
+"""Numba kernels of the covering problem: what is asked for, prices, the walk, what it leaves."""
 
 from typing import NamedTuple
 
@@ -11,7 +7,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
-from .bit_kernels import ByteArray, count_bits, look_through, lowest_bit
+from .bit_kernels import ByteArray, count_bits, has_bit, has_entry, look_through, lowest_bit
 from .limits import Choice
 from .problem import Chains, WordArray
 
@@ -33,21 +29,21 @@ def ask_for_least_seen(
         # Windows of the chain, the last one first: the earlier, the more tails are needed.
         for link in range(start[chain + 1] - start[chain] - 1, -1, -1):
             while tail < last_tail and tail_links[tail] > link:
-                frame = tail_frame[tail]
+                least_tail = less_seen(union, seen, tail_frame[tail], least_tail)
                 tail += 1
-                if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1):
-                    continue
-                if least_tail < 0 or seen[frame] < seen[least_tail]:
-                    least_tail = frame
             least = -1
             for frame in window_frames[window[start[chain] + link]]:
-                if (union[frame >> 6] >> np.uint64(frame & 63)) & np.uint64(1):
-                    continue
-                if least < 0 or seen[frame] < seen[least]:
-                    least = frame
+                least = less_seen(union, seen, frame, least)
             if least_tail >= 0 and (least < 0 or seen[least_tail] < seen[least]):
                 least = least_tail
             asked[start[chain] + link] = least
+
+
+@kernel
+def less_seen(union: WordArray, seen: FloatArray, frame: int, least: int) -> int:
+    """A frame that a union lacks, if it is seen less than the least so far, or that one."""
+    is_less = not has_bit(union, frame) and (least < 0 or seen[frame] < seen[least])
+    return frame if is_less else least
 
 
 @kernel
@@ -159,24 +155,14 @@ def pick_affordable(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple
     """
     total, n_picked = pick_best(gain, choice, picked)
     cost = choice.cost
-    if len(cost) == 0:
+    if len(cost) == 0 or cost[picked[:n_picked]].sum() <= 1.0:
         return total, n_picked
-    spent = 0.0
-    for number in range(n_picked):
-        spent += cost[picked[number]]
-    if spent <= 1.0:
-        return total, n_picked
-    low, high, beyond = 0.0, total, np.empty(len(gain))
+    low, high = 0.0, total
     for _ in range(16):  # prices of money
         middle = 0.5 * (low + high)
-        for pose in range(len(gain)):
-            beyond[pose] = gain[pose] - middle * cost[pose]
-        of_poses, n_picked = pick_best(beyond, choice, picked)
+        of_poses, n_picked = pick_best(gain - middle * cost, choice, picked)
         total = min(total, of_poses + middle)
-        spent = 0.0
-        for number in range(n_picked):
-            spent += cost[picked[number]]
-        if spent > 1.0:
+        if cost[picked[:n_picked]].sum() > 1.0:
             low = middle
         else:
             high = middle
@@ -207,21 +193,17 @@ def tighten_prices(
 ) -> float:
     """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
 
-    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `steering` has the first
-    length of a step, what steps are cut by, the share of the last direction that is carried over,
-    that of what was picked before, and the steps without a better bound after which they are cut.
-    Returns the bound; `price` becomes what proves it, and `share` how often each pose was picked of
-    late.
+    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `steering` has the numbers
+    of :mod:`placement.optimiser.steering` that the first line unpacks. Returns the bound; `price`
+    becomes what proves it, and `share` how often each pose was picked of late.
     """
     length, cut, deflection, memory, patience = steering
     n_units, is_open = choice.n_units, choice.is_open
     n_rows, n_poses, best, idle = len(price), len(share), np.inf, 0
-    best_price = np.empty(n_rows)
-    slope, units = np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
+    best_price, slope, units = np.empty(n_rows), np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
     gain, picked = np.empty(n_poses), np.empty(max(n_units, 1), dtype=np.int64)
     table, used = np.empty((covers.shape[1], 256)), np.empty(covers.shape[1], dtype=np.int64)
-    every = np.empty(-(-covers.shape[1] // 8), dtype=np.uint64)
-    every[:] = ~np.uint64(0)
+    every = np.full(-(-covers.shape[1] // 8), ~np.uint64(0))
     for row in range(n_rows, 64 * len(every)):  # padding behind the rows
         every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
     for step in range(n_steps + 1):
@@ -237,37 +219,33 @@ def tighten_prices(
             gain[pose] = weight_of(covers[pose], table, used, n_used) if is_open[pose] else 0.0
         of_poses, n_picked = pick_affordable(gain, choice, picked)
         total += of_poses
-        for pose in range(n_poses):
-            share[pose] *= memory
-        for number in range(n_picked):
-            share[picked[number]] += 1.0 - memory
+        share *= memory
+        for pose in picked[:n_picked]:
+            share[pose] += 1.0 - memory
         if total < best * (1.0 - 1.0e-12):
             best, idle = total, 0
-            for row in range(n_rows):
-                best_price[row] = price[row]
+            best_price[:] = price
         else:
             idle += 1
         if step == n_steps:
             break
         if idle > patience:
-            for row in range(n_rows):
-                price[row], slope[row] = best_price[row], 0.0
+            price[:], slope[:] = best_price, 0.0
             length, idle = length * cut, 0
             continue
         # A step against the slope: poses that cover the row less the units it would pay for.
         steepness = 0.0
         for row in range(n_rows):
             rise = -float(units[row])
-            for number in range(n_picked):
-                rise += (covers[picked[number], row >> 3] >> (row & 7)) & 1
+            for pose in picked[:n_picked]:
+                rise += (covers[pose, row >> 3] >> (row & 7)) & 1
             slope[row] = rise + deflection * slope[row]
             steepness += slope[row] * slope[row]
         if steepness < 1.0e-12:
             break
         for row in range(n_rows):
             price[row] -= length * total / steepness * slope[row]
-    for row in range(n_rows):
-        price[row] = best_price[row]
+    price[:] = best_price
     return best
 
 
@@ -315,11 +293,7 @@ class Walk(NamedTuple):
 
 @kernel
 def add_gains(
-    covers: Covers,
-    weight: FloatArray,
-    rows: WordArray,
-    walk: Walk,
-    gain: FloatArray,
+    covers: Covers, weight: FloatArray, rows: WordArray, walk: Walk, gain: FloatArray
 ) -> float:
     """Add to each candidate what it covers of some rows; what they weigh."""
     is_open = walk.is_open[walk.where[0]]
@@ -352,12 +326,8 @@ def drop_hopeless(
     for number in range(n_more):
         highest, pose = -1.0, -1
         for other in range(len(gain)):
-            if is_open[other] and gain[other] > highest:
-                is_new = True
-                for before in range(number):
-                    is_new &= best[before] != other
-                if is_new:
-                    highest, pose = gain[other], other
+            if is_open[other] and gain[other] > highest and not has_entry(best[:number], other):
+                highest, pose = gain[other], other
         if pose < 0:
             break
         best[number], least = pose, highest
@@ -406,8 +376,7 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
 def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
     """Bound the node at hand, drop candidates that cannot help, queue some; whether any is left.
 
-    Those queued cover the row that fewest cover, best first. When they have been tried, that row is
-    lost, and the node is looked at again.
+    Those queued cover the row that fewest cover, best first; then that row is lost.
     """
     depth = walk.where[0]
     left = len(walk.chosen) - depth
@@ -418,14 +387,12 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
     lost = walk.lost[depth]
     if lost > walk.may_lose[0]:
         return False
-    gain[:] = 0.0
-    total = lost + add_gains(covers, covers.price, rows, walk, gain)
-    if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
-        return False
-    gain[:] = 0.0
-    total = lost + add_gains(covers, covers.weight, rows, walk, gain)
-    if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
-        return False
+    total = 0.0
+    for weight in (covers.price, covers.weight):
+        gain[:] = 0.0
+        total = lost + add_gains(covers, weight, rows, walk, gain)
+        if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
+            return False
     if n_failures > 0:
         # Units fail that are still to come; or one of those chosen, and others to come.
         need = total - walk.may_lose[1]
@@ -435,8 +402,7 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
             of_unit = covers.covers[walk.chosen[number]]
             for word in range(len(rows)):
                 rows[word] = of_unit[word] & ~walk.twice[depth, word]
-            for pose in range(len(gain)):
-                beside[pose] = gain[pose]
+            beside[:] = gain
             need = total + add_gains(covers, covers.weight, rows, walk, beside) - walk.may_lose[1]
             if not drop_hopeless(beside, is_open, left - n_failures + 1, need, walk.best):
                 return False
@@ -488,25 +454,19 @@ def grow(
         if depth + 1 == n_units:
             if walk.where[2] == len(out):
                 return FULL
-            for unit in range(n_units):
-                out[walk.where[2], unit] = walk.chosen[unit]
+            out[walk.where[2]] = walk.chosen
             walk.where[2] += 1
             walk.position[depth] += 1
             walk.is_open[depth, pose] = False
             continue
         walk.position[depth] += 1
         after = depth + 1
-        for other in range(n_poses):
-            walk.is_open[after, other] = walk.is_open[depth, other]
+        walk.is_open[after] = walk.is_open[depth]
         walk.is_open[depth, pose] = False
-        n_same = 0
-        for unit in range(after):
-            n_same += walk.chosen[unit] == pose
-        if n_same >= covers.copies[pose]:
+        if (walk.chosen[:after] == pose).sum() >= covers.copies[pose]:
             walk.is_open[after, pose] = False
         here = covers.site[pose]
-        for site in range(walk.room.shape[1]):
-            walk.room[after, site] = walk.room[depth, site]
+        walk.room[after] = walk.room[depth]
         walk.room[after, here] -= 1
         if walk.room[after, here] <= 0:
             for other in range(n_poses):
@@ -516,38 +476,32 @@ def grow(
             of_pose = covers.covers[pose, word]
             walk.twice[after, word] = walk.twice[depth, word] | (walk.once[depth, word] & of_pose)
             walk.once[after, word] = walk.once[depth, word] | of_pose
-            walk.gone[after, word] = walk.gone[depth, word]
+        walk.gone[after] = walk.gone[depth]
         walk.lost[after] = walk.lost[depth]
         walk.where[0] = after
         walk.where[1] = 1
     return DONE
 
 
-# ---------- sets of poses of the classes that a walk has found
+class Losses(NamedTuple):
+    """What sets lose on the windows, and how much they may."""
+
+    chains: Chains
+    lost: FloatArray  # (n_chains, longest + 1): by the first live window of each chain
+    order: IntArray  # (n_chains,): chains at which sets fail come earlier the next time
+    may_lose: FloatArray  # (2,): in all; and without any one of the units
+    base: WordArray  # (n_words,): frames that are in every set
 
 
 @kernel
-def can_keep(
-    bits: WordArray,
-    base: WordArray,
-    chains: Chains,
-    lost: FloatArray,
-    order: IntArray,
-    may_lose: FloatArray,
-    with_failures: bool,
-    union: WordArray,
-    first: IntArray,
-) -> bool:
-    """True if units, (n_units, n_words), lose little next to a base, and without each.
-
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one.
-    Chains are looked at in `order`; those at which units fail come earlier the next time.
-    """
+def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
+    """True if units, (n_units, n_words), lose little, and without each if failures count."""
+    chains, lost, order, may_lose, base = losses
     n_units = len(bits)
+    union, first = np.empty(len(base), dtype=np.uint64), np.empty(len(lost), dtype=np.int64)
     # All units together, then all but each one of them.
     for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
-        for word in range(len(union)):
-            union[word] = base[word]
+        union[:] = base
         for unit in range(n_units):
             if unit != failed:
                 for word in range(len(union)):
@@ -561,17 +515,19 @@ def can_keep(
     return True
 
 
+class Classes(NamedTuple):
+    """Poses of each class."""
+
+    member: IntArray  # poses, class after class
+    start: IntArray  # (n_classes + 1,): members of class k are start[k] .. start[k + 1] - 1
+    words: WordArray  # (n_classes, n_words): what all poses of each class see
+
+
 @kernel
 def spell_out(
     words: WordArray,
-    of_class: WordArray,
-    base: WordArray,
-    start: IntArray,
-    member: IntArray,
-    chains: Chains,
-    lost: FloatArray,
-    order: IntArray,
-    may_lose: FloatArray,
+    of_classes: Classes,
+    losses: Losses,
     with_failures: bool,
     classes: IntArray,
     place: IntArray,
@@ -579,24 +535,24 @@ def spell_out(
 ) -> int:
     """Sets of poses, one of each class in its place, that lose little; how many were written.
 
-    `words` and `of_class` are what poses, and all poses of each class, see. `place`, (n_units +
-    1,), is where the search stands: the members looked at, and the number of units that are
-    settled; it comes back with -1 there when all sets were seen.
+    `words` are what poses see. `place`, (n_units + 1,), is where the search stands: the members
+    looked at, and the number of units that are settled, or -1 when all sets were seen.
     """
-    n_units, n_words = len(classes), words.shape[1]
-    bits = np.empty((n_units, n_words), dtype=np.uint64)
-    union, first = np.empty(n_words, dtype=np.uint64), np.empty(len(lost), dtype=np.int64)
+    member, start, class_words = of_classes
+    n_units = len(classes)
+    bits = np.empty((n_units, words.shape[1]), dtype=np.uint64)
     unit, n_found = place[n_units], 0
     for number in range(n_units):
-        bits[number] = words[member[place[number]]] if number < unit else of_class[classes[number]]
+        is_settled = number < unit
+        bits[number] = words[member[place[number]]] if is_settled else class_words[classes[number]]
     if unit == 0 and place[0] < start[classes[0]]:
         place[0] = start[classes[0]]
-        if not can_keep(bits, base, chains, lost, order, may_lose, with_failures, union, first):
+        if not can_keep(bits, losses, with_failures):
             unit = -1
     # A member of the class of one unit after the other; units behind see what their class sees.
     while unit >= 0:
         if place[unit] == start[classes[unit] + 1]:
-            bits[unit] = of_class[classes[unit]]
+            bits[unit] = class_words[classes[unit]]
             unit -= 1
             if unit >= 0:
                 place[unit] += 1
@@ -604,11 +560,10 @@ def spell_out(
         if n_found == len(out):
             break
         bits[unit] = words[member[place[unit]]]
-        if not can_keep(bits, base, chains, lost, order, may_lose, with_failures, union, first):
+        if not can_keep(bits, losses, with_failures):
             place[unit] += 1
         elif unit + 1 == n_units:
-            for number in range(n_units):
-                out[n_found, number] = member[place[number]]
+            out[n_found] = member[place[:n_units]]
             n_found += 1
             place[unit] += 1
         else:
@@ -617,9 +572,6 @@ def spell_out(
             unit += 1
     place[n_units] = unit
     return n_found
-
-
-# ---------- pairs, where worlds are sampled
 
 
 @kernel
@@ -635,9 +587,8 @@ def lost_by_pairs(
     """Count what pairs of units, (n, 2), lose at least, (n,), until it is too much.
 
     Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row next to the
-    others, `may` where it sees the piece that is asked for, `part` where it sees one that is
-    missing. A pair may avoid a row only if one sees what is asked for, and one avoids it alone or
-    both see a part. `table` has what the bits of each byte weigh.
+    others, `may` where it sees what is asked for, `part` where it sees a piece that is missing. A
+    pair may avoid a row only if one sees what is asked for, and one avoids it or both see a part.
     """
     for number in range(len(pairs)):
         one, other, total = pairs[number, 0], pairs[number, 1], 0.0
@@ -656,21 +607,7 @@ def lost_by_pairs(
 
 
 @kernel
-def keep_sets(
-    words: WordArray,
-    chains: Chains,
-    lost: FloatArray,
-    order: IntArray,
-    sets: IntArray,
-    may_lose: float,
-    kept: BoolArray,
-) -> None:
-    """Which sets of poses, (n_sets, n_units), lose no more than so much, see :func:`can_keep`."""
-    n_words = words.shape[1]
-    base, union = np.zeros(n_words, dtype=np.uint64), np.empty(n_words, dtype=np.uint64)
-    bits = np.empty((sets.shape[1], n_words), dtype=np.uint64)
-    first, limits = np.empty(len(lost), dtype=np.int64), np.array([may_lose, may_lose])
+def keep_sets(words: WordArray, sets: IntArray, losses: Losses, kept: BoolArray) -> None:
+    """Which sets of poses, (n_sets, n_units), lose no more than they may, (n_sets,)."""
     for number in range(len(sets)):
-        for unit in range(sets.shape[1]):
-            bits[unit] = words[sets[number, unit]]
-        kept[number] = can_keep(bits, base, chains, lost, order, limits, False, union, first)
+        kept[number] = can_keep(words[sets[number]], losses, False)

@@ -80,7 +80,7 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
     assert shares_with_each(reduced, units)[others] == pytest.approx(shares, abs=1e-12)
     for n_failures in (1, 2):
         left = left_after_failures(reduced, reduced.measure, n_failures, sets)
-        quick = left_with_each(reduced, units, n_failures)[others]
+        quick = left_with_each(reduced, units, reduced.measure, n_failures)[others]
         assert quick == pytest.approx(left, abs=1e-12)
 
 

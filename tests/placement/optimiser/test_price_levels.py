@@ -9,7 +9,7 @@ from problems import questions
 from small_tables import avoiding_problem
 
 from placement.optimiser import PlacementProblem, cost_eur, is_allowed
-from placement.optimiser.front import level_at_least_eur, level_beyond_eur, price_levels_eur
+from placement.optimiser.front import next_level_eur, price_levels_eur
 from placement.optimiser.walk import allowed_sets as all_sets_within
 
 
@@ -31,10 +31,10 @@ def test_every_layout_costs_one_of_the_levels(problem: PlacementProblem) -> None
     costs = [cost_eur(problem.limits, poses) for poses in allowed_sets(problem)]
     assert all(np.abs(levels - cost).min() <= 1e-6 for cost in costs)
     for cost in costs:
-        assert level_at_least_eur(levels, cost) == pytest.approx(cost)
+        assert next_level_eur(levels, cost, is_more=False) == pytest.approx(cost)
         dearer = [other for other in costs if other > cost + 1e-6]
-        assert level_beyond_eur(levels, cost) > cost
-        assert not dearer or min(dearer) >= level_beyond_eur(levels, cost) - 1e-6
+        assert next_level_eur(levels, cost, is_more=True) > cost
+        assert not dearer or min(dearer) >= next_level_eur(levels, cost, is_more=True) - 1e-6
 
 
 @given(problem=questions(), max_sets=st.sampled_from([10_000, 5]))
@@ -64,15 +64,17 @@ def test_sites_that_carry_two_leave_fewer_levels() -> None:
     assert levels is not None
     # Three units need two sites.
     assert levels.tolist() == [2500.0, 4000.0, 5000.0, 6500.0]
-    assert level_beyond_eur(levels, 2500.0) == 4000.0
-    assert level_at_least_eur(levels, 4000.5) == 5000.0
-    assert level_beyond_eur(levels, 6500.0) == np.inf
+    assert next_level_eur(levels, 2500.0, is_more=True) == 4000.0
+    assert next_level_eur(levels, 4000.5, is_more=False) == 5000.0
+    assert next_level_eur(levels, 6500.0, is_more=True) == np.inf
 
 
 def test_prices_without_whole_cents_or_too_many_have_no_levels() -> None:
     problem = avoiding_problem(["1", "1"], price_eur=[1.0, np.pi])
     assert price_levels_eur(problem.limits) is None
-    assert level_beyond_eur(None, 3.0) == level_at_least_eur(None, 3.0) == 3.0
+    assert (
+        next_level_eur(None, 3.0, is_more=True) == next_level_eur(None, 3.0, is_more=False) == 3.0
+    )
     prices = (np.arange(300) ** 3 + 1.0) / 100.0
     many = avoiding_problem(["1"] * 300, price_eur=prices.tolist(), budget_units=3)
     assert price_levels_eur(many.limits) is None

@@ -120,11 +120,11 @@ def test_only_the_table_has_numbers_that_steer() -> None:
     }
     mechanical = {
         "bit_kernels.py": ["_N_TOGETHER = 1"],  # words at a time, no search
-        "limits.py": ["_CENTS, _MAX_CENTS = 1"],  # units of money
+        "limits.py": ["CENTS, _MAX_CENTS = 1"],  # units of money
         "walk_kernels.py": ["DONE, PAUSED, FULL, AT_STOP = 0"],  # names of states
         "front.py": [
             *("FIRST_STAGES = (", "DEFAULT_MAX_UNITS = 8"),  # what is asked
-            *("_MAX_LEVELS = 2", "_CENTS = 1", "DEFAULT_MAX_POINTS = 4"),
+            *("_MAX_LEVELS = 2", "DEFAULT_MAX_POINTS = 4"),
         ],
         "problem.py": ["VALUE_OBJECTIVES = ("],
     }
