@@ -60,49 +60,23 @@ class Assembly:
     """A question made ready for every answer; table and problem are made once, when asked for.
 
     Another assembly with other candidates or wishes is made by ``dataclasses.replace``.
-
-    Attributes
-    ----------
-    setting : Setting
-        Scene, runs, braking rule, detectors.
-    candidates : tuple of CandidatePose
-        Poses to choose from: rows of the table. Ids are unique.
-    wishes : Wishes
-        Demands on a layout.
-    fusion : {"any", "single"}
-        "any": a frame counts if any unit detects; "single": one unit must confirm alone.
-    effort : Effort
-        How hard the optimiser tries.
-    existing : Layout, optional
-        What is mounted already.
-    private_ground : PrivateGround, optional
-        What cameras must not look into.
-    may_look : function of poses, optional
-        Which of them respect private ground, (n,) bool; None: all.
-    uncertainty : Uncertainty, optional
-        What is drawn in sampled worlds.
-    n_samples : int
-        Worlds to choose in; 0: the one as planned.
-    first_sample : int
-        Number of the first of them.
-    compute : Compute
-        Seed, threads, cache of tables, progress.
-    known_table : DetectionTable, optional
-        Table of the candidates where there is one already.
     """
 
-    setting: Setting
-    candidates: Sequence[CandidatePose]
-    wishes: Wishes = field(default_factory=Wishes)
+    setting: Setting  #: Scene, runs, braking rule, detectors.
+    candidates: Sequence[CandidatePose]  #: Poses to choose from: rows of the table. Ids are unique.
+    wishes: Wishes = field(default_factory=Wishes)  #: Demands on a layout.
+    #: "any": a frame counts if any unit detects; "single": one unit must confirm alone.
     fusion: Fusion = "any"
-    effort: Effort = field(default_factory=Effort)
-    existing: Layout | None = None
-    private_ground: PrivateGround | None = None
+    effort: Effort = field(default_factory=Effort)  #: How hard the optimiser tries.
+    existing: Layout | None = None  #: What is mounted already.
+    private_ground: PrivateGround | None = None  #: What cameras must not look into.
+    #: Which poses respect private ground, (n,) bool; None: all.
     may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
-    uncertainty: Uncertainty | None = None
-    n_samples: int = 0
-    first_sample: int = 0
-    compute: Compute = DEFAULT_COMPUTE
+    uncertainty: Uncertainty | None = None  #: What is drawn in sampled worlds.
+    n_samples: int = 0  #: Worlds to choose in; 0: the one as planned.
+    first_sample: int = 0  #: Number of the first of them.
+    compute: Compute = DEFAULT_COMPUTE  #: Seed, threads, cache of tables, progress.
+    #: Table of the candidates where there is one already.
     known_table: DetectionTable | None = None
 
     def __post_init__(self) -> None:
@@ -336,53 +310,27 @@ class Highest:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """Result of the optimiser, and the problem that it solved.
+    """Result of the optimiser, and the problem that it solved."""
 
-    Attributes
-    ----------
-    layout : Layout
-        The best layout.
-    greedy : Layout
-        The layout that plain greedy search finds within the same limits.
-    greedy_index : tuple of int
-        Rows of the table that make `greedy`, where it was found; a refinement has its own table.
-    certificate : Certificate
-        Proof of `layout`.
-    presolve : PresolveStatistics
-        What was left of the problem before any solver started.
-    problem : PlacementProblem
-        The problem, with the detection table.
-    presolved : function, optional
-        What presolve left of it, found when first asked for; None: layouts were moved since.
-    pose_index : tuple of int
-        Rows of the table that make `layout`.
-    nominal : PlacementProblem
-        The layout alone in the world as planned, its runs as they are: `problem` itself unless
-        worlds were sampled, runs have levels of a score, or a share of the cars sees: then with
-        cars that do not.
-    nominal_index : tuple of int
-        Rows of its table that make `layout`.
-    highest : Highest, optional
-        The layout of the highest APR; None where nothing of the APR might be given up.
-    next_unit : NextUnit, optional
-        What greedy choice would add to `layout`, budgets aside; None: nothing fits, or not known.
-    seconds : mapping of str to float
-        Time per stage. [s]
-    """
-
-    layout: Layout
-    greedy: Layout
+    layout: Layout  #: The best layout.
+    greedy: Layout  #: The layout that plain greedy search finds within the same limits.
+    #: Rows of the table that make `greedy`, where it was found; a refinement has its own table.
     greedy_index: tuple[int, ...]
-    certificate: Certificate
-    presolve: PresolveStatistics
-    problem: PlacementProblem
-    pose_index: tuple[int, ...]
+    certificate: Certificate  #: Proof of `layout`.
+    presolve: PresolveStatistics  #: What was left of the problem before any solver started.
+    problem: PlacementProblem  #: The problem, with the detection table.
+    pose_index: tuple[int, ...]  #: Rows of the table that make `layout`.
+    #: The layout alone in the world as planned, its runs as they are: `problem` itself unless
+    #: worlds were sampled, runs have levels of a score, or a share of the cars sees: then with
+    #: cars that do not.
     nominal: PlacementProblem
-    nominal_index: tuple[int, ...]
-    seconds: Mapping[str, float]
+    nominal_index: tuple[int, ...]  #: Rows of its table that make `layout`.
+    seconds: Mapping[str, float]  #: Time per stage. [s]
+    #: What presolve left of it, found when first asked for; None: layouts were moved since.
     presolved: Callable[[], ReducedProblem] | None = None
+    #: What greedy choice would add to `layout`, budgets aside; None: nothing fits, or not known.
     next_unit: NextUnit | None = None
-    highest: Highest | None = None
+    highest: Highest | None = None  #: None where nothing of the APR might be given up.
 
     def __repr__(self) -> str:
         return f"Placement({self.layout!r}, {'proven' if self.is_proven else 'not proven'})"
@@ -449,25 +397,7 @@ def place(assembly: Assembly) -> Placement:
         return _Answer(first, sturdy, greedy_index, next_unit)
 
     compute.progress("optimise", 0, 0)
-    try:
-        found = cached_value(
-            compute.cache_folder,
-            "answer",
-            answer,
-            kind=_Answer,
-            made_from=(problem, effort, wishes.give_up),
-            is_worth_it=lambda found: found.is_proven,
-        )
-    except UnmetError as error:
-        compute.progress("what has to give way", 0, 0)
-        refusal = find_refusal(
-            problem,
-            wishes,
-            assembly.scene,
-            assembly.candidates,
-            time_limit_s=effort.time_limit_s,
-        )
-        raise refusal or error from None
+    found = _cached(assembly, answer)
     pick = partial(pick_layout, assembly.candidates)
     solution, highest, asked = found.first, None, problem
     if found.sturdy is not None:
@@ -500,6 +430,25 @@ def place(assembly: Assembly) -> Placement:
             "greedy": time.perf_counter() - optimised,
         },
     )
+
+
+def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
+    """An answer from the cache, or a new one. Raises InputError: wishes cannot be met."""
+    problem, wishes, effort = assembly.problem, assembly.wishes, assembly.effort
+    try:
+        return cached_value(
+            assembly.compute.cache_folder,
+            "answer",
+            answer,
+            kind=_Answer,
+            made_from=(problem, effort, wishes.give_up),
+            is_worth_it=lambda found: found.is_proven,
+        )
+    except UnmetError as error:
+        assembly.compute.progress("what has to give way", 0, 0)
+        limit_s, at = effort.time_limit_s, (assembly.scene, assembly.candidates)
+        refusal = find_refusal(problem, wishes, *at, time_limit_s=limit_s)
+        raise refusal or error from None
 
 
 def _nominal(

@@ -98,60 +98,35 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """Demands on a layout.
+    """Demands on a layout."""
 
-    Attributes
-    ----------
-    budget_units : int, optional
-        At most so many units in all, the existing ones among them.
-    budget_eur : float, optional
-        At most so much money for new units and their sites. [EUR]
-    target : float, optional
-        APR that must be reached, 0..1: with the fewest units or the least cost. With ``max``
-        as infinity: as much as all candidates together reach.
-    saves : {"units", "cost"}
-        What a target is reached with the least of.
-    min_case_apr : float
-        APR that must be reached in every case.
-    survive : int
-        Units or sites that may fail, any of them: target and floors hold then, too; without
-        these, the APR that is left is the first objective.
-    give_up : float
-        APR that may be given up so that more is left when a unit fails.
-    failing : {"unit", "site"}
-        What fails at once: a unit, or a site with everything that it carries.
-    existing : tuple of str
-        Ids of candidates that are mounted already: they stay, and cost nothing.
-    forced_sites, forbidden_sites : tuple of str
-        Ids of sites that must, and must not, carry units, in addition to the scene's.
-    site_capacity : int, optional
-        Units per site, in place of the scene's.
-    site_cost_eur : float, optional
-        For a site that is used, in place of the scene's. [EUR]
-    prices : SitePrices, optional
-        For sites without a price of their own; by default they cost nothing.
-    separation_m : float
-        Least distance on the ground between two units; on one site there is one at most then. [m]
-    tail : float
-        Share of the sampled worlds that counts, the worst ones, see
-        :class:`placement.optimiser.problem.Measure`.
-    """
-
-    budget_units: int | None = None
-    budget_eur: float | None = None
+    budget_units: int | None = None  #: At most so many units in all, the existing ones among them.
+    budget_eur: float | None = None  #: At most so much money for new units and their sites. [EUR]
+    #: APR that must be reached, 0..1: with the fewest units or the least cost. With ``max`` as
+    #: infinity: as much as all candidates together reach.
     target: float | None = None
-    saves: str = "units"
-    min_case_apr: float = 0.0
+    saves: str = "units"  #: What a target is reached with the least of.
+    min_case_apr: float = 0.0  #: APR that must be reached in every case.
+    #: Units or sites that may fail, any of them: target and floors hold then, too; without these,
+    #: the APR that is left is the first objective.
     survive: int = 0
-    give_up: float = 0.0
+    give_up: float = 0.0  #: APR that may be given up so that more is left when a unit fails.
+    #: What fails at once: a unit, or a site with everything that it carries.
     failing: Failing = "unit"
+    #: Ids of candidates that are mounted already: they stay, and cost nothing.
     existing: tuple[str, ...] = ()
+    #: forced_sites and forbidden_sites: ids of sites that must, and must not, carry units, in
+    #: addition to the scene's.
     forced_sites: tuple[str, ...] = ()
     forbidden_sites: tuple[str, ...] = ()
-    site_capacity: int | None = None
-    site_cost_eur: float | None = None
+    site_capacity: int | None = None  #: Units per site, in place of the scene's.
+    site_cost_eur: float | None = None  #: For a site that is used, in place of the scene's. [EUR]
+    #: For sites without a price of their own; by default they cost nothing.
     prices: SitePrices | None = None
+    #: Least distance on the ground between two units; on one site there is one at most then. [m]
     separation_m: float = 0.0
+    #: Share of the sampled worlds that counts, the worst ones, see
+    #: :class:`placement.optimiser.problem.Measure`.
     tail: float = 1.0
 
     def __post_init__(self) -> None:

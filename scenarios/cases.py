@@ -93,82 +93,58 @@ class Case:
     """A Euro NCAP AEB case: who meets the VUT, and how.
 
     Whoever meets it has the field names of a VRU, also where it drives a car.
-
-    Attributes
-    ----------
-    name, title, source : str
-        Name; what happens, in words; "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
-    kind : str
-        "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid` says why.
-    vru : Actor
-        Body of the road user that is met.
-    vru_speed_kmh : float
-        Steady; 0: it stands. The first of several that go with the VUT's speeds, see `pairs_kmh`;
-        of a run, its own. [km/h]
-    vut_speeds_kmh, speed_limits_kmh : tuple of float
-        Speeds to be driven, ascending; lowest and highest one of the protocol. [km/h]
-    impact_percent, impact_face : float, str
-        Where the VRU meets the VUT: "front" - of its width, 0 = right edge, 100 = left edge; "side"
-        - of its length, 0 = rear, on the side towards which it turns or from which the VRU comes.
-        [%]
-    vru_reference_m : float
-        The VRU's point that meets the impact position, ahead of the middle of its box. [m]
-    acceleration_distance_m : float
-        From rest to the steady speed; 0: it comes at its speed. [m]
-    start_distance_m, steady_distance_m, steady_time_s : float or None
-        One of the three: the reference point's way from rest to the nominal meeting line (the VUT's
-        centreline, or that of its exit lane), or the way or time at steady speed before the impact.
-        [m], [s]
-    vru_side : str
-        Crossing: "near" or "far", from where the VRU comes.
-    turn, vru_direction : str
-        Turning: "near" or "far", where the VUT turns to; "same" or "opposite", as the VUT before
-        its turn. Longitudinal: the latter alone.
-    vru_line, obstruction, braking : VruLine, Obstruction, Braking or None
-        None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU ahead brakes.
-    pairs_kmh, extended_pairs_kmh : tuple of (float, float)
-        Speeds of the VUT and the VRU that go together, empty where the VRU has one speed; those
-        that the extended range adds. [km/h]
-    range : str
-        The range to which it belongs: "standard", or "extended" only.
-    meets_corner : bool
-        Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at 45 degrees,
-        and not the middle of its front.
-    impact_turn : (int, int)
-        Number of its impact point, and how many take turns along the arms; (0, 1), but in "all".
-    not_laid : str
-        Why it cannot be laid anywhere; empty: it can.
-    recorded : RecordedEncounter or None
-        Of kind "recorded": the ways that were taken; such a case is laid there alone.
     """
 
     name: str
-    title: str
-    source: str
+    title: str  #: What happens, in words.
+    source: str  #: "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    #: "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid` says why.
     kind: str
-    vru: Actor
+    vru: Actor  #: Body of the road user that is met.
+    #: Steady; 0: it stands. The first of several that go with the VUT's speeds, see `pairs_kmh`; of
+    #: a run, its own. [km/h]
     vru_speed_kmh: float = 0.0
+    #: vut_speeds_kmh and speed_limits_kmh: speeds to be driven, ascending; lowest and highest one
+    #: of the protocol. [km/h]
     vut_speeds_kmh: tuple[float, ...] = ()
     speed_limits_kmh: tuple[float, float] = (0.0, 0.0)
+    #: impact_percent and impact_face: where the VRU meets the VUT: "front" - of its width, 0 =
+    #: right edge, 100 = left edge; "side" - of its length, 0 = rear, on the side towards which it
+    #: turns or from which the VRU comes. [%]
     impact_percent: float = 50.0
     impact_face: str = "front"
+    #: The VRU's point that meets the impact position, ahead of the middle of its box. [m]
     vru_reference_m: float = 0.0
+    #: From rest to the steady speed; 0: it comes at its speed. [m]
     acceleration_distance_m: float = 0.0
+    #: One of the three: the reference point's way from rest to the nominal meeting line (the VUT's
+    #: centreline, or that of its exit lane), or the way or time at steady speed before the impact.
+    #: [m], [s]
     start_distance_m: float | None = None
     steady_distance_m: float | None = None
-    vru_side: str = ""
+    vru_side: str = ""  #: Crossing: "near" or "far", from where the VRU comes.
+    #: turn and vru_direction: turning: "near" or "far", where the VUT turns to; "same" or
+    #: "opposite", as the VUT before its turn. Longitudinal: the latter alone.
     turn: str = ""
     vru_direction: str = ""
+    #: None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU ahead brakes.
     vru_line: VruLine | None = None
     obstruction: Obstruction | None = None
     steady_time_s: float | None = None
+    #: pairs_kmh and extended_pairs_kmh: speeds of the VUT and the VRU that go together, empty where
+    #: the VRU has one speed; those that the extended range adds. [km/h]
     pairs_kmh: tuple[tuple[float, float], ...] = ()
     extended_pairs_kmh: tuple[tuple[float, float], ...] = ()
-    range: Range = "standard"
+    range: Range = "standard"  #: The range to which it belongs: "standard", or "extended" only.
+    #: Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at 45 degrees,
+    #: and not the middle of its front.
     meets_corner: bool = False
     braking: Braking | None = None
+    #: (int, int); number of its impact point, and how many take turns along the arms; (0, 1), but
+    #: in "all".
     impact_turn: tuple[int, int] = (0, 1)
-    not_laid: str = ""
+    not_laid: str = ""  #: Why it cannot be laid anywhere; empty: it can.
+    #: Of kind "recorded": the ways that were taken; such a case is laid there alone.
     recorded: RecordedEncounter | None = None
 
     def __repr__(self) -> str:

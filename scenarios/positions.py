@@ -17,18 +17,12 @@ from .cases import Case
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """A place along the VUT's way.
+    """A place along the VUT's way."""
 
-    Attributes
-    ----------
-    is_behind : bool
-        On the arm straight ahead, by which the VUT leaves the junction; else on the arm from which
-        it comes.
-    distance_m : float
-        How far before the place of the protocol, or beyond the crosswalk of the arm ahead. [m]
-    """
-
+    #: On the arm straight ahead, by which the VUT leaves the junction; else on the arm from which
+    #: it comes.
     is_behind: bool = False
+    #: How far before the place of the protocol, or beyond the crosswalk of the arm ahead. [m]
     distance_m: float = 0.0
 
     @property

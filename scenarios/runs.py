@@ -32,56 +32,34 @@ _ROWS_TOGETHER = 64  # detections of so many sets of poses are looked at in one 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """One drive.
+    """One drive."""
 
-    Attributes
-    ----------
-    id : str
-        "case/approach/speed", by day; else "case/approach/speed/weather". At other positions than 0
-        the position stands behind the approach: "case/approach-15/speed". Where the case has
-        several speeds of whoever is met, both: "case/approach/30x50".
-    case : Case
-        What is driven, with the speed of whoever is met in this run.
-    approach, position, weather : str
-        The arm from which the VUT comes; where along its way, see
-        :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15"; one of ``WEATHERS``.
-    vut_speed_kmh : float
-        Constant. [km/h]
-    encounter : Encounter
-        Bodies and motions without braking.
-    time_s : (n_frames,) float
-        Times of the frames, ascending, relative to the impact; the last one is 0, or at most one
-        frame before. [s]
-    vut_position_m, vru_position_m, vut_yaw_deg, vru_yaw_deg : (n_frames, 2), (n_frames,) float
-        Middles of the footprints, world frame [m], and headings [deg].
-    vru_shape : (n_frames,) int
-        Which shape of its gait the VRU has.
-    obstruction, traffic : tuple of PlacedActor, of MovingActor
-        Parked bodies of this run, and vehicles that drive by, frame by frame; nobody touches VUT or
-        VRU before the impact.
-    last_brake_time_s : float
-        Latest onset of braking that avoids. [s]
-    terrain : Terrain or None
-        The ground on which all of them stand; None: the plane z = 0.
-    """
-
+    #: "case/approach/speed", by day; else "case/approach/speed/weather". At other positions than 0
+    #: the position stands behind the approach: "case/approach-15/speed". Where the case has several
+    #: speeds of whoever is met, both: "case/approach/30x50".
     id: str
-    case: Case
-    approach: str
-    weather: str
-    vut_speed_kmh: float
-    encounter: Encounter
+    case: Case  #: What is driven, with the speed of whoever is met in this run.
+    approach: str  #: The arm from which the VUT comes.
+    weather: str  #: One of ``WEATHERS``.
+    vut_speed_kmh: float  #: Constant. [km/h]
+    encounter: Encounter  #: Bodies and motions without braking.
+    #: (n_frames,); times of the frames, ascending, relative to the impact; the last one is 0, or at
+    #: most one frame before. [s]
     time_s: FloatArray
+    #: (n_frames, 2) and (n_frames,); middles of the footprints, world frame [m], headings [deg].
     vut_position_m: FloatArray
     vut_yaw_deg: FloatArray
     vru_position_m: FloatArray
     vru_yaw_deg: FloatArray
-    vru_shape: IntArray
+    vru_shape: IntArray  #: (n_frames,); which shape of its gait the VRU has.
+    #: obstruction and traffic: parked bodies of this run, and vehicles that drive by, frame by
+    #: frame; nobody touches VUT or VRU before the impact.
     obstruction: tuple[PlacedActor, ...]
-    last_brake_time_s: float
+    last_brake_time_s: float  #: Latest onset of braking that avoids. [s]
+    #: Where along its way, see :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15".
     position: str = AT_ZERO.name
     traffic: tuple[MovingActor, ...] = ()
-    terrain: Terrain | None = None
+    terrain: Terrain | None = None  #: The ground on which all of them stand; None: the plane z = 0.
 
     def __post_init__(self) -> None:
         for body in self.traffic:
@@ -101,31 +79,18 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameAxis:
-    """All frames of some runs, laid end to end: the second axis of every detection array.
+    """All frames of some runs, laid end to end: the second axis of every detection array."""
 
-    Attributes
-    ----------
-    run_ids, cases, approaches, weathers : tuple of str
-        Per run.
-    positions : tuple of str
-        Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
-    vut_speed_kmh, weight, last_brake_time_s : (n_runs,) float
-        Per run; weights sum to 1. [km/h], share, [s]
-    run_start : (n_runs + 1,) int
-        Frames of run r are run_start[r] .. run_start[r + 1] - 1.
-    time_s : (n_frames,) float
-        Relative to the impact. [s]
-    """
-
-    run_ids: tuple[str, ...]
+    run_ids: tuple[str, ...]  #: Per run, as those that follow.
     cases: tuple[str, ...]
     approaches: tuple[str, ...]
     weathers: tuple[str, ...]
-    vut_speed_kmh: FloatArray
-    weight: FloatArray
+    vut_speed_kmh: FloatArray  #: (n_runs,), as the next two. [km/h]
+    weight: FloatArray  #: They sum to 1.
     last_brake_time_s: FloatArray
-    run_start: IntArray
-    time_s: FloatArray
+    run_start: IntArray  #: (n_runs + 1,); frames of run r are run_start[r] .. run_start[r + 1] - 1.
+    time_s: FloatArray  #: (n_frames,); relative to the impact. [s]
+    #: Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
     positions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -295,35 +260,24 @@ LeftOut = Literal["", "unprotected", "not laid", "speeds"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
-    """A case that an approach does not carry at some speeds, and the reason.
+    """A case that an approach does not carry at some speeds, and the reason."""
 
-    Attributes
-    ----------
-    case, approach, position : Case, str, str
-        What is not driven, the arm from which the VUT would come, and where along its way.
-    speeds_kmh, vru_speeds_kmh : tuple of float
-        At which speeds, one for each run; those of whoever is met that go with them, empty where
-        the case has one. [km/h]
-    reason : str
-        Why, in words.
-    is_possible : bool
-        The junction has the roads that the case needs, and it has the speeds asked for: what is
-        missing is room.
-    limit_kmh : float, optional
-        The map's speed limit, where the speeds are above it; else None. [km/h]
-    left_out : {"", "unprotected", "not laid", "speeds"}
-        Why it is not the junction's doing: whoever is met is not to be protected, the case is laid
-        nowhere, or none of its speeds was asked for. Empty: the junction does not carry it.
-    """
-
+    #: What is not driven, the arm from which the VUT would come, and where along its way.
     case: Case
     approach: str
+    #: speeds_kmh and vru_speeds_kmh: at which speeds, one for each run; those of whoever is met
+    #: that go with them, empty where the case has one. [km/h]
     speeds_kmh: tuple[float, ...]
-    reason: str
+    reason: str  #: Why, in words.
+    #: The junction has the roads that the case needs, and it has the speeds asked for: what is
+    #: missing is room.
     is_possible: bool = True
+    #: The map's speed limit, where the speeds are above it; else None. [km/h]
     limit_kmh: float | None = None
     position: str = AT_ZERO.name
     vru_speeds_kmh: tuple[float, ...] = ()
+    #: Why it is not the junction's doing: whoever is met is not to be protected, the case is laid
+    #: nowhere, or none of its speeds was asked for. Empty: the junction does not carry it.
     left_out: LeftOut = ""
 
     @property
@@ -347,39 +301,20 @@ def build_runs(
     is_spread: bool = True,
     keeps_limits: bool = True,
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
-    """Lay cases on every approach of a scene's junction.
+    """Lay cases on every approach of a scene's junction, at the speeds that each says.
 
-    Parameters
-    ----------
-    scene : Scene
-        Lanes to drive on, things to hide behind. Where the study's own start and collision points
-        are known for a case, they are taken; all else follows the rules of the protocol.
-    cases : iterable of Case
-        What is driven, at the speeds that each says.
-    vut, rule : Actor, AebRule
-        The vehicle under test, its braking and frame rate.
-    approaches, weathers : sequence of str
-        Arms from which the VUT comes, by default all; every run is driven once in each of
-        ``WEATHERS``.
-    positions : sequence of Position
-        Where along the arms; cases that are bound to the junction have one place.
-    is_spread : bool
-        Other positions than 0 take turns with the speeds, see
-        :func:`scenarios.positions.spread_speeds`; else each drives all.
-    keeps_limits : bool
-        Nothing is driven faster than the speed limit of the lanes by which the VUT comes, as far as
-        the scene has one; vehicles that it meets no faster than that of any road of the junction.
+    Where the study's own start and collision points are known for a case, they are taken; all else
+    follows the rules of the protocol. `approaches` are arms from which the VUT comes, by default
+    all; every run is driven once in each of the `weathers`, words of ``WEATHERS``. `positions` lie
+    along the arms; cases that are bound to the junction have one place. If `is_spread`, positions
+    other than 0 take turns with the speeds, see :func:`scenarios.positions.spread_speeds`; else
+    each drives all. If it `keeps_limits`, nothing is driven faster than the speed limit of the
+    lanes by which the VUT comes, as far as the scene has one, and vehicles that it meets no faster
+    than that of any road of the junction.
 
-    Returns
-    -------
-    runs, refusals : tuple of Run, tuple of Refusal
-        In the order of cases, approaches, positions, speeds, weathers; what could not be laid, and
-        why.
-
-    Raises
-    ------
-    InputError
-        The junction has no such approach, or there is no such weather.
+    Returns runs in the order of cases, approaches, positions, speeds, weathers; and what could not
+    be laid, and why. Raises InputError: the junction has no such approach, or there is no such
+    weather.
     """
     junction = build_junction(scene)
     for word in approaches or ():

@@ -92,19 +92,11 @@ def build_stations(
 
     Notes
     -----
-    A camera has no range of its own: it ends where an adult is as high in the image as the least
-    box of the default detector. Angles are those of the middle of the image's edges; shadowing
-    (shadowingApplies) is left to the receiver.
-
-    An altitude is a height above the ellipsoid of WGS 84. Most maps count from the sea: their
-    heights would be wrong by up to 100 m, and the grid that turns one into the other is seldom at
-    hand. Then the altitude is unavailable.
-
-    Of a LiDAR that scans all round the horizontal opening starts at 0 and ends at 359.9
-    degrees. A full turn has no value of its own: 360.0 means "not used", and a start that equals
-    the end reads as no opening as well as a full one. So a tenth of a degree is left out, and
-    every receiver that takes the way from start to end has all but that. If the LiDAR is
-    tilted, the vertical opening is what it reaches to any side, not to each.
+    A camera ends where an adult is as high in the image as the least box of the default detector;
+    shadowing is left to the receiver. Most maps count heights from the sea, up to 100 m from the
+    ellipsoid: then the altitude is unavailable. A full turn has no value of its own (360.0 means
+    "not used"), so a LiDAR that scans all round opens from 0 to 359.9 degrees; if it is tilted, the
+    vertical opening is what it reaches to any side, not to each.
 
     References
     ----------

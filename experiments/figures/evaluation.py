@@ -51,15 +51,6 @@ def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list
     return sorted(units, key=rank)[:MAX_HEATMAP_UNITS]
 
 
-def plot_heatmap(evaluation: Evaluation, run_index: int, *, axes: Axes | None = None) -> Axes:
-    """Who detects the VRU when, in one run; see :func:`plot_heatmaps`."""
-    if axes is None:
-        return plot_heatmaps(evaluation, [run_index])[0]
-    _draw_heatmap(axes, evaluation, heatmap_rows(evaluation, [run_index]), run_index)
-    axes.set_xlabel(_TIME_LABEL, fontsize=9)
-    return axes
-
-
 def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Axes]:
     """Who detects the VRU when, one pair of axes per run, in a new figure.
 

@@ -4,10 +4,9 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from experiments.figures.axes import describe_run, to_png, unit_labels
-from experiments.figures.evaluation import plot_heatmap, plot_heatmaps
+from experiments.figures.evaluation import plot_heatmaps
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import (
@@ -71,7 +70,7 @@ def test_heatmap_cells_are_the_detections(evaluation):
 
 def test_heatmap_cells_are_centred_on_their_frames(evaluation):
     for run_index in range(evaluation.axis.n_runs):
-        axes = plot_heatmap(evaluation, run_index)
+        axes = plot_heatmaps(evaluation, [run_index])[0]
         times = evaluation.axis.time_s[evaluation.axis.frames_of(run_index)]
         left, right, bottom, top = axes.get_images()[0].get_extent()
         edges = np.linspace(left, right, len(times) + 1)
@@ -81,7 +80,7 @@ def test_heatmap_cells_are_centred_on_their_frames(evaluation):
 
 def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
     for run_index, last_brake_s in enumerate(evaluation.axis.last_brake_time_s[:2]):
-        axes = plot_heatmap(evaluation, run_index)
+        axes = plot_heatmaps(evaluation, [run_index])[0]
         (line,) = [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
         assert list(line.get_xdata()) == [last_brake_s] * 2
         assert line.get_color() == RED
@@ -89,14 +88,14 @@ def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
 
 
 def test_heatmap_says_so_where_no_braking_helps(evaluation):
-    axes = plot_heatmap(evaluation, 2)  # its last brake time is minus infinity
+    axes = plot_heatmaps(evaluation, [2])[0]  # its last brake time is minus infinity
     assert not [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
     assert any("no braking" in text for text in texts(axes.figure))
 
 
 def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
     for run_index in range(evaluation.axis.n_runs):
-        axes = plot_heatmap(evaluation, run_index)
+        axes = plot_heatmaps(evaluation, [run_index])[0]
         (marks,) = [line for line in axes.get_lines() if line.get_marker() == "D"]
         rows = [evaluation.vut, *evaluation.units.values(), evaluation.rsu_all]
         times = [row.confirmation_time_s[run_index] for row in rows]
@@ -114,33 +113,28 @@ def test_a_heatmap_names_tracks_that_were_lost_again(evaluation):
     run_index = int(np.flatnonzero(~late.is_avoided & np.isfinite(late.confirmation_time_s))[0])
     onset = late.onset_time_s.copy()
     onset[run_index] = np.inf
-    axes = plot_heatmap(replace(evaluation, rsu_all=replace(late, onset_time_s=onset)), run_index)
+    axes = plot_heatmaps(
+        replace(evaluation, rsu_all=replace(late, onset_time_s=onset)), [run_index]
+    )[0]
     (outcomes,) = axes.child_axes
     assert outcomes.get_yticklabels()[-1].get_text() == "lost again"
 
 
 def test_figures_are_the_same_bytes_each_time(evaluation):
-    assert to_png(plot_heatmap(evaluation, 0)) == to_png(plot_heatmap(evaluation, 0))
+    assert to_png(plot_heatmaps(evaluation, [0])[0]) == to_png(plot_heatmaps(evaluation, [0])[0])
 
 
 def test_figures_leave_no_trace_in_pyplot(evaluation):
     import matplotlib.pyplot as plt
 
-    assert isinstance(plot_heatmap(evaluation, 0), Axes)
+    assert isinstance(plot_heatmaps(evaluation, [0])[0], Axes)
     assert plt.get_fignums() == []
-
-
-def test_figures_are_drawn_where_the_caller_wants_them(evaluation):
-    figure = Figure()
-    left, right = figure.subplots(1, 2)
-    assert plot_heatmap(evaluation, 0, axes=right) is right
-    assert to_png(left) == to_png(figure)
 
 
 @pytest.mark.parametrize("name", ["$x^{", "_hidden", "雪", "a\\b", "%s {}"])
 def test_any_name_can_be_drawn(frame_axis, camera, name):
     evaluation = build_evaluation(frame_axis, camera, name=name, ids=(name, f"{name}2"))
-    assert to_png(plot_heatmap(evaluation, 0)).startswith(b"\x89PNG")
+    assert to_png(plot_heatmaps(evaluation, [0])[0]).startswith(b"\x89PNG")
 
 
 def test_unit_labels_are_ids_only_where_all_are_short(frame_axis, camera):
@@ -160,5 +154,5 @@ def test_a_run_in_words_names_its_weather_unless_it_is_day(frame_axis, camera):
         )
     ]
     assert words == [place[0], f"{place[1]}, night", f"{place[2]}, rain"]
-    drawn = texts(plot_heatmap(build_evaluation(axis, camera), 1))
+    drawn = texts(plot_heatmaps(build_evaluation(axis, camera), [1])[0])
     assert any(text.startswith(f"{words[1]}: ") for text in drawn)
