@@ -260,13 +260,15 @@ def _driven_once() -> list[str]:
     epilog="""\b
 Examples:
   place-rsus scenarios show CPNCO-50 --approach east --speed 40
-  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif"""
+  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif
+  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.mcap"""
 )
 @options.one_run_options()
 @options.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="Film strip (.png, .svg, .pdf) or animation (.gif); default: a .png in results/scenarios.",
+    help="Film strip (.png, .svg, .pdf), animation (.gif), or MCAP for Foxglove (.mcap); "
+    "default: a .png in results/scenarios.",
 )
 @options.quiet_option
 @click.pass_obj
@@ -274,15 +276,19 @@ def show(
     progress: StageProgress, *, question: Question, position: str, out: Path | None, quiet: bool
 ) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
+    from ..export.mcap import mcap_of_run
     from ..figures.film import save_film
 
     scene, run = _drive_one(progress, question, position, quiet=quiet)
     path = out or Path("results", "scenarios", run.id.replace("/", "_") + ".png")
     progress("draw", 0, 0)
     try:
-        if out is None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        save_film(path, scene, run, progress=progress)
+        if path.suffix == ".mcap":
+            write_result(path, mcap_of_run(scene, run))
+        else:
+            if out is None:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            save_film(path, scene, run, progress=progress)
     except OSError as error:
         raise unwritable(path, error) from None
     progress.stop()

@@ -12,8 +12,10 @@ from geometry.errors import MissingExtraError
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import on_ground
+from placement.candidates import CandidatePose
 from placement.evaluation import earliest_arrival_s
 from placement.layout import Layout
+from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
 from .calibration import Calibration, calibrations, plain, sensor_quaternion
@@ -31,8 +33,8 @@ _FRUSTUM_M = 4.0  # how far ahead its far side is drawn
 _NANO = 1_000_000_000
 
 
-def to_mcap(layout: Layout, scene: Scene, watched: WatchedRun | None = None) -> bytes:
-    """Layout as an MCAP file; with a run its frames, from time 0 on.
+def to_mcap(layout: Layout | None, scene: Scene, watched: WatchedRun | None = None) -> bytes:
+    """Layout, if any, as an MCAP file; with a run its frames, from time 0 on.
 
     Topics: /scene (meshes), /units (a frustum per camera, a ball per LiDAR), /tf and
     /calibration/UNIT (cameras); of a run /bodies (boxes), /detections (a line from each unit that
@@ -45,6 +47,7 @@ def to_mcap(layout: Layout, scene: Scene, watched: WatchedRun | None = None) -> 
     except ImportError:
         raise MissingExtraError("mcap needs foxglove-sdk: pip install place-rsus[mcap]") from None
     m = importlib.import_module("foxglove.messages")
+    units = () if layout is None else layout.units
     context = foxglove.Context()
     file = io.BytesIO()
     with foxglove.open_mcap(file, context=context):
@@ -62,7 +65,7 @@ def to_mcap(layout: Layout, scene: Scene, watched: WatchedRun | None = None) -> 
             channels[topic].log(message, log_time=round(time_s * _NANO))
 
         log("/scene", m.SceneUpdate(entities=list(_meshes(m, scene))), 0.0)
-        log("/units", m.SceneUpdate(entities=list(_units(m, layout))), 0.0)
+        log("/units", m.SceneUpdate(entities=list(_units(m, units))), 0.0)
         transforms = [
             m.FrameTransform(
                 timestamp=m.Timestamp(0),
@@ -71,15 +74,20 @@ def to_mcap(layout: Layout, scene: Scene, watched: WatchedRun | None = None) -> 
                 translation=_vector(m, unit.pose.position_m),
                 rotation=_turn(m, sensor_quaternion(unit.pose, unit.sensor)),
             )
-            for unit in layout.units
+            for unit in units
         ]
         log("/tf", m.FrameTransforms(transforms=transforms), 0.0)
-        if any(isinstance(unit.sensor, CameraModel) for unit in layout.units):
+        if layout is not None and any(isinstance(unit.sensor, CameraModel) for unit in units):
             for camera in calibrations(layout, "mcap"):
                 log(f"/calibration/{camera.id}", _calibration(m, camera), 0.0)
-        for topic, message, time_s in [] if watched is None else _frames(m, layout, watched):
+        for topic, message, time_s in [] if watched is None else _frames(m, units, watched):
             log(topic, message, time_s)
     return file.getvalue()
+
+
+def mcap_of_run(scene: Scene, run: Run) -> bytes:
+    """A run that no unit watches; raises as :func:`to_mcap`."""
+    return to_mcap(None, scene, WatchedRun(run=run, detected={}, rule=load_aeb_rule()))
 
 
 def _entity(m: Any, name: str, **parts: Any) -> Any:
@@ -108,8 +116,8 @@ def _meshes(m: Any, scene: Scene) -> Iterator[Any]:
         yield _entity(m, thing.id, triangles=[mesh], metadata=[kind])
 
 
-def _units(m: Any, layout: Layout) -> Iterator[Any]:
-    for unit in layout.units:
+def _units(m: Any, units: Sequence[CandidatePose]) -> Iterator[Any]:
+    for unit in units:
         position_m = np.asarray(unit.pose.position_m)
         above = _pose(m, position_m + [0.0, 0.0, 0.5])
         label = m.TextPrimitive(pose=above, text=unit.id, font_size=0.5, billboard=True)
@@ -160,10 +168,12 @@ def _calibration(m: Any, camera: Calibration) -> Any:
     )
 
 
-def _frames(m: Any, layout: Layout, watched: WatchedRun) -> Iterator[tuple[str, Any, float]]:
+def _frames(
+    m: Any, units: Sequence[CandidatePose], watched: WatchedRun
+) -> Iterator[tuple[str, Any, float]]:
     run = watched.run
     axis = build_frame_axis((run,), np.ones(1))
-    parties = [(watched.detected[unit.id], unit.latency(watched.rule)) for unit in layout.units]
+    parties = [(watched.detected[unit.id], unit.latency(watched.rule)) for unit in units]
     onsets = find_onsets(earliest_arrival_s(parties, axis), axis, rule=watched.rule)
     confirmed_s, onset_s = float(onsets.confirmation_s[0]), float(onsets.onset_s[0])
     met, last_s = run.encounter.vru, run.last_brake_time_s
@@ -184,7 +194,7 @@ def _frames(m: Any, layout: Layout, watched: WatchedRun) -> Iterator[tuple[str, 
         ]
         boxes = [_box(m, run, *body) for body in bodies]
         yield "/bodies", m.SceneUpdate(entities=boxes), time_s
-        seeing = [unit for unit in layout.units if watched.detected[unit.id][frame]]
+        seeing = [unit for unit in units if watched.detected[unit.id][frame]]
         ground_m = on_ground(run.vru_position_m[frame], run.terrain)
         at_m = ground_m + [0.0, 0.0, 0.5 * met.height_m]
         rays = m.LinePrimitive(

@@ -3,6 +3,7 @@
 import io
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,6 +56,14 @@ def watched():
 @pytest.fixture(scope="module")
 def topics(watched):
     return read(to_mcap(load_carlancap_layout(), SCENE, watched))
+
+
+def test_a_run_alone_is_shown(run):
+    arguments = ("scenarios", "show", "CPNC-50", "--approach", "east", "--speed", "40", "--quiet")
+    assert run(*arguments, "--out", "a.mcap")[0] == 0
+    with Path("a.mcap").open("rb") as file:
+        topics = {channel.topic for _, channel, _ in reader.make_reader(file).iter_messages()}
+    assert {"/scene", "/bodies", "/state"} <= topics
 
 
 def test_bodies_are_where_the_run_has_them(topics, watched):
