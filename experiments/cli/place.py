@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from ..report.printing import find_browser, print_page
 from . import options
 from .recording import check_recording_options, recorded_placement_table, recording_options
 from .running import Job, command_line
@@ -52,9 +53,17 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
     show_default=True,
     help="Folder for report, layout, tables and figures; earlier results there are replaced.",
 )
+@options.option(
+    "--pdf",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Print the report there, too, by chromium or Chrome.",
+)
 @recording_options
 @options.asking(*options.PLANNED, *options.JUDGED)
-def cli(job: Job, *, recording: Path | None, min_confidence: float, out: Path) -> None:
+def cli(
+    job: Job, *, recording: Path | None, min_confidence: float, out: Path, pdf: Path | None
+) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
 
     Finds the best layout for the junction of the CarlaNCAP study, proves that it is, evaluates it
@@ -76,6 +85,11 @@ def cli(job: Job, *, recording: Path | None, min_confidence: float, out: Path) -
             "--budget-cost)"
         )
     check_recording_options(recording)
+    if pdf is not None and (recording is not None or out.resolve() in pdf.resolve().parents):
+        raise click.UsageError(
+            f"--pdf: got {pdf}; expected a file outside of --out, without --recording"
+        )
+    browser = None if pdf is None else find_browser()
     if recording is not None:
         job.progress.start(quiet=job.quiet)
         from ..parts import recording as recording_job
@@ -103,4 +117,10 @@ def cli(job: Job, *, recording: Path | None, min_confidence: float, out: Path) -
         )
     from .answers import placement_parts
 
+    if browser is not None and pdf is not None:
+        job.progress("print", 0, 0)
+        try:
+            print_page(browser, out / "report.html", pdf)
+        except OSError as error:
+            raise click.UsageError(f"--pdf: got {pdf}: {error.strerror or error}") from None
     job.print_answer(result, lambda: placement_parts(result, out))
