@@ -382,8 +382,10 @@ class _Reader:
         """Value of a type hint from plain data; ValueError if that is of another kind."""
         origin, hints = get_origin(hint), get_args(hint)
         if origin in (Union, UnionType):
-            (some,) = (one for one in hints if one is not NoneType)
-            return None if plain is None else self.value(plain, some)
+            some = [one for one in hints if one is not NoneType]
+            if plain is not None and len(some) > 1:  # dataclasses: the content names one of them
+                some = [one for one in some if one.__name__ == self._objects[plain][0]]
+            return None if plain is None else self.value(plain, some[0])
         if origin is Literal:
             if plain in hints:
                 return plain

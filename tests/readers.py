@@ -242,6 +242,8 @@ def _points(suffix: str) -> bytes:
 
 
 def _streets() -> Mapping[str, tuple[str, Files]]:
+    from lanelet_text import commonroad, crossing, lanelet2
+
     text = _osm().encode()
     return {
         "osm": _one("a.osm", text),
@@ -249,6 +251,8 @@ def _streets() -> Mapping[str, tuple[str, Files]]:
         "osm.bz2": _one("a.osm.bz2", bz2.compress(text)),
         "pbf": _one("a.osm.pbf", _pbf()),
         "opendrive": _one("a.xodr", _xodr()),
+        "lanelet2": _one("a.osm", lanelet2(crossing())),
+        "commonroad": _one("a.xml", commonroad(crossing())),
     }
 
 
@@ -1016,6 +1020,8 @@ READERS: Mapping[str, Reader] = {
             "geometry.maps.importing.import_scene",
             "geometry.maps.importing.read_maps",
             "geometry.maps.opendrive.read_opendrive",
+            "geometry.maps.lanelets.read_lanelet2",
+            "geometry.maps.lanelets.read_commonroad",
             "geometry.maps.openstreetmap.read_openstreetmap",
             "geometry.maps.openstreetmap.elements.read_elements",
             "geometry.untrusted_files.read_xml",

@@ -176,7 +176,7 @@ def test_a_budget_file_that_is_wrong_is_told_by_part_and_field(run_refused):
     assert run_refused("--budget", "mine.toml") == (
         2,
         "",
-        "place-rsus: mine.toml: mine.radio.fixed_s: got -1.0; expected 0 to 10 seconds\n",
+        "place-rsus: mine.toml: mine.radio.fixed_s: got -1; expected 0 to 10 seconds\n",
     )
 
 
