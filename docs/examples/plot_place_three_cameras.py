@@ -43,7 +43,7 @@ plan.plot_plan(setting, found.layout).figure
 
 # %%
 # Who detects the road user when, in the first run.
-evaluation.plot_heatmap(judged, 0).figure
+evaluation.plot_heatmaps(judged, [0])[0].figure
 
 # %%
 # As a table of pandas:
