@@ -58,6 +58,7 @@ cannot be met (one line says what), 130 interrupted, 143 terminated.""",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="Print the report there, too, by chromium or Chrome.",
+    is_common=False,
 )
 @recording_options
 @options.asking(*options.PLANNED, *options.JUDGED)

@@ -46,13 +46,19 @@ class Look:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reason:
-    """Reason why the road user is not detected in some frames."""
+    """Reason why the road user is not detected in some frames.
 
-    #: "hidden": detected if nothing stood in the way; "out of view", "cut off": not in the image,
-    #: or only a part of it; "too dark": light and air leave too little contrast; "too far": too
-    #: small, or too few points; "otherwise": none of these, but the table has no detection.
+    Attributes
+    ----------
+    cause : str
+        "hidden": detected if nothing stood in the way; "out of view", "cut off": not in the image,
+        or only a part of it; "too dark": light and air leave too little contrast; "too far": too
+        small, or too few points; "otherwise": none of these, but the table has no detection.
+    thing : str
+        What hides it, by name: most of the blocked rays end there. Empty for all other causes.
+    """
+
     cause: Cause
-    #: What hides it, by name: most of the blocked rays end there. Empty for all other causes.
     thing: str
     frames: Annotated[int, says("In how many frames.")]
 
@@ -204,26 +210,35 @@ class Rescue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unavoided:
-    """A run with weight that is not avoided in the world as planned, on the detection table."""
+    """A run with weight that is not avoided in the world as planned, on the detection table.
+
+    Attributes
+    ----------
+    outcome : str
+        "hopeless": no frame comes early enough, whoever looks; else the units' achievement. "lost
+        again": they confirm early enough, but the track is not alive at the last moment, and none
+        is confirmed after it.
+    late_s : float, optional
+        By how much braking sets in too late, in seconds; None: never, also where the track was lost
+        again.
+    unit : str
+        Id of the unit nearest to the road user in the last of these frames, preferably among those
+        that have it in view in one of them; empty if hopeless.
+    reasons : tuple of Reason
+        Why that unit does not detect the road user in some of these frames, the most frequent one
+        first.
+    rescue : Rescue, optional
+        Nearest candidate that would save the run as a further unit; None: none, or nobody looked,
+        as where worlds are sampled.
+    """
 
     run: Annotated[str, says("Name of the run, as in runs.parquet.")]
-    #: "hopeless": no frame comes early enough, whoever looks; else the units' achievement. "lost
-    #: again": they confirm early enough, but the track is not alive at the last moment, and none is
-    #: confirmed after it.
     outcome: Outcome
-    #: By how much braking sets in too late, in seconds; None: never, also where the track was lost
-    #: again.
     late_s: float | None
     frames_in_time: Annotated[int, says("Frames from which braking in time could follow.")]
     frames_seen: Annotated[int, says("Of these, those in which a unit detects the road user.")]
-    #: Id of the unit nearest to the road user in the last of these frames, preferably among those
-    #: that have it in view in one of them; empty if hopeless.
     unit: str
-    #: Why that unit does not detect the road user in some of these frames, the most frequent one
-    #: first.
     reasons: tuple[Reason, ...]
-    #: Nearest candidate that would save the run as a further unit; None: none, or nobody looked, as
-    #: where worlds are sampled.
     rescue: Rescue | None
 
 

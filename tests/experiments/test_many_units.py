@@ -11,7 +11,7 @@ from partial_pages import build_result
 
 from experiments.cli.answers import evaluation_parts
 from experiments.cli.terminal import answer_text
-from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmap, units_in_heatmap
+from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmaps, units_in_heatmap
 from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
 from experiments.parts.accidents import MAX_UNIT_COLUMNS, unit_apr_table
 from experiments.results.numbers import percent
@@ -43,11 +43,11 @@ def test_a_heatmap_of_many_units_has_those_that_confirm_first(evaluation, few):
         assert max(times_s[key] for key in shown) <= min(
             time_s for key, time_s in times_s.items() if key not in shown
         )
-        axes = plot_heatmap(evaluation, run_index)
+        axes = plot_heatmaps(evaluation, [run_index])[0]
         assert len(axes.get_yticklabels()) == MAX_HEATMAP_UNITS + 2
         assert axes.get_ylabel() == f"{MAX_HEATMAP_UNITS} of {N} units: those that confirm first"
     assert units_in_heatmap(few, [0]) == list(few.units)
-    assert plot_heatmap(few, 0).get_ylabel() == ""
+    assert plot_heatmaps(few, [0])[0].get_ylabel() == ""
 
 
 def test_of_many_units_each_is_a_row_and_the_best_come_first(evaluation, few):
