@@ -58,13 +58,18 @@ def _check_range(name: str, value: Any, least: float, most: float, unit: str) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """Errors of units after installation."""
+    """Errors of units after installation.
 
-    #: yaw_sd_deg and pitch_sd_deg: standard deviation, in degrees; errors are normal, cut off at
-    #: three of them.
+    Attributes
+    ----------
+    yaw_sd_deg, pitch_sd_deg : float
+        Standard deviation, in degrees; errors are normal, cut off at three of them.
+    height_sd_m : float
+        Standard deviation, in metres; three values stand for a normal distribution.
+    """
+
     yaw_sd_deg: float = _up_to(30.0, "degrees")
     pitch_sd_deg: float = _up_to(30.0, "degrees")
-    #: Standard deviation, in metres; three values stand for a normal distribution.
     height_sd_m: float = _up_to(0.5, "metres")  # the same poles, the same view
 
     def __post_init__(self) -> None:
@@ -117,10 +122,15 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outages:
-    """How often a unit tells nothing for a whole run."""
+    """How often a unit tells nothing for a whole run.
 
-    #: unit_share and pole_share: probability, in each run, that a unit is out of order, and that a
-    #: pole is with all of its units. 0 .. 1
+    Attributes
+    ----------
+    unit_share, pole_share : float
+        Probability, in each run, that a unit is out of order, and that a pole is with all of its
+        units. 0 .. 1
+    """
+
     unit_share: float = _up_to(1.0)
     pole_share: float = _up_to(1.0)
 
@@ -130,14 +140,23 @@ class Outages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blinding:
-    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's."""
+    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's.
 
-    dirty_share: float = _up_to(1.0)  #: Probability, in each run, that a camera is dirty. 0 .. 1
-    #: Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
+    Attributes
+    ----------
+    dirty_share : float
+        Probability, in each run, that a camera is dirty. 0 .. 1
+    low_sun_share : float
+        Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
+    sun_below_deg : float
+        Most that low sun stands above the horizon, in degrees.
+    dazzled_within_deg : float
+        Least angle between a camera's axis and the sun without being dazzled, in degrees.
+    """
+
+    dirty_share: float = _up_to(1.0)
     low_sun_share: float = _up_to(1.0)
-    #: Most that low sun stands above the horizon, in degrees.
     sun_below_deg: float = _up_to(90.0, "degrees")
-    #: Least angle between a camera's axis and the sun without being dazzled, in degrees.
     dazzled_within_deg: float = _up_to(180.0, "degrees")
 
     def __post_init__(self) -> None:
@@ -200,11 +219,21 @@ class StandingTraffic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPeople:
-    """Speeds and starts of a class of people."""
+    """Speeds and starts of a class of people.
 
-    probability: tuple[float, ...]  #: Shares of all people, ascending. 0 .. 1
-    speed_kmh: tuple[float, ...]  #: So fast go those who keep moving, at these shares. [km/h]
-    start_mps2: tuple[float, ...]  #: Mean acceleration of those who start, at these shares. [m/s^2]
+    Attributes
+    ----------
+    probability : tuple of float
+        Shares of all people, ascending. 0 .. 1
+    speed_kmh : tuple of float
+        So fast go those who keep moving, at these shares. [km/h]
+    start_mps2 : tuple of float
+        Mean acceleration of those who start, at these shares. [m/s^2]
+    """
+
+    probability: tuple[float, ...]
+    speed_kmh: tuple[float, ...]
+    start_mps2: tuple[float, ...]
 
     def __post_init__(self) -> None:
         for name, most in (("probability", 1.0), ("speed_kmh", 50.0), ("start_mps2", 10.0)):
@@ -226,22 +255,31 @@ class MeasuredPeople:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUsers:
-    """How road users may move otherwise than their case says; by default they do not."""
+    """How road users may move otherwise than their case says; by default they do not.
 
-    #: (2,); least and most by which they are faster, in km/h; negative: slower.
+    Attributes
+    ----------
+    pedestrian_kmh, cyclist_kmh, motorcyclist_kmh, car_kmh : (2,) float
+        Least and most by which they are faster, in km/h; negative: slower.
+    start_nearer_share : float
+        Most by which the way from rest to the impact is shorter. 0 .. 1
+    heading_deg : dict of (2,) float
+        By Euro NCAP's name of a case: least and most by which the way is turned about the impact,
+        counter-clockwise where traffic keeps right. [deg]
+    path_m : dict of (2,) float
+        By Euro NCAP's name of a case: least and most by which the way lies farther to the left of
+        whoever takes it. [m]
+    measured : dict of MeasuredPeople
+        By class: speeds and starts that are drawn in place of those of the case.
+    """
+
     pedestrian_kmh: tuple[float, float] = (0.0, 0.0)
     cyclist_kmh: tuple[float, float] = (0.0, 0.0)
     motorcyclist_kmh: tuple[float, float] = (0.0, 0.0)
     car_kmh: tuple[float, float] = (0.0, 0.0)
-    #: Most by which the way from rest to the impact is shorter. 0 .. 1
     start_nearer_share: float = _up_to(0.9)
-    #: By Euro NCAP's name of a case: least and most by which the way is turned about the impact,
-    #: counter-clockwise where traffic keeps right. [deg]
     heading_deg: dict[str, tuple[float, float]] = field(default_factory=dict)
-    #: By Euro NCAP's name of a case: least and most by which the way lies farther to the left of
-    #: whoever takes it. [m]
     path_m: dict[str, tuple[float, float]] = field(default_factory=dict)
-    #: By class: speeds and starts that are drawn in place of those of the case.
     measured: dict[str, MeasuredPeople] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -110,13 +110,27 @@ _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 
 @dataclass(frozen=True, slots=True)
 class TrafficCount:
-    """Vehicles that drive by, in all runs together."""
+    """Vehicles that drive by, in all runs together.
 
-    n_runs: int = 0  #: Number of runs.
-    n_vehicles: int = 0  #: Near the junction, those left out among them.
-    n_left_out: int = 0  #: Of these: they would have come into the way of VUT or VRU.
-    n_departed: int = 0  #: By SUMO: entered the network.
-    n_waiting: int = 0  #: By SUMO: found no room to.
+    Attributes
+    ----------
+    n_runs : int
+        Number of runs.
+    n_vehicles : int
+        Near the junction, those left out among them.
+    n_left_out : int
+        Of these: they would have come into the way of VUT or VRU.
+    n_departed : int
+        By SUMO: entered the network.
+    n_waiting : int
+        By SUMO: found no room to.
+    """
+
+    n_runs: int = 0
+    n_vehicles: int = 0
+    n_left_out: int = 0
+    n_departed: int = 0
+    n_waiting: int = 0
 
     def __add__(self, other: "TrafficCount") -> "TrafficCount":
         return TrafficCount(*map(sum, zip(astuple(self), astuple(other), strict=True)))
