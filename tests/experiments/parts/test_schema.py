@@ -247,7 +247,7 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(run, tmp_path, layou
 def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     """Every key of it is needed or known, and every number is a number."""
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
-    options = ("--budget", 2, "--samples", 2)
+    options = ("--budget", 2, "--samples", 2, "--cases", "CPNCO-50,CBLA", "--speeds", "30,40")
     summary = written(run, tmp_path / "out", *options)
     assert messages(summary) == []
     assert plain(load_result(tmp_path / "out").summary) == summary
