@@ -79,10 +79,14 @@ def shape_caster(shape: Shape, rays: str) -> RayCaster:
 
 
 @lru_cache(maxsize=256)
+def _shape_box_m(shape: Shape) -> FloatArray:
+    return freeze(np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)]))
+
+
 def _box_m(shape: Shape) -> FloatArray:
     """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    box = np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
-    return freeze(box + [[-AROUND_BODY_M], [AROUND_BODY_M]])
+    box: FloatArray = _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
+    return box
 
 
 def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
