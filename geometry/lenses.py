@@ -105,9 +105,10 @@ class Fisheye:
 
 def _first_turn(slope: ArrayLike) -> float:
     """Smallest positive root of a polynomial, highest power first; infinite if there is none."""
-    roots = np.roots(np.asarray(slope))
-    rising = roots[(abs(roots.imag) < 1.0e-12) & (roots.real > 0.0)].real
-    return float(rising.min()) if len(rising) else np.inf
+    # Their inverses: the last coefficient is 1, where the first may be next to nothing.
+    inverse = np.roots(np.asarray(slope)[::-1])
+    rising = inverse[(abs(inverse.imag) < 1.0e-12) & (inverse.real > 0.0)].real
+    return 1.0 / float(rising.max()) if len(rising) else np.inf
 
 
 Lens = BrownConrady | TsaiRadial | Fisheye

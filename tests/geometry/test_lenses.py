@@ -119,6 +119,7 @@ def test_a_matrix_that_is_no_rotation_is_refused():
 
 
 @given(st.tuples(*[numbers(-0.1, 0.1)] * 4), st.tuples(*[numbers(-1.0, 1.0)] * 3))
+@example((0.0, 0.0625, 0.0625, 1.401298464324817e-45), (0.0, 0.0, 0.0))
 def test_a_fisheye_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, turn):
     rotation, _ = cv2.Rodrigues(np.array(turn))
     k = np.array([[500.0, 0, 640], [0, 490.0, 360], [0, 0, 1]])
