@@ -61,11 +61,13 @@ def drive_in_esmini(
         folder = Path(name)
         (folder / "roads.xodr").write_text(to_opendrive(None, scene), encoding="utf-8")
 
-        def drive(index: int) -> Driven:
-            run = runs[index]
+        # Before the threads: the library writes the version that is set for all of it.
+        paths = [folder / f"{index}.xosc" for index in range(len(runs))]
+        for path, run in zip(paths, runs, strict=True):
             text = to_openscenario(run, road_network="roads.xodr", after_s=_AFTER_S)
-            path = folder / f"{index}.xosc"
             path.write_text(text, encoding="utf-8")
+
+        def drive(run: Run, path: Path) -> Driven:
             touch_s = _first_touch_s(program, path)
             return Driven(
                 run_id=run.id,
@@ -74,7 +76,7 @@ def drive_in_esmini(
 
         driven = []
         with ThreadPoolExecutor(compute.workers) as pool:
-            for number, one in enumerate(pool.map(drive, range(len(runs))), 1):
+            for number, one in enumerate(pool.map(drive, runs, paths), 1):
                 driven.append(one)
                 compute.progress("drive in esmini", number, len(runs))
     return driven

@@ -287,8 +287,12 @@ def _add_objects(elements: dict[str, ET.Element], roads: Sequence[_Road], layout
     for unit in layout.units:
         east_m, north_m, _ = np.asarray(unit.pose.position_m).tolist()
         at_pole.setdefault((east_m, north_m), []).append(unit)
+    starts_m = [np.cumsum([0.0, *(piece[0] for piece in road.pieces())]) for road in roads]
     for number, (place_m, units) in enumerate(at_pole.items(), 1):
-        (*_, s_m, t_m), road_id = min((_beside(road, place_m), road.id) for road in roads)
+        (*_, s_m, t_m), road_id = min(
+            (_beside(road, starts, place_m), road.id)
+            for road, starts in zip(roads, starts_m, strict=True)
+        )
         objects = elements[road_id].find("objects")
         if objects is None:
             objects = ET.SubElement(elements[road_id], "objects")
@@ -306,9 +310,12 @@ def _add_objects(elements: dict[str, ET.Element], roads: Sequence[_Road], layout
         )
 
 
-def _beside(road: _Road, place_m: tuple[float, float]) -> tuple[float, float, float, float]:
+def _beside(
+    road: _Road, starts_m: FloatArray, place_m: tuple[float, float]
+) -> tuple[float, float, float, float]:
     """How far a place lies beyond a road's ends, and from its line; its s, and its t to the left.
 
+    `starts_m`, (n,), has the s of each of its points.
     Nothing but a place beside the line, not beyond its ends, can be told by s and t.
     """
     begin, step = road.points_m[:-1], np.diff(road.points_m, axis=0)
@@ -319,7 +326,6 @@ def _beside(road: _Road, place_m: tuple[float, float]) -> tuple[float, float, fl
     left = ahead[:, 0] * off[:, 1] - ahead[:, 1] * off[:, 0]
     beyond = np.maximum(np.maximum(-along, along - length_m), 0.0)
     at = int(np.argmin(np.hypot(beyond, left)))
-    starts_m = np.cumsum([0.0, *(piece[0] for piece in road.pieces())])
     s_m = starts_m[at] + np.clip(along[at] / length_m[at], 0.0, 1.0) * np.diff(starts_m)[at]
     return round(beyond[at], 1), abs(left[at]), s_m, left[at]
 

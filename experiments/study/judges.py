@@ -8,7 +8,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -110,11 +110,11 @@ def judge_openscenario(runs: Sequence[Run]) -> Judgement:
             text = to_openscenario(run, road_network="roads.xodr")
             (folder / f"{case}.xosc").write_text(text, encoding="utf-8")
         said = judge_apart("xosc", folder)
-    statuses = ", ".join(f"{n} {status}" for status, n in sorted(said["checks"].items()))
     return Judgement(
         what="OpenSCENARIO 1.3",
         judge=f"asam-qc-openscenarioxml {said['version']} (ASAM)",
-        checked=f"one run of each of {said['n']} cases, with the exported roads; {statuses}",
+        checked=f"one run of each of {said['n']} cases, with the exported roads; "
+        + _statuses(said["checks"]),
         result=_issues(said["issues"]),
         is_passed=not said["issues"] and set(said["checks"]) == {"completed"},
     )
@@ -133,11 +133,11 @@ def judge_opendrive() -> Judgement:
             text = to_opendrive(load_carlancap_layout(), one)
             (Path(name) / f"{side}.xodr").write_text(text, encoding="utf-8")
         said = judge_apart("xodr", Path(name))
-    statuses = ", ".join(f"{n} {status}" for status, n in sorted(said["checks"].items()))
     return Judgement(
         what="OpenDRIVE 1.7",
         judge=f"asam-qc-opendrive {said['version']} (ASAM)",
-        checked=f"the study's junction with 12 units, and its mirror image; {statuses}",
+        checked="the study's junction with 12 units, and its mirror image; "
+        + _statuses(said["checks"]),
         result=_issues(said["issues"]),
         is_passed=not said["issues"] and said["checks"].get("completed", 0) > 0,
     )
@@ -210,6 +210,10 @@ def judge_openlabel() -> Judgement:
         result=_issues(issues),
         is_passed=not issues,
     )
+
+
+def _statuses(checks: Mapping[str, int]) -> str:
+    return ", ".join(f"{n} {status}" for status, n in sorted(checks.items()))
 
 
 def _issues(issues: Sequence[str]) -> str:

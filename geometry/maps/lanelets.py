@@ -13,8 +13,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted
+from ..lines import along_m, apart, length_m
 from ..notes import Note
 from ..untrusted_files import local_name, read_xml
 from .georeferences import WGS84, local_crs, transform
@@ -46,6 +47,7 @@ _SPEED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(km/?h|kmph|mph|m/?s|mps)?\s*")
 _KMH = {"mph": 1.609344, "ms": 3.6, "m/s": 3.6, "mps": 3.6}
 _JOINED_M = 0.5  # between the end of a lanelet and the beginning of the next one, at both bounds
 _STEP_M = 2.0  # between points of a centreline
+_SAME_M = 0.01  # points nearer than this are one
 _MIN_OVERLAP_M2 = 2.0  # lanelets that cross, merge or part share more ground
 _NOWHERE_DEG = 0.5  # around latitude 0, longitude 0, where maps without a place are drawn
 _BESIDE_M = 25.0  # between lanelets of both directions of a road
@@ -75,7 +77,7 @@ class Lanelet:
     @property
     def edges_m(self) -> FloatArray:
         """Points of both bounds side by side, (2, m, 3)."""
-        lengths_m = [_length_m(bound) for bound in (self.left_m, self.right_m)]
+        lengths_m = [length_m(bound) for bound in (self.left_m, self.right_m)]
         n_points = max(2, round(max(lengths_m) / _STEP_M) + 1)
         return np.array([_resampled(bound, n_points) for bound in (self.left_m, self.right_m)])
 
@@ -84,12 +86,8 @@ class Lanelet:
         return replace(self, id=f"{self.id}r", left_m=self.right_m[::-1], right_m=self.left_m[::-1])
 
 
-def _length_m(line_m: FloatArray) -> float:
-    return float(np.hypot(*np.diff(line_m[:, :2], axis=0).T).sum())
-
-
 def _resampled(line_m: FloatArray, n_points: int) -> FloatArray:
-    reached = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m[:, :2], axis=0).T)))
+    reached = along_m(line_m)
     at = np.linspace(0.0, reached[-1], n_points)
     return np.array([np.interp(at, reached, column) for column in line_m.T]).T
 
@@ -119,9 +117,9 @@ def _build(
     roads = _with_right_sides([one for one in lanelets if one.kind == "driving"], omissions)
     roads += [one.turned() for one in roads if not one.is_oneway]
     follows = _followers(roads)
-    inside = _inside(roads)
     ground = [one.polygon for one in roads]
     one, other = shapely.STRtree(ground).query(ground, predicate="intersects")
+    inside = _inside(roads, ground, np.column_stack([one, other]))
     meets = inside[one] & inside[other]
     links = coo_array((np.ones(meets.sum()), (one[meets], other[meets])), shape=(len(roads),) * 2)
     label = connected_components(links, directed=False)[1]
@@ -195,13 +193,14 @@ def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
     return [[one for one in here if one != index] for index, here in enumerate(found)]
 
 
-def _inside(roads: Sequence[Lanelet]) -> np.ndarray:
-    """Which lanelets lie in a junction, (n,): those that the file says, or that share ground."""
+def _inside(roads: Sequence[Lanelet], ground: Sequence[Any], pairs: IntArray) -> BoolArray:
+    """Which lanelets lie in a junction, (n,): those that the file says, or that share ground.
+
+    `pairs`, (k, 2), are those whose ground meets.
+    """
     inside = np.array([one.is_in_junction for one in roads], dtype=bool)
     if inside.any():
         return inside
-    ground = [one.polygon for one in roads]
-    pairs = shapely.STRtree(ground).query(ground, predicate="intersects").T
     for one, other in pairs[pairs[:, 0] < pairs[:, 1]].tolist():
         if f"{roads[one].id}r" == roads[other].id:
             continue  # the same ground, in both directions
@@ -281,13 +280,12 @@ def _map_lane(
 ) -> MapLane:
     edges_m = np.concatenate([one.edges_m for one in chain], axis=1)
     middle_m = edges_m.mean(axis=0)
-    is_new = np.append(True, np.hypot(*np.diff(middle_m[:, :2], axis=0).T) > 0.01)
     limits = [one.speed_limit_kmh for one in chain if one.speed_limit_kmh is not None]
     return MapLane(
         id=lane_id,
         kind=chain[0].kind,
         width_m=float(np.hypot(*(edges_m[0] - edges_m[1])[:, :2].T).mean()),
-        centreline_m=middle_m[is_new],
+        centreline_m=apart(middle_m, _SAME_M),
         speed_limit_kmh=limits[-1] if limits else None,
         from_junction=from_junction,
         to_junction=to_junction,
