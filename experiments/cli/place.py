@@ -4,7 +4,6 @@ from pathlib import Path
 
 import click
 
-from ..report.printing import find_browser, print_page
 from . import options
 from .recording import check_recording_options, recorded_placement_table, recording_options
 from .running import Job, command_line
@@ -90,7 +89,11 @@ def cli(
         raise click.UsageError(
             f"--pdf: got {pdf}; expected a file outside of --out, without --recording"
         )
-    browser = None if pdf is None else find_browser()
+    browser = None
+    if pdf is not None:
+        from ..report.printing import find_browser
+
+        browser = find_browser()
     if recording is not None:
         job.progress.start(quiet=job.quiet)
         from ..parts import recording as recording_job
@@ -119,6 +122,8 @@ def cli(
     from .answers import placement_parts
 
     if browser is not None and pdf is not None:
+        from ..report.printing import print_page
+
         job.progress("print", 0, 0)
         try:
             print_page(browser, out / "report.html", pdf)
