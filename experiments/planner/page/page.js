@@ -219,21 +219,28 @@ function showCost() {
 
 // ---------- mounted sensors
 
+// Buttons stay as long as their units do: one that is replaced under a pressed pointer is never clicked.
 let shownUnits = "";
 function showUnits() {
+  if (!state) return fillUnit();
   const alone = isCurrent() ? numbers.units || {} : {};
-  const text = JSON.stringify([selected, state ? state.units.map((unit) => [unit.id, alone[unit.id]]) : []]);
-  if (text !== shownUnits && state) {
-    shownUnits = text;
+  const list = find("units"), ids = JSON.stringify(state.units.map((unit) => unit.id));
+  if (ids !== shownUnits) {
+    shownUnits = ids;
     const focused = document.activeElement?.dataset?.chip;
-    find("units").replaceChildren(...state.units.map((unit) => {
+    list.replaceChildren(...state.units.map(({ id }) => {
       const item = element("li", {});
-      const button = element("button", { type: "button", "data-chip": unit.id, "aria-pressed": unit.id === selected, text: alone[unit.id] ? `${unit.id} ${alone[unit.id]}` : unit.id, title: unit.title }, item);
-      button.addEventListener("click", () => chooseUnit(unit.id));
+      element("button", { type: "button", "data-chip": id }, item).addEventListener("click", () => chooseUnit(id));
       return item;
     }));
-    if (focused) find("units").querySelector(`[data-chip="${CSS.escape(focused)}"]`)?.focus();
+    if (focused) list.querySelector(`[data-chip="${CSS.escape(focused)}"]`)?.focus();
   }
+  state.units.forEach(({ id, title }, index) => {
+    const [button, text] = [list.children[index].firstChild, alone[id] ? `${id} ${alone[id]}` : id];
+    if (button.textContent !== text) button.textContent = text;
+    button.title = title;
+    button.setAttribute("aria-pressed", id === selected);
+  });
   fillUnit();
 }
 

@@ -438,6 +438,23 @@ def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
         expect(turned).not_to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
 
 
+def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[6:8])) as page:
+        told(page)
+        first, second = page.locator("#units button").all()
+        before = second.inner_text()
+        page.mouse.move(*middle(first))
+        page.mouse.down()
+        for _ in range(4):
+            page.keyboard.press("Shift+ArrowLeft")  # turns the last unit, which is still chosen
+        expect(second).to_have_attribute("aria-pressed", "true")
+        expect(second).not_to_have_text(before, timeout=PATIENCE_MS)
+        told(page)
+        expect(second).to_contain_text("%", timeout=PATIENCE_MS)
+        page.mouse.up()
+        expect(first).to_have_attribute("aria-pressed", "true", timeout=PATIENCE_MS)
+
+
 def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, garden):
     library = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
