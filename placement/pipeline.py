@@ -134,9 +134,9 @@ class Assembly:
         is there twice, see :func:`placement.detection_table.mixed_table`.
         """
         setting, table = with_sight(self.setting, compute=self.compute), self.table
-        seen = setting.seen_by_vut if setting.cars else None
+        seen, sample_index = setting.seen_by_vut if setting.cars else None, None
         if self._sampled is not None:
-            seen = self._sampled.seen_by_vut
+            seen, sample_index = self._sampled.seen_by_vut, self._sampled.sample_index
         if setting.levels is not None:
             table = level_table(table, setting.levels, setting.rule)
             if seen is not None:
@@ -144,13 +144,14 @@ class Assembly:
         if seen is not None and setting.cars < 1.0:
             table = mixed_table(table, setting.cars)
             seen = np.concatenate([seen, np.zeros_like(seen)])
+            sample_index = None if sample_index is None else np.tile(sample_index, 2)
         return build_problem(
             setting,
             self.candidates,
             table,
             wishes=self.wishes,
             fusion=self.fusion,
-            sample_index=None if self._sampled is None else self._sampled.sample_index,
+            sample_index=sample_index,
             seen_by_vut=seen,
         )
 
@@ -229,19 +230,12 @@ def assemble(
     )
 
 
-def check_worlds_of_cars(question: Question) -> None:
-    """Raise InputError for a share of cars that see in sampled worlds: they have each run once."""
-    if question.samples and 0.0 < read_cars(question.cars) < 1.0:
-        raise InputError("cars", question.cars, f"{BLIND} or {SEE} beside `samples`")
-
-
 def _check_together(question: Question) -> None:
     """Raise InputError for fields that exclude or need one another."""
     for field_name in ("within", "samples", "no_look"):
         if question.refine and getattr(question, field_name):
             got = Unquoted(f"it beside `{field_name}`")
             raise InputError("refine", got, "one of them: poses stay as they are")
-    check_worlds_of_cars(question)
     if question.refine and 0.0 < read_cars(question.cars) < 1.0:
         raise InputError("cars", question.cars, f"{BLIND} or {SEE} beside `refine`")
     if question.score != AVOIDED:
@@ -456,12 +450,12 @@ def _nominal(
 ) -> tuple[PlacementProblem, tuple[int, ...]]:
     """The problem without chance, and the rows of a layout in it."""
     cars = assembly.setting.cars
+    plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
     if problem.sample_index is not None:
         compute = assembly.compute.within("greedy")
-        alone = replace(assembly, compute=compute).of_layout(pose_index).problem
+        alone = replace(assembly, setting=plain, compute=compute).of_layout(pose_index).problem
         return alone, tuple(range(alone.table.n_poses))
     if assembly.setting.levels is not None or 0.0 < cars < 1.0:
-        plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
         return replace(assembly, setting=plain, known_table=assembly.table).problem, pose_index
     return problem, pose_index
 

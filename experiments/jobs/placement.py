@@ -23,7 +23,7 @@ from placement.ground import PrivateGround, load_private_ground
 from placement.layout import Layout, check_layout, find_baseline
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
-from placement.pipeline import Assembly, Placement, assemble, check_worlds_of_cars, place
+from placement.pipeline import Assembly, Placement, assemble, place
 from placement.question import Question
 from placement.refinement import Refinement, refine
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
@@ -407,7 +407,6 @@ def run_comparison(
     """
     scene = load_scene(question.scene)
     drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
-    check_worlds_of_cars(replace(question, samples=samples))
     with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         setting = job.setting
         layouts = _with_distinct_names(layouts)

@@ -131,7 +131,7 @@ class SampledApr:
     apr_by_sample: FloatArray  # (n_samples,): 0 .. 1
     avoided_share: FloatArray  # (n_runs,): of all worlds, in which each run is avoided. 0 .. 1
     driving: TrafficCount = NO_TRAFFIC  # vehicles that drove by in these worlds
-    alone: float = 0.0  # mean APR of the VUT without units; 0 where cars are blind. 0 .. 1
+    alone: float = 0.0  # mean APR of all cars without units; 0 where they are blind. 0 .. 1
 
     def __post_init__(self) -> None:
         for name, shape in (("apr_by_sample", (-1,)), ("avoided_share", (self.axis.n_runs,))):
@@ -164,7 +164,7 @@ class FreshWorlds:
 
     avoided: FloatArray  # (n_layouts, n_worlds, n_runs): share of the draws in a world
     driving: TrafficCount  # vehicles that drove by, in all of them
-    alone: BoolArray  # (n_worlds, n_runs): what the VUT avoids without units
+    alone: FloatArray  # (n_worlds, n_runs): share of the cars that avoid it without units
 
 
 def out_of_sample_layouts(
@@ -220,7 +220,7 @@ def look_at_fresh_worlds(
     compute.progress(STAGE, 0, n_worlds)
     n_draws = N_DRAWS if uncertainty.draws_anew else 1
     avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs))
-    alone = np.zeros(avoided.shape[1:], dtype=bool)
+    alone = np.zeros(avoided.shape[1:])
     quiet = replace(compute, cache_folder=None, progress=silent)
     worlds = build_sample_tables(
         samples,
@@ -239,18 +239,14 @@ def look_at_fresh_worlds(
             seen = seen_by_vut(sample, quiet)  # once in each world: nothing repeats in its images
             own = [] if seen is None else [(seen, setting.rule.latency_s)]
             if own:
-                alone[index] = _avoided(own, table.axis, setting.rule, fusion)
+                alone[index] = setting.cars * _avoided(own, table.axis, setting.rule, fusion)
         detected = table.detected(slice(None))
         for which, layout in enumerate(layouts):
-            avoided[which, index] += _avoided(
-                [
-                    *((detected[row[_key(u)]], u.latency(setting.rule)) for u in layout.units),
-                    *own,
-                ],
-                table.axis,
-                setting.rule,
-                fusion,
-            )
+            sent = [(detected[row[_key(u)]], u.latency(setting.rule)) for u in layout.units]
+            for share, arrivals in ((setting.cars, [*sent, *own]), (1.0 - setting.cars, sent)):
+                if share:
+                    in_time = _avoided(arrivals, table.axis, setting.rule, fusion)
+                    avoided[which, index] += share * in_time
         compute.progress(STAGE, index + 1, n_worlds)
     return FreshWorlds(avoided=avoided / n_draws, driving=driving, alone=alone)
 

@@ -24,6 +24,7 @@ from placement.explain.contributions import find_failures
 from placement.explain.tolerances import find_standing
 from placement.layout import Layout
 from placement.live import table_verdict
+from placement.optimiser import apr
 from placement.pipeline import assemble, place
 from placement.question import Question
 from placement.sampling.out_of_sample import out_of_sample_layouts
@@ -135,16 +136,6 @@ def test_comparisons_follow(small_study, tmp_path):
         assert result.evaluation.judged.all >= result.evaluation.rsu_all.all
         left = result.compared[0].evaluation.apr_without_worst_unit
         assert left >= result.cars * result.evaluation.vut.all - 1e-9
-    with pytest.raises(InputError, match=r"cars: got '0\.3'; expected blind or see"):
-        placement.run_comparison(
-            Question(cars="0.3"),
-            layouts=[first, layout],
-            samples=2,
-            out=None,
-            compute=Compute(),
-            command="place-rsus compare",
-            progress=StageProgress(),
-        )
 
 
 def test_what_units_add_is_told_one_by_one(small_study):
@@ -177,7 +168,6 @@ def test_what_units_add_is_told_one_by_one(small_study):
         ({"cars": "some"}, "cars: got 'some'; expected blind, see, or the share of cars that see"),
         ({"cars": "nan"}, "cars: got 'nan'; expected blind, see, or the share"),
         ({"cars": "1.01"}, "cars: got '1.01'; expected blind, see, or the share"),
-        ({"cars": "0.5", "samples": 2}, "cars: got '0.5'; expected blind or see beside `samples`"),
         ({"cars": "0.5", "refine": True}, "cars: got '0.5'; expected blind or see beside `refine`"),
     ],
 )
@@ -218,6 +208,23 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
     )
     assert (seeing >= by_units).all()
     assert seeing.sum() > by_units.sum()
+
+
+def test_a_share_of_the_cars_sees_in_sampled_worlds(small_study, tmp_path, monkeypatch):
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
+    problems = {
+        cars: assemble(Question(budget=2, cars=cars, samples=2)).problem
+        for cars in ("blind", "0.3", "see")
+    }
+    for chosen in ([], [0], [1, 4]):
+        blind, mixed, see = (apr(problem, chosen) for problem in problems.values())
+        assert mixed == pytest.approx(0.3 * see + 0.7 * blind)
+    summary = asked(tmp_path / "out", cars="0.3", samples=2)
+    assert failed(tmp_path / "out") == []
+    (subject, *_) = summary["sampled"]["layouts"]
+    names = {pose: row for row, pose in enumerate(problems["0.3"].table.pose_ids)}
+    chosen = [names[unit["id"]] for unit in summary["layout"]]
+    assert subject["in_sample"] == pytest.approx(apr(problems["0.3"], chosen))
 
 
 def test_nothing_is_lost_where_the_car_sees_all(small_study):

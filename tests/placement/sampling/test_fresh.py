@@ -175,6 +175,17 @@ def test_cars_that_see_are_judged_without_units_too(setting, layouts):
     assert out_of_sample(setting, layouts[1], LOSSY, n_samples=1).alone == 0.0
 
 
+def test_a_share_of_cars_that_see_is_the_weighted_sum_of_both(setting, layouts):
+    blind, mixed, see = (
+        out_of_sample(replace(setting, cars=cars), layouts[1], LOSSY, n_samples=3)
+        for cars in (0.0, 0.25, 1.0)
+    )
+    assert see.apr_by_sample.sum() > blind.apr_by_sample.sum()
+    for name in ("apr_by_sample", "avoided_share", "alone"):
+        expected = 0.25 * getattr(see, name) + 0.75 * getattr(blind, name)
+        assert getattr(mixed, name) == pytest.approx(expected)
+
+
 def test_progress_counts_worlds(setting, layouts):
     calls = []
     out_of_sample(
