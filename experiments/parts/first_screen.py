@@ -43,6 +43,7 @@ class FirstScreen:
     cards: tuple[Card, ...]
     dangers: tuple[str, ...]
     plan: Picture
+    views: tuple[Picture, ...]  # of each camera, if they are few
 
 
 def build_first_screen(
@@ -52,6 +53,7 @@ def build_first_screen(
     *,
     bill: BillOfMaterials,
     plan: Picture,
+    views: Sequence[Picture] = (),
     warnings: Sequence[str] = (),
 ) -> FirstScreen:
     """The first screen of a result; `warnings` stand between its sentence and its figures."""
@@ -63,6 +65,7 @@ def build_first_screen(
         cards=(*first, _cost(bill, subject), _proof(result)),
         dangers=tuple(_dangers(result, setting)),
         plan=plan,
+        views=tuple(views),
     )
 
 

@@ -4,7 +4,7 @@ import base64
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -102,10 +102,11 @@ class Picture:
     title: str
     caption: str
     alt: str  # for those who do not see it
-    png: str  # base64
+    image: str  # base64
     width_px: int
     height_px: int
     width_in: float  # at which letters of 8 pt are that high
+    format: Literal["png", "jpeg"] = "png"
     narrow: "Picture | None" = None  # the same for a phone
 
 
@@ -132,7 +133,7 @@ def build_picture(
     words: dict[str, Any] = {"title": title, "caption": caption, "alt": alt}
     return Picture(
         **words,
-        png=base64.b64encode(png).decode(),
+        image=base64.b64encode(png).decode(),
         width_px=width_px,
         height_px=height_px,
         width_in=round(float(figure.get_figwidth()), 2),

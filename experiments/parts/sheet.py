@@ -6,7 +6,6 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
@@ -20,21 +19,19 @@ from geometry.notes import assumed_sites
 from geometry.scene import Scene, thing_footprint
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
-from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain.tolerances import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances
-from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from scenarios.runs import Run
 
 from ..figures.axes import BLUE, VERMILION, Style, drawing_any_name, literal, unit_labels
 from ..figures.plan import ALL_ROUND, blind_footprint, draw_scene, ground_footprint, ring_path
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record
+from .camera_views import draw_view
 
 _DEGREE = "\N{DEGREE SIGN}"
 _A4_IN = (8.27, 11.69)
@@ -226,31 +223,10 @@ def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Co
     if not isinstance(unit.sensor, CameraModel):
         axes.text(0.5, 0.5, "A LiDAR takes no picture.", ha="center", va="center", fontsize=11)
         return
-    run, frame = _shown_frame(unit, setting)
-    picture = draw_picture(
-        build_backdrop(setting.scene, run.obstruction),
-        run,
-        frame,
-        unit.pose,
-        unit.sensor,
-        weather=pick_weather(run.weather, "weather"),
-        with_vut=True,
-        compute=compute,
-    )
-    axes.imshow(picture.rgb)
-    when = f"{run.id}, {-run.time_s[frame]:.1f} s before the impact"
+    rgb, run, time_s = draw_view(unit, setting, compute=compute)
+    axes.imshow(rgb)
+    when = f"{run.id}, {-time_s:.1f} s before the impact"
     axes.set_title(literal(f"What it will see, rendered: {when}"), fontsize=9, loc="left")
-
-
-def _shown_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
-    """The run and frame in which the road user is nearest to the middle of the picture."""
-    ahead = np.array([math.cos(_yaw(unit)), math.sin(_yaw(unit))])
-    tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
-    height_m = above_ground(unit, setting.scene).pose.position_m[2]
-    aim = unit.pose.position_m[:2] + ahead * height_m / math.tan(tilt)
-    away_m = [np.hypot(*(run.vru_position_m - aim).T) for run in setting.runs]
-    nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
-    return setting.runs[nearest], int(np.argmin(away_m[nearest]))
 
 
 class SheetResult(Record, frozen=True, kw_only=True):

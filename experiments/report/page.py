@@ -19,6 +19,7 @@ from ..parts.accidents import accidents_section, alone_section, cases_section, r
 from ..parts.alternatives import failures_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
+from ..parts.camera_views import camera_views
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import explanation_sections
 from ..parts.first_screen import build_first_screen
@@ -72,7 +73,7 @@ def write_report(
     """Write the page of :func:`build_report`, with plan and APR in sampled worlds as PNG files."""
     page, pictures = build_report(result, setting, evaluations, **options)
     for name, picture in pictures.items():
-        write_atomically(folder / f"{name}.png", base64.b64decode(picture.png))
+        write_atomically(folder / f"{name}.png", base64.b64decode(picture.image))
     path = folder / FILE_NAME
     write_atomically(path, page)
     return path
@@ -133,7 +134,11 @@ def build_report(
     page = page_template().render(
         title=answer.title(result, setting, shown),
         first=build_first_screen(
-            result, setting, subject, bill=bill, plan=plan, warnings=answer.warnings(result)
+            *(result, setting, subject),
+            bill=bill,
+            plan=plan,
+            views=tasks.views.result(),
+            warnings=answer.warnings(result),
         ),
         answer=answer.words(result, shown),
         assumed=assumption_sentences(result),
@@ -147,6 +152,7 @@ class Tasks(NamedTuple):
     """Pictures and sections of a report that a second process may make, as they are begun."""
 
     plans: Task[list[Picture]]
+    views: Task[list[Picture]]
     dangers: Task[Section]
     margins: Task[Section]
     front: Task[Section | None]
@@ -162,6 +168,7 @@ def begin_tasks(
     front = result.front if isinstance(result, PlacementResult) else None
     return Tasks(  # what takes the longest comes first
         plans=side.begin("plans", build_plans, setting, layouts, others),
+        views=side.begin("views", camera_views, setting, next(iter(layouts.values()))),
         dangers=side.begin("dangers", dangers.section, setting, shown, fusion=result.fusion),
         margins=side.begin("margins", margins_section, shown),
         front=side.begin("front", front_section, front),

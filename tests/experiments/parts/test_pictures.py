@@ -19,7 +19,7 @@ def test_a_picture_is_the_whole_figure_whether_asked_by_it_or_by_its_axes():
         pictures.append(build_picture((axes.figure, axes)[which], **words))
     picture, other = pictures
     assert other == picture
-    image = matplotlib.image.imread(io.BytesIO(base64.b64decode(picture.png)))
+    image = matplotlib.image.imread(io.BytesIO(base64.b64decode(picture.image)))
     assert image.shape[:2] == (picture.height_px, picture.width_px) == (320, 480)
     assert picture.width_in == 3.0
     assert (picture.title, picture.caption, picture.alt) == ("t", "c", "a")

@@ -1,0 +1,85 @@
+"""What each camera will see: a picture, rendered as a road user comes to the middle of it."""
+
+import base64
+import io
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from geometry.sensors import CameraModel
+from geometry.weather import pick_weather
+from placement.candidates import CandidatePose, above_ground
+from placement.compute import DEFAULT_COMPUTE, Compute
+from placement.imaging import build_backdrop, draw_picture
+from placement.layout import Layout
+from placement.setting import Setting
+from scenarios.runs import Run
+
+from ..figures.axes import unit_labels
+from .section import Picture
+
+_WIDTH_IN, _WIDTH_PX = 3.2, 512
+_JPEG_QUALITY = 85
+_MOST_CAMERAS = 4  # of more, none is drawn: a first screen has no room for them
+
+
+def camera_views(setting: Setting, layout: Layout) -> list[Picture]:
+    """A picture of each camera of a layout, if they are few."""
+    cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
+    if len(cameras) > _MOST_CAMERAS:
+        return []
+    labels = unit_labels(layout)
+    return [_view(unit, labels[unit.id], setting) for unit in cameras]
+
+
+def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
+    assert isinstance(unit.sensor, CameraModel)
+    height_px = round(unit.sensor.height_px * _WIDTH_PX / unit.sensor.width_px)
+    small = replace(unit, sensor=replace(unit.sensor, width_px=_WIDTH_PX, height_px=height_px))
+    rgb, run, time_s = draw_view(small, setting)
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
+    title = f"{label}: what it will see"
+    when = f"{-time_s:.1f} s before the collision"
+    what = run.case.title.replace("VUT", "car") or run.case.name
+    what = f"{what[:1].upper()}{what[1:]}"
+    return Picture(
+        title=title,
+        caption=f"Rendered from the map. {what}, {when}.",
+        alt=f"Rendered picture of camera {label} at {unit.site_id or 'its mount'}: {what}, {when}.",
+        image=base64.b64encode(buffer.getvalue()).decode(),
+        format="jpeg",
+        width_px=_WIDTH_PX,
+        height_px=height_px,
+        width_in=_WIDTH_IN,
+    )
+
+
+def draw_view(
+    unit: CandidatePose, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
+) -> tuple[NDArray[np.uint8], Run, float]:
+    """Image (h, w, 3) of a camera, the run that it shows, and its time in s (impact: 0).
+
+    The road user is nearest to where the middle of the image meets the road.
+    """
+    assert isinstance(unit.sensor, CameraModel)
+    yaw = math.radians(unit.pose.yaw_deg)
+    tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
+    reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)
+    aim_m = unit.pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
+    away_m = [np.hypot(*(run.vru_position_m - aim_m).T) for run in setting.runs]
+    nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
+    run, frame = setting.runs[nearest], int(np.argmin(away_m[nearest]))
+    picture = draw_picture(
+        build_backdrop(setting.scene, run.obstruction),
+        run,
+        frame,
+        unit.pose,
+        unit.sensor,
+        weather=pick_weather(run.weather, "weather"),
+        compute=compute,
+    )
+    return picture.rgb, run, float(run.time_s[frame])
