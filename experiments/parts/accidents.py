@@ -18,6 +18,7 @@ from ..results.drives import describe_left_out, describe_limits, describe_places
 from ..results.numbers import count_runs, number, percent, several
 from ..results.tables import groups_by, margin_s
 from .section import Block, Box, Bullets, Section, Subheading, Table
+from .sketches import sketch_case
 
 MAX_UNIT_COLUMNS = 24
 """Of more units, each is a row of the table of units by themselves."""
@@ -178,6 +179,11 @@ def cases_section(setting: Setting) -> Section:
         *describe_hopeless(setting),
     ]
     blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
+    sketches = [sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()]
+    blocks += [
+        "From above: the car drives upwards and hits where its line ends. Dashed: whom it meets.",
+        Box("beside sketches", sketches),
+    ]
     refusals = describe_refusals(setting)
     if refusals:
         blocks += [Subheading("Not driven"), Bullets(refusals)]

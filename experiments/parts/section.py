@@ -110,7 +110,18 @@ class Picture:
     narrow: "Picture | None" = None  # the same for a phone
 
 
-Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sketch:
+    """A drawing of a few lines, with what it shows below."""
+
+    kind: ClassVar[str] = "sketch"
+    title: str
+    code: str
+    half: int  # half the side of the square that is drawn
+    paths: Sequence[tuple[str, str]]  # class of ``report.css``, and data of an SVG path
+
+
+Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture | Sketch
 
 
 @dataclass(frozen=True, slots=True)
