@@ -247,6 +247,7 @@ def _head(result: Result) -> list[Part]:
         reasons.append(f"and {more} in the report's list")
     return [
         _said(
+            answer.lead(result),
             *added.words(result.added),
             *dangers.words(result.dangers, result.runs, cars=result.cars),
         ),
@@ -451,14 +452,11 @@ def _apr_table(parties: Mapping[str, _Apr]) -> Table:
 
 
 def failure_notes(evaluation: EvaluationRecord) -> list[str]:
-    """APR of the others when the most needed unit, or pole, fails."""
-    if len(evaluation.units) == 1 and evaluation.headline is None:
+    """APR of the others when a pole fails that carries several units."""
+    share = evaluation.apr_without_worst_site
+    if share is None:
         return []
-    text = f"if the worst unit fails, the others have {percent(evaluation.apr_without_worst_unit)}"
-    if evaluation.apr_without_worst_site is not None:
-        share = percent(evaluation.apr_without_worst_site)
-        text += f"; if the worst pole fails with all its units, {share}"
-    return [f"{text}."]
+    return [f"if the worst pole fails with all its units, the others have {percent(share)}."]
 
 
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:

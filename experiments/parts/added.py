@@ -125,9 +125,8 @@ def words(record: Added | None) -> list[str]:
         told.append(f"the other {len(units) - _MAX_TOLD} {_points(rest)}")
     by_unit = f" ({', '.join(told)})" if len(units) > 1 else ""
     return [
-        f"A car that sees avoids {percent(everything.vut)} by itself and "
-        f"{percent(everything.with_units)} with these units: they add "
-        f"{_points(everything.gain)} points{by_unit}."
+        f"To a car that sees, these units add {_points(everything.gain)} points{by_unit}: "
+        f"{percent(everything.with_units)} in place of {percent(everything.vut)}."
     ]
 
 

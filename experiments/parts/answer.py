@@ -9,7 +9,7 @@ from placement.evaluation import Evaluation, headline_apr
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
-from ..results.numbers import percent
+from ..results.numbers import percent, several
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
@@ -19,6 +19,8 @@ from .next_unit import next_unit_sentence
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, uncertainty_sentences
 from .units import private_ground_sentences
+
+_SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
@@ -32,6 +34,54 @@ def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation
     if len(evaluations) > 1:
         return f"Roadside sensors at {place}: {' and '.join(evaluations)} compared"
     return f"Roadside sensors at {place}: {next(iter(evaluations))}"
+
+
+def lead(result: Result) -> str:
+    """The first sentence of an answer, without codes: what units prevent, and what cars do alone.
+
+    With fusion "single" runs are counted: a unit has to confirm by itself.
+    """
+    found, layout = result.evaluation, result.layout
+    n_lidars = sum(bool(unit.lidar) for unit in layout)
+    kinds = ((len(layout) - n_lidars, "camera", "cameras"), (n_lidars, "LiDAR", "LiDARs"))
+    units = " and ".join(_spelled(several(n, one, many)) for n, one, many in kinds if n)
+    n_poles = len({unit.site or unit.id for unit in layout})
+    mounted = f"{units[:1].upper()}{units[1:]} on {_spelled(several(n_poles, 'pole', 'poles'))}"
+    verb = "prevents" if len(layout) == 1 else "prevent"
+    seeing = " together with cars that see for themselves" if result.cars == 1.0 else ""
+    share = percent(found.judged.all)
+    if result.fusion == "single":
+        share = f"{result.runs - result.dangers.not_avoided} of {result.runs}"
+    best = ""
+    if isinstance(result, PlacementResult):
+        is_best = result.goal == "best" and result.stages[0].name == "apr" and is_proven(result)
+        best = ", and no other choice prevents more" if is_best and result.sampled is None else ""
+        if result.highest and result.highest.compared:
+            other = result.highest.compared.evaluation
+            most = "any choice prevents" if result.highest.stages[0].gap == 0.0 else "was found"
+            best = (
+                f", and {percent(found.apr_without_worst_unit)} if one of them fails; the most "
+                f"that {most} is {percent(other.judged.all)}, but then "
+                f"{percent(other.apr_without_worst_unit)} if one fails"
+            )
+    together = f", and {percent(found.vut_and_rsus.all)} if they hear what the sensors see"
+    return (
+        f"{mounted}{seeing} {verb} {share} of the collisions that were tried{best}. Cars by "
+        f"themselves prevent {percent(found.vut.all)}{'' if result.cars == 1.0 else together}."
+    )
+
+
+def is_proven(result: PlacementResult) -> bool:
+    """True if the first objective is, and the highest share that might be given up of."""
+    first = [result.stages[0], *(result.highest.stages[:1] if result.highest else ())]
+    return all(stage.gap == 0.0 for stage in first)
+
+
+def _spelled(text: str) -> str:
+    """A count with its noun, small numbers as words."""
+    count, _, noun = text.partition(" ")
+    is_small = count.isdigit() and int(count) < len(_SMALL)
+    return f"{_SMALL[int(count)]} {noun}" if is_small else text
 
 
 def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:

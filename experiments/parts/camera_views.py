@@ -43,7 +43,7 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
     buffer = io.BytesIO()
     Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
     title = f"{label}: what it will see"
-    when = f"{-time_s:.1f} s before the collision"
+    when = f"{abs(time_s):.1f} s before the collision"
     what = run.case.title.replace("VUT", "car") or run.case.name
     what = f"{what[:1].upper()}{what[1:]}"
     return Picture(

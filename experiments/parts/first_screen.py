@@ -9,8 +9,9 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
-from ..results.numbers import NOTHING, euros, joined, percent, points, several
+from ..results.numbers import NOTHING, euros, joined, percent, points
 from .accidents import count_sensors, is_weighted
+from .answer import is_proven, lead
 from .bill_of_materials import BillOfMaterials
 from .dangers import DangerGroup, avoided_runs, position_words
 from .explanation import causes_and_remedies
@@ -23,7 +24,6 @@ _BEST = {
     "fewest": "reaches what was asked for with fewer sensors",
     "cheapest": "reaches what was asked for with less money",
 }
-_SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 class Card(NamedTuple):
@@ -60,58 +60,13 @@ def build_first_screen(
     avoided = avoided_runs(subject, result.fusion)
     first = (_prevented(subject, avoided), _if_one_fails(result, subject))
     return FirstScreen(
-        sentence=_sentence(result, subject, avoided),
+        sentence=lead(result),
         warnings=tuple(warnings),
         cards=(*first, _cost(bill, subject), _proof(result)),
         dangers=tuple(_dangers(result, setting)),
         plan=plan,
         views=tuple(views),
     )
-
-
-def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
-    """What the layout prevents, and what cars prevent by themselves."""
-    axis = subject.axis
-    masks = (avoided, subject.vut.is_avoided, subject.vut_and_rsus.is_avoided)
-    share, own, together = (percent(weight_share(mask, axis.weight)) for mask in masks)
-    n_poles = len({unit.site_id or unit.id for unit in subject.layout.units})
-    units = _spelled(count_sensors(subject.layout))
-    mounted = f"{_capital(units)} on {_spelled(several(n_poles, 'pole', 'poles'))}"
-    verb = "prevents" if len(subject.layout.units) == 1 else "prevent"
-    seeing = " together with cars that see for themselves" if result.cars == 1.0 else ""
-    is_best = isinstance(result, PlacementResult) and result.sampled is None and _is_best(result)
-    best = ", and no other choice prevents more" if is_best else ""
-    also = "" if result.cars == 1.0 else f", and {together} if they hear what the sensors see"
-    if isinstance(result, PlacementResult) and result.highest and result.highest.compared:
-        other = result.highest.compared.evaluation
-        most = "any choice prevents" if result.highest.stages[0].gap == 0.0 else "was found"
-        best = (
-            f", and {percent(result.evaluation.apr_without_worst_unit)} if one of them fails; "
-            f"the most that {most} is {percent(other.judged.all)}, but then "
-            f"{percent(other.apr_without_worst_unit)} if one fails"
-        )
-    return (
-        f"{mounted}{seeing} {verb} {share} of the collisions that were tried{best}. Cars by "
-        f"themselves prevent {own}{also}."
-    )
-
-
-def _is_best(result: PlacementResult) -> bool:
-    """True if no choice is proven to prevent more, and nothing else was asked for."""
-    return result.goal == "best" and result.stages[0].name == "apr" and _is_proven(result)
-
-
-def _is_proven(result: PlacementResult) -> bool:
-    """True if the first objective is, and the highest share that might be given up of."""
-    first = [result.stages[0], *(result.highest.stages[:1] if result.highest else ())]
-    return all(stage.gap == 0.0 for stage in first)
-
-
-def _spelled(text: str) -> str:
-    """A count with its noun, small numbers as words."""
-    count, _, noun = text.partition(" ")
-    is_small = count.isdigit() and int(count) < len(_SMALL)
-    return f"{_SMALL[int(count)]} {noun}" if is_small else text
 
 
 def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
@@ -150,7 +105,7 @@ def _proof(result: Result) -> Card:
         words = "this layout was given, and not searched for"
         return Card(head="Proof", figure=NOTHING, words=words)
     tried = f"among {result.candidates:,} possible mountings (by the planning model)"
-    if _is_proven(result):
+    if is_proven(result):
         words = f"no other choice {_BEST[result.goal]} {tried}"
         if result.highest is not None:
             words = (

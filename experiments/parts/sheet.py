@@ -225,7 +225,7 @@ def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Co
         return
     rgb, run, time_s = draw_view(unit, setting, compute=compute)
     axes.imshow(rgb)
-    when = f"{run.id}, {-time_s:.1f} s before the impact"
+    when = f"{run.id}, {abs(time_s):.1f} s before the impact"
     axes.set_title(literal(f"What it will see, rendered: {when}"), fontsize=9, loc="left")
 
 

@@ -152,7 +152,7 @@ def test_what_units_add_is_told_one_by_one(small_study):
             evaluation.vut_and_rsus.is_avoided @ small_study.axis.weight
         )
         (sentence,) = added_words(found)
-        assert sentence.startswith("A car that sees avoids ")
+        assert sentence.startswith("To a car that sees, these units add ")
         kinds = {group.kind for group in found.groups}
         assert kinds >= {"all", "case"}
     unit = layout.units[0]

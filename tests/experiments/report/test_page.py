@@ -15,14 +15,14 @@ from experiments.parts.dangers import build_dangers
 from experiments.parts.result import build_comparison_result
 from experiments.report.page import build_report, write_report
 from experiments.results.numbers import percent
-from experiments.results.record import StageRecord
+from experiments.results.record import StageRecord, build_evaluation_record
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records, load_carlancap_layout
 from placement.question import Question
 from placement.setting import build_setting
-from scenarios.aeb import is_in_time, live_confirmation_time_s
+from scenarios.aeb import is_in_time, live_confirmation_time_s, load_aeb_rule
 from scenarios.runs import Refusal, build_frame_axis
 
 VOID = {"source", "meta", "img", "br", "hr", "link", "input"}
@@ -138,6 +138,7 @@ def plain_result(evaluation, **changes):
         "versions": {"place-rsus": "0.1.0"},
     }
     layout = evaluation.layout
+    parts["evaluation"] = build_evaluation_record(evaluation, load_aeb_rule())
     return build_result(layout.name, layout_records(layout), **(parts | changes))
 
 
@@ -217,13 +218,14 @@ def test_page_has_a_language_a_title_and_one_main_heading(page):
     assert [tag for tag, _ in tags].count("title") == 1
 
 
-def test_every_figure_is_a_png_with_an_alt_text(page):
+def test_every_figure_is_a_png_or_jpeg_with_an_alt_text(page):
     images = Page(page).images
     assert len(images) >= 3
     for image in images:
         assert len(image["alt"]) > 40
-        data = base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
-        assert data.startswith(b"\x89PNG")
+        kind, _, data = image["src"].removeprefix("data:image/").partition(";base64,")
+        begin = {"png": b"\x89PNG", "jpeg": b"\xff\xd8\xff"}[kind]
+        assert base64.b64decode(data).startswith(begin)
     assert len({image["src"] for image in images}) == len(images)
 
 
