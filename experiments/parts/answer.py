@@ -64,10 +64,11 @@ def lead(result: Result) -> str:
                 f"that {most} is {percent(other.judged.all)}, but then "
                 f"{percent(other.apr_without_worst_unit)} if one fails"
             )
-    together = f", and {percent(found.vut_and_rsus.all)} if they hear what the sensors see"
+    together = f", both together {percent(found.vut_and_rsus.all)}"
     return (
-        f"{mounted}{seeing} {verb} {share} of the collisions that were tried{best}. Cars by "
-        f"themselves prevent {percent(found.vut.all)}{'' if result.cars == 1.0 else together}."
+        f"{mounted}{seeing} {verb} {share} of the simulated collisions, by telling cars when to "
+        f"brake{best}. The cars' own sensors alone prevent {percent(found.vut.all)}"
+        f"{'' if result.cars == 1.0 else together}."
     )
 
 

@@ -5,11 +5,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from geometry.arrays import BoolArray
+from geometry.scene import Scene
+from placement.candidates import above_ground
 from placement.evaluation import Evaluation
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
-from ..results.numbers import NOTHING, euros, joined, percent, points
+from ..figures.axes import unit_labels
+from ..figures.plan import looking_words
+from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import count_sensors, is_weighted
 from .answer import is_proven, lead
 from .bill_of_materials import BillOfMaterials
@@ -18,7 +22,7 @@ from .explanation import causes_and_remedies
 from .result import PlacementResult, Result
 from .section import Picture
 
-_MOST_DANGERS = 3
+_MOST_DANGERS, _MOST_UNITS = 3, 6
 _BEST = {
     "best": "does better",
     "fewest": "reaches what was asked for with fewer sensors",
@@ -40,6 +44,7 @@ class FirstScreen:
 
     sentence: str
     warnings: tuple[str, ...]  # what must not be overlooked
+    units: tuple[str, ...]  # what is mounted where, if they are few
     cards: tuple[Card, ...]
     dangers: tuple[str, ...]
     plan: Picture
@@ -62,6 +67,7 @@ def build_first_screen(
     return FirstScreen(
         sentence=lead(result),
         warnings=tuple(warnings),
+        units=_mounted(result, subject, setting.scene),
         cards=(*first, _cost(bill, subject), _proof(result)),
         dangers=tuple(_dangers(result, setting)),
         plan=plan,
@@ -69,14 +75,28 @@ def build_first_screen(
     )
 
 
+def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ...]:
+    """Where each unit is mounted and looks, if they are few."""
+    units, labels = subject.layout.units, unit_labels(subject.layout)
+    if len(units) > _MOST_UNITS:
+        return ()
+    found = []
+    for unit, record in zip(units, result.layout, strict=True):
+        where = " ".join(filter(None, (record.kind, record.site))) or "a mount of its own"
+        height_m = float(above_ground(unit, scene).pose.position_m[2])
+        parts = (where, record.place, f"{number(height_m, 1)} m high", looking_words(unit))
+        found.append(f"{labels[unit.id]}: {', '.join(filter(None, parts))}.")
+    return tuple(found)
+
+
 def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
     axis = subject.axis
     n_avoided, n_runs = int(avoided.sum()), axis.n_runs
-    words = f"of the collisions that were tried: {n_avoided} of {n_runs}"
+    words = f"of the simulated collisions: {n_avoided} of {n_runs}"
     if is_weighted(axis):
         words += (
-            f". That would be {percent(n_avoided / n_runs)}, but some count more than others: "
-            "all shares here are by weight"
+            f". Counted one by one that is {percent(n_avoided / n_runs)}; shares on this page are "
+            "by weight, as kinds of collisions differ in number"
         )
     return Card("Prevented", percent(weight_share(avoided, axis.weight)), words)
 
@@ -104,13 +124,14 @@ def _proof(result: Result) -> Card:
     if not isinstance(result, PlacementResult):
         words = "this layout was given, and not searched for"
         return Card(head="Proof", figure=NOTHING, words=words)
-    tried = f"among {result.candidates:,} possible mountings (by the planning model)"
+    tried = f"among {result.candidates:,} possible mountings (by a simpler model, for planning)"
     if is_proven(result):
         words = f"no other choice {_BEST[result.goal]} {tried}"
         if result.highest is not None:
             words = (
-                f"no other choice keeps more if a sensor fails, unless it prevents over "
-                f"{points(result.highest.given_up)} less than the most that can be {tried}"
+                f"of all choices that prevent nearly as much as can be (up to "
+                f"{points(result.highest.given_up)} less), none keeps more when a sensor fails, "
+                f"{tried}"
             )
         return Card(head="Proof", figure="proven best", words=words)
     if result.bound is None:
@@ -123,7 +144,7 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
     """Who is still at risk, where, why, and what would help: a sentence each."""
     dangers = result.dangers
     if not dangers.not_avoided:
-        return ["Of the collisions that were tried, none is left."]
+        return ["All simulated collisions are prevented."]
     cases = {run.case.name: run.case for run in setting.runs}
     titles = {name: case.title.replace("VUT", "car") or name for name, case in cases.items()}
     worst = [group for group in dangers.by_case[:_MOST_DANGERS] if group.not_avoided]
@@ -141,7 +162,7 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
 
 
 def _left(group: DangerGroup) -> str:
-    return f"{group.not_avoided} of {group.runs} left"
+    return f"{group.not_avoided} of {group.runs} not prevented"
 
 
 def _capital(text: str) -> str:

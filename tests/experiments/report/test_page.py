@@ -273,12 +273,12 @@ def test_the_first_screen_has_one_sentence_and_four_figures(placement_page, eval
         for verdict in (found.rsu_all, found.vut, found.vut_and_rsus)
     )
     assert (
-        f"Two cameras on two poles prevent {share} of the collisions that were tried, and no other "
-        f"choice prevents more. Cars by themselves prevent {own}, and {together} if they hear what "
-        "the sensors see."
+        f"Two cameras on two poles prevent {share} of the simulated collisions, by telling cars "
+        f"when to brake, and no other choice prevents more. The cars' own sensors alone prevent "
+        f"{own}, both together {together}."
     ) in words
     n_avoided = int(found.rsu_all.is_avoided.sum())
-    assert f"Prevented {share} of the collisions that were tried: {n_avoided} of 104" in words
+    assert f"Prevented {share} of the simulated collisions: {n_avoided} of 104" in words
     assert "If a sensor fails 75.0 %" in words
     assert "Proof proven best no other choice does better among 4,032 possible mountings" in words
     assert re.search(r"Cost [\d,]+ EUR", words)
@@ -302,7 +302,10 @@ def test_the_first_screen_needs_no_code_and_no_abbreviation(placement_result, se
     worst = dangers.by_case[0]
     titles = {run.case.name: run.case.title for run in setting.runs}
     title = titles[worst.name].replace("VUT", "car")
-    assert f"{title[:1].upper()}{title[1:]}: {worst.not_avoided} of {worst.runs} left." in words
+    assert (
+        f"{title[:1].upper()}{title[1:]}: {worst.not_avoided} of {worst.runs} not prevented."
+        in words
+    )
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
@@ -326,8 +329,8 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
     )
     words = html.unescape(_first_screen(page))
     counted = int(found.rsu_all.is_avoided.sum()) / 104
-    assert words.count("all shares here are by weight") == 1
-    assert f"That would be {100.0 * counted:.1f} %" in words
+    assert words.count("shares on this page are by weight") == 1
+    assert f"Counted one by one that is {100.0 * counted:.1f} %" in words
     assert "no other choice" not in words
     assert "Proof 99.0 % is the most that any choice could prevent" in words
 
