@@ -115,7 +115,7 @@ def _one_by_one(setting: Setting, evaluation: Evaluation, fusion: str) -> tuple[
 
 
 def words(record: Added | None) -> list[str]:
-    """The VUT alone, with the units, and what they add, in one sentence; an answer begins so."""
+    """What units add to a car that sees, one after the other, in one sentence."""
     if record is None or record.groups[0].gain is None:
         return []
     everything, units = record.groups[0], record.units
@@ -124,10 +124,7 @@ def words(record: Added | None) -> list[str]:
         rest = sum(unit.gain for unit in units[_MAX_TOLD:])
         told.append(f"the other {len(units) - _MAX_TOLD} {_points(rest)}")
     by_unit = f" ({', '.join(told)})" if len(units) > 1 else ""
-    return [
-        f"To a car that sees, these units add {_points(everything.gain)} points{by_unit}: "
-        f"{percent(everything.with_units)} in place of {percent(everything.vut)}."
-    ]
+    return [f"To a car that sees, these units add {_points(everything.gain)} points{by_unit}."]
 
 
 def _points(gain: float | None) -> str:
