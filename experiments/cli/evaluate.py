@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from . import options
-from .recording import check_recording_options, recording_options, recording_table
+from .recording import check_recording_options, recording_table
 from .running import Job, command_line
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Examples:
   place-rsus evaluate --recording ncap_data""",
 )
 @options.layout_option
-@recording_options
+@options.options_of("recording")
 @options.folder_option("a report")
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
@@ -79,14 +79,7 @@ Examples:
   place-rsus compare a.json b.json --samples 60     is the difference sure?""",
 )
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@options.option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
-@options.option(
-    "--report",
-    "--out",
-    "out",
-    type=click.Path(path_type=Path),
-    help="Folder for a report; else none.",
-)
+@options.options_of("compare")
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
     job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None

@@ -5,7 +5,8 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial, wraps
+from functools import wraps
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -15,6 +16,7 @@ from click.shell_completion import CompletionItem
 from msgspec import Meta
 
 from geometry.errors import InputError
+from geometry.files import load_toml
 from placement.compute import RAYS, Compute
 from placement.question import (
     BASELINE_NAME,
@@ -231,11 +233,54 @@ def complete_paths(
     return [CompletionItem(incomplete, type="file")]
 
 
-def _decorate(command: Callable[..., Any], options: Sequence[Decorator]) -> Callable[..., Any]:
-    """Add options so that the help shows them in this order."""
-    for add in reversed(options):
-        command = add(command)
-    return command
+def combined(*options: Decorator) -> Decorator:
+    """All of these options, so that the help shows them in this order."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for add in reversed(options):
+            command = add(command)
+        return command
+
+    return decorate
+
+
+# ---------- options from a table
+
+
+_TABLES = load_toml(files("experiments") / "data" / "options.toml")
+_PATHS = {"file": {}, "folder": {"file_okay": False}, "regular file": {"dir_okay": False}}
+
+
+def table_options(command: str, **more: dict[str, Any]) -> dict[str, Decorator]:
+    """Options of a command by parameter, as ``data/options.toml`` has them, or `more` of each."""
+    return {
+        name: _table_option(name, settings | more.get(name, {}))
+        for name, settings in _TABLES[command].items()
+    }
+
+
+def options_of(command: str, **more: dict[str, Any]) -> Decorator:
+    """All of :func:`table_options`."""
+    return combined(*table_options(command, **more).values())
+
+
+def _table_option(parameter: str, settings: dict[str, Any]) -> Decorator:
+    names = settings.pop("option", "--" + parameter.replace("_", "-"))
+    kind = settings.pop("type", None)
+    least, above, most = (settings.pop(key, None) for key in ("min", "above", "max"))
+    if isinstance(kind, list | tuple):
+        kind = click.Choice(kind)
+    elif kind == "int":
+        kind = click.IntRange(min=least, max=most)
+        settings = {"metavar": "N"} | settings
+    elif kind == "float":
+        low = least if above is None else above
+        is_ranged = low is not None or most is not None
+        kind = click.FloatRange(low, most, min_open=above is not None) if is_ranged else float
+    elif kind in _PATHS:
+        kind = click.Path(path_type=Path, **_PATHS[kind])
+    settings = {"show_default": bool(settings.get("default"))} | settings
+    return option(*([names] if isinstance(names, str) else names), parameter, type=kind, **settings)
 
 
 # ---------- options of a question
@@ -315,7 +360,7 @@ def question_options(
         if name in names
     ]
     if has_file:
-        options += [_question_option, _save_question_option]
+        options += [_SHARED["question"], _SHARED["save_question_to"]]
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
@@ -326,7 +371,7 @@ def question_options(
                 save_question(save_question_to, question)
             return command(*args, question=question, **values)
 
-        return _decorate(with_question, options)
+        return combined(*options)(with_question)
 
     return decorate
 
@@ -342,61 +387,19 @@ def _refuse_program_of_file(question: Question) -> None:
 
 def one_run_options() -> Decorator:
     """The argument and options that name a run: the command gets `question` and `position`."""
-    naming = (
-        click.argument("cases", metavar="CASE"),
-        option("--approach", "approaches", required=True, metavar="ARM", help="Such as east."),
-        option(
-            "--speed",
-            "speeds",
-            required=True,
-            metavar="KMH",
-            help="Of the VUT; 30x50: and of whoever it meets.",
-        ),
-        option(
-            "--position",
-            default="0",
-            show_default=True,
-            metavar="METRES",
-            help="Where along the arms: -15 is so far before the junction, +15 behind it.",
-        ),
-    )
     apart = ("cases", "approaches", "speeds")
     asked = [name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")]
-    others = question_options(*asked, named_apart=apart, has_file=False)
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        return _decorate(others(command), naming)
-
-    return decorate
+    return combined(
+        click.argument("cases", metavar="CASE"),
+        options_of("run"),
+        question_options(*asked, named_apart=apart, has_file=False),
+    )
 
 
 def _read_question(context: click.Context, _param: click.Parameter, path: Path | None) -> None:
     """Let a question file give what the command line does not."""
     if path is not None:
         context.default_map = load_question_values(path)
-
-
-_question_option = option(
-    "--question",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    expose_value=False,
-    is_eager=True,
-    callback=_read_question,
-    is_path=True,
-    section=PROGRAM,
-    help="Read the question from a TOML file: every option above, by its name with underscores; "
-    "what stands on the command line wins, what this command has no option for is not used.",
-)
-_save_question_option = option(
-    "--save-question",
-    "save_question_to",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    is_path=True,
-    section=PROGRAM,
-    help="Write the question in use to a TOML file for --question.",
-)
 
 
 # ---------- options that several commands share
@@ -407,66 +410,18 @@ def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: b
         context.obj.shows_tracebacks = True
 
 
-_of_program = partial(option, section=PROGRAM)
-_seldom = partial(option, section=PROGRAM, is_common=False)
-
-json_option = _of_program(
-    "--json", "as_json", is_flag=True, help="Print JSON on stdout and nothing else."
+_SHARED = table_options(
+    "shared",
+    verbose={"callback": lambda context, _, is_given: is_given and context.obj.tell_more()},
+    debug={"callback": _show_traceback},
+    workers={"default": os.cpu_count() or 1},
+    rays={"type": RAYS, "default": RAYS[0]},
+    question={"callback": _read_question},
 )
-_verbose_option = _seldom(
-    "--verbose",
-    is_flag=True,
-    expose_value=False,
-    callback=lambda context, _, is_given: is_given and context.obj.tell_more(),
-    help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
-)
-_debug_option = _seldom(
-    "--debug",
-    is_flag=True,
-    expose_value=False,
-    callback=_show_traceback,
-    help="Show the full text of an unexpected error.",
-)
-_quiet_option = _of_program("--quiet", is_flag=True, help="Nothing but errors on stderr.")
-
-
-def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
-    return _quiet_option(_verbose_option(_debug_option(command)))
-
-
-_workers_option = _seldom(
-    "--workers",
-    type=click.IntRange(min=1),
-    metavar="N",
-    default=os.cpu_count() or 1,
-    show_default="one per processor",
-    expected="a number of threads, at least 1",
-    help="Threads.",
-)
-_seed_option = _seldom(
-    "--seed",
-    type=click.IntRange(min=0),
-    metavar="N",
-    default=0,
-    show_default=True,
-    expected="a whole number, at least 0",
-    help="Of all that is left to chance: points on the road users, misses, lost messages.",
-)
-_cache_option = _seldom(
-    "--cache/--no-cache",
-    "uses_cache",
-    default=True,
-    show_default=True,
-    help="Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
-)
-_rays_option = _seldom(
-    "--rays",
-    type=click.Choice(RAYS),
-    default=RAYS[0],
-    show_default=True,
-    help="Library that casts rays; auto: the fastest that loads. The results are the same.",
-)
+json_option = _SHARED["as_json"]
+layout_option = _SHARED["layout_names"]
+quiet_option = combined(_SHARED["quiet"], _SHARED["verbose"], _SHARED["debug"])
+"""Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:
@@ -491,19 +446,15 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
             )
             return command(*args, compute=compute, **values)
 
-        cache = [_cache_option] if has_cache else []
-        return _decorate(with_compute, [_seed_option, _workers_option, _rays_option, *cache])
+        names = ("seed", "workers", "rays", *(["uses_cache"] if has_cache else []))
+        return combined(*(_SHARED[name] for name in names))(with_compute)
 
     return decorate
 
 
 def job_options(*, has_cache: bool = False) -> Decorator:
     """The last options of a command that computes: it gets `as_json`, `quiet` and `compute`."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        return _decorate(command, [json_option, quiet_option, compute_options(has_cache=has_cache)])
-
-    return decorate
+    return combined(json_option, quiet_option, compute_options(has_cache=has_cache))
 
 
 def asking(
@@ -522,9 +473,8 @@ def asking(
             )
             return command(job, **values)
 
-        return question_options(*names, defaults=defaults)(
-            job_options(has_cache=has_cache)(with_job)
-        )
+        asked = question_options(*names, defaults=defaults)
+        return combined(asked, job_options(has_cache=has_cache))(with_job)
 
     return decorate
 
@@ -534,13 +484,6 @@ def folder_option(files: str) -> Decorator:
     return option("--out", type=click.Path(path_type=Path), help=f"Folder for {files}; else none.")
 
 
-layout_option = option(
-    "--layout",
-    "layout_names",
-    multiple=True,
-    is_path=True,
-    help="carlancap-12, or a layout file.",
-)
 scene_option = field_option(question_fields()["scene"])
 
 

@@ -42,28 +42,7 @@ Examples:
   place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
   place-rsus pareto --max 5 --out results/pareto --json""",
 )
-@options.option(
-    "--max",
-    "max_units",
-    type=click.IntRange(min=1),
-    metavar="N",
-    expected="a whole number of units, at least 1",
-    default=8,
-    show_default=True,
-    help="Most units, beside those of --keep.",
-)
-@options.option(
-    "--by",
-    type=click.Choice(("units", "cost")),
-    default="units",
-    show_default=True,
-    help="What there is more and more of: units, or money for units and sites.",
-)
-@options.option(
-    "--all-stages",
-    is_flag=True,
-    help="Optimise time to spare and cost, too, not only the APR with and without a failure.",
-)
+@options.options_of("pareto")
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | None) -> None:
@@ -131,14 +110,7 @@ Examples:
   place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
 )
 @options.layout_option
-@options.option(
-    "--visit-cost",
-    "visit_eur",
-    type=click.FloatRange(min=0.0),
-    metavar="EUR",
-    expected="euros, at least 0",
-    help="Of a re-aim or a removal; default: people and a lift, by the project's assumptions.",
-)
+@options.options_of("retrofit")
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
 def retrofit(

@@ -5,10 +5,8 @@ from pathlib import Path
 import click
 
 from . import options
-from .recording import check_recording_options, recorded_placement_table, recording_options
+from .recording import check_recording_options, recorded_placement_table
 from .running import Job, command_line
-
-DEFAULT_OUT = Path("results/latest")
 
 
 @click.group(
@@ -45,21 +43,8 @@ Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the i
 cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
-@options.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=DEFAULT_OUT,
-    show_default=True,
-    help="Folder for report, layout, tables and figures; earlier results there are replaced.",
-)
-@options.option(
-    "--pdf",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Print the report there, too, by chromium or Chrome.",
-    is_common=False,
-)
-@recording_options
+@options.options_of("place")
+@options.options_of("recording")
 @options.asking(*options.PLANNED, *options.JUDGED)
 def cli(
     job: Job, *, recording: Path | None, min_confidence: float, out: Path, pdf: Path | None

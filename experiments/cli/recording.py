@@ -1,8 +1,8 @@
 """``--recording``: for commands that work on recorded detections, too, and what they print."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -25,30 +25,6 @@ _NOTE = (
     "12 (where no unit has that number) and -1 mean car, too. The last moment follows from speeds "
     "and distances alone: a VUT that turns is taken as crossing."
 )
-
-
-def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--recording`` and ``--min-confidence`` to a command."""
-    confidence = options.option(
-        "--min-confidence",
-        type=click.FloatRange(min=0.0, max=1.0),
-        metavar="SHARE",
-        expected="a confidence, 0 to 1",
-        default=0.0,
-        show_default=True,
-        needs="recording",
-        section=options.SEEN,
-        is_common=False,
-        help="With --recording: detections below do not count.",
-    )
-    return options.option(
-        "--recording",
-        type=click.Path(path_type=Path),
-        section=options.SEEN,
-        is_common=False,
-        metavar="DIR",
-        help="Work on recorded detections in the study's folder format; --out gets summary.json.",
-    )(confidence(command))
 
 
 def check_recording_options(recording: Path | None) -> None:

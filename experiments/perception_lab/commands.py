@@ -19,8 +19,8 @@ from ..cli.options import (
     job_options,
     json_option,
     layout_option,
-    option,
     option_of,
+    options_of,
     question_options,
     quiet_option,
     scene_option,
@@ -51,50 +51,7 @@ Examples:
   place-rsus evaluate --recording ncap_data      reads it back""",
 )
 @layout_option
-@option(
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="FOLDER",
-    help="New folder, or one of the same dataset: what is there is not drawn again.",
-)
-@option(
-    "--format",
-    type=click.Choice(("carlancap", "coco")),
-    default="carlancap",
-    show_default=True,
-    help="carlancap: the study's folders; coco: pictures and coco.json.",
-)
-@option(
-    "--units",
-    default="",
-    metavar="NAMES",
-    help="Cameras of the layout, with commas between; VUT is the car's. Default: all.",
-)
-@option(
-    "--every",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    metavar="N",
-    expected="a number of frames, at least 1",
-    help="A picture of every Nth frame of a run; labels and motion are of all frames.",
-)
-@option(
-    "--lidar",
-    default="carla-ncap-lidar",
-    show_default=True,
-    metavar="MODEL",
-    help="Scans next to each camera; none for none.",
-)
-@option("--masks", is_flag=True, help="Also a picture of each frame's things, a colour each.")
-@option("--depth", is_flag=True, help="Also depths: 16 bits, centimetres, 0 where nothing is.")
-@option("--vehicles", is_flag=True, help="Also labels of vehicles, in frames with pictures.")
-@option(
-    "--vary",
-    is_flag=True,
-    help="Other clothes, paints and facades in each run, by seed; for training.",
-)
+@options_of("dataset")
 @question_options(*PICTURED)
 @json_option
 @quiet_option
@@ -174,52 +131,7 @@ Examples:
   place-rsus --budget 3 --detector mine/response.toml      plans with it""",
 )
 @layout_option
-@option(
-    "--pictures",
-    type=click.IntRange(min=50),
-    default=1000,
-    show_default=True,
-    metavar="N",
-    needs="layout_names",
-    expected="a number of pictures, at least 50",
-    help="With --detector: how many are rendered and looked at, about a second each.",
-)
-@option(
-    "--recording",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Fit to labels and detections: the study's folder, or one of MOT challenge.",
-)
-@option(
-    "--labels",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Fit to annotations: coco.json of place-rsus dataset, MOT challenge, KITTI, CVML ..",
-)
-@option(
-    "--results",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help=".. and to what a detector found: COCO's list of results; MOT challenge, KITTI.",
-)
-@option(
-    "--frame-rate",
-    "frame_rate_hz",
-    type=click.FloatRange(min=1.0, max=1000.0),
-    metavar="HZ",
-    needs="labels",
-    expected="frames per second, 1 to 1000",
-    help="With --labels: of the recording; default: 10. The table holds for 10 Hz.",
-)
-@option(
-    "--min-confidence",
-    type=click.FloatRange(min=0.0, max=1.0),
-    metavar="SHARE",
-    expected="a confidence, 0 to 1",
-    default=0.5,
-    show_default=True,
-    help="Detections below do not count.",
-)
+@options_of("fit")
 @folder_option("response.toml, fit.json and calibration.png")
 @question_options(*PICTURED)
 @job_options()
@@ -366,36 +278,7 @@ Examples:
       --frame -11 --unit VUT-LIDAR""",
 )
 @layout_option
-@option(
-    "--run",
-    "run_id",
-    required=True,
-    metavar="RUN",
-    help="case/approach/speed or case/approach/speed/weather; away from the junction the position "
-    "stands behind the approach: CPLA-50/east-15/40.",
-)
-@option(
-    "--frame",
-    required=True,
-    type=click.IntRange(min=-(10**9), max=10**9),
-    metavar="N",
-    expected="a frame of the run, such as 40, or -1 for the last",
-    help="Of the run, from 0; negative: from the end, -1 is at the impact.",
-)
-@option(
-    "--unit",
-    "unit_id",
-    required=True,
-    metavar="UNIT",
-    help="One of the layout's, VUT or VUT-LIDAR.",
-)
-@option("--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run.")
-@option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="File to write, .png or .jpg; -instances.png and -depth.png are written next to it; of a "
-    "LiDAR .ply, or .bin with float32 x, y, z, intensity; default: in results/renders.",
-)
+@options_of("render")
 @scene_option
 @quiet_option
 @compute_options()

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from msgspec import UNSET
 
 from placement.question import read_point
 
-from ..cli.options import json_option, option, quiet_option
+from ..cli.options import json_option, option, options_of, quiet_option
 from ..cli.running import print_result
 from ..cli.terminal import listing, sentences, table
 from ..progress import StageProgress
@@ -22,46 +22,6 @@ if TYPE_CHECKING:
     from .run import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
 _MAX_LISTED = 20
-# Where a command lists its options in sections, --help-all alone shows these.
-_fact = partial(option, is_common=False)
-_READING_OPTIONS = (
-    _fact(
-        "--unit",
-        type=click.Choice(("m", "km", "cm", "mm", "ft", "in")),
-        help="Of meshes whose format does not say (OBJ, PLY, STL).",
-    ),
-    _fact(
-        "--up",
-        type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
-        help="Axis of meshes that points up, where the format does not say.",
-    ),
-    _fact(
-        "--class",
-        "class_name",
-        type=click.Choice(("building", "wall", "vegetation")),
-        default="building",
-        show_default=True,
-        help="Of meshes, point clouds and footprints that do not say.",
-    ),
-    _fact(
-        "--driving-side",
-        type=click.Choice(("map", "left", "right")),
-        default="map",
-        show_default=True,
-        help="On which traffic keeps; map: as it says or shows.",
-    ),
-    _fact("--crs", default="", metavar="CRS", help="Of files that do not say: EPSG:25832."),
-    _fact("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
-    _fact(
-        "--offset",
-        "offset_m",
-        type=lambda text: read_point(text, "--offset"),
-        metavar="X,Y",
-        expected="two numbers: X,Y",
-        help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
-        "of the map with the roads.",
-    ),
-)
 
 
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -79,10 +39,8 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         )
         return command(*args, reading=reading, **values)
 
-    decorated: Callable[..., Any] = with_reading
-    for add in reversed(_READING_OPTIONS):
-        decorated = add(decorated)
-    return decorated
+    offset = {"type": lambda text: read_point(text, "--offset")}
+    return options_of("reading", offset_m=offset)(with_reading)
 
 
 @click.group()
@@ -108,49 +66,7 @@ Examples:
   place-rsus --scene scene --budget 3              and then""",
 )
 @click.argument("files", nargs=-1, metavar="FILE...")
-@option(
-    "--junction", default="", metavar="ID", help='Id, name ("A Street / B Street") or part of it.'
-)
-@option(
-    "--at",
-    type=lambda text: read_point(text, "--at"),
-    metavar="X,Y",
-    expected="two numbers: X,Y",
-    help="A point near the junction, in the file's own coordinates: longitude,latitude or metres.",
-)
-@option(
-    "--radius",
-    "radius_m",
-    type=click.FloatRange(min=0.0, min_open=True),
-    metavar="METRES",
-    expected="metres, more than 0",
-    default=80.0,
-    show_default=True,
-    help="Of what is kept around the junction.",
-)
-@option(
-    "--sites",
-    default="auto",
-    show_default=True,
-    metavar="WHERE",
-    help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
-    "file; auto: map, but for low sign posts and poles of other junctions, and kerb:15 where "
-    "none is within 25 m.",
-)
-@option("--ground", "ground_m", type=float, help="Height of the road in city models and meshes.")
-@option(
-    "--terrain",
-    type=click.Path(path_type=Path),
-    metavar="DEM",
-    help="Heights of the ground: a GeoTIFF (extra: terrain). By default those of the maps.",
-)
-@option("--name", default="", metavar="NAME", help="Of the scene.")
-@option(
-    "--bbox",
-    default="",
-    metavar="W,S,E,N",
-    help="Fetch OpenStreetMap there instead of a file (extra: online).",
-)
+@options_of("scene-import", at={"type": lambda text: read_point(text, "--at")})
 @reading_options
 @option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
 @json_option
@@ -195,18 +111,7 @@ Examples:
 )
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
-@option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for plan.png and view.png; of a map for junctions.png; else none.",
-)
-@option(
-    "--sort",
-    type=click.Choice(("arms", "lanes", "signals", "crossings", "name")),
-    default="arms",
-    show_default=True,
-    help="Of the junctions of a map: the most first, or by name.",
-)
+@options_of("scene-show")
 @json_option
 @quiet_option
 @click.pass_obj
