@@ -9,16 +9,7 @@ import click
 from placement.compute import Compute
 from placement.question import Question
 
-from ..cli.options import (
-    JUDGED,
-    OF_SCENE,
-    SectionedCommand,
-    compute_options,
-    json_option,
-    options_of,
-    question_options,
-    quiet_option,
-)
+from ..cli import options
 from ..cli.running import command_line, print_result
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell
@@ -33,15 +24,15 @@ _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
 _TIME_LIMIT_S = 30.0  # for the optimiser at each junction
 _DRIVEN = tuple(
     name
-    for name in JUDGED
+    for name in options.JUDGED
     # Accidents count around each junction; --near is about areas here.
-    if name not in (*OF_SCENE, "near", "vut_sensors", "packet_loss", "vam_rate", "strict")
+    if name not in (*options.OF_SCENE, "near", "vut_sensors", "packet_loss", "vam_rate", "strict")
 )
 _MAX_LISTED = 12
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus city town.osm.pbf --budget-eur 400000 --out city
@@ -53,12 +44,12 @@ Examples:
   place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city""",
 )
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
-@options_of("city")
+@options.from_table("city")
 @reading_options
-@question_options(*_MOUNTED, *_SOUGHT, *_DRIVEN, defaults={"time_limit_s": _TIME_LIMIT_S})
-@json_option
-@quiet_option
-@compute_options()
+@options.question_options(*_MOUNTED, *_SOUGHT, *_DRIVEN, defaults={"time_limit_s": _TIME_LIMIT_S})
+@options.json_option
+@options.quiet_option
+@options.compute_options()
 @click.pass_obj
 def city(
     progress: StageProgress,

@@ -240,10 +240,9 @@ def _counting(
 
 
 def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[CityJunction]:
-    is_file = Path(text).is_file()
-    names = (
-        read_text(Path(text), "a list of junctions").splitlines() if is_file else text.split(";")
-    )
+    names = text.split(";")
+    if Path(text).is_file():
+        names = read_text(Path(text), "a list of junctions").splitlines()
     by_survey = {id(one.surveyed): one for one in found}
     chosen: dict[int, CityJunction] = {}
     for name in filter(None, map(str.strip, names)):
@@ -273,13 +272,11 @@ class CityValues:
     def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
         """The wishes for the junctions that have a front, by their indices."""
         place = {index: row for row, index in enumerate(solved)}
-        districts = []
+        districts, least_apr = [], wish.min_district_apr
         for name, members in self.districts:
             rows = np.array([place[index] for index in members if index in place], dtype=np.int64)
             if len(rows) and self.weight[list(members)].sum() > 0.0:
-                districts.append(
-                    District(name=name, junctions=rows, least_apr=wish.min_district_apr)
-                )
+                districts.append(District(name=name, junctions=rows, least_apr=least_apr))
         limit = wish.budget_units
         if wish.units_per_year is not None and wish.years is not None:
             most = wish.units_per_year * wish.years

@@ -24,7 +24,7 @@ Examples:
   place-rsus evaluate --recording ncap_data""",
 )
 @options.layout_option
-@options.options_of("recording")
+@options.from_table("recording")
 @options.folder_option("a report")
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
@@ -79,7 +79,7 @@ Examples:
   place-rsus compare a.json b.json --samples 60     is the difference sure?""",
 )
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@options.options_of("compare")
+@options.from_table("compare")
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
     job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None

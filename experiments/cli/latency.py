@@ -27,7 +27,7 @@ Examples:
   place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2""",
 )
 @options.layout_option
-@options.options_of("latency")
+@options.from_table("latency")
 @options.folder_option("latency.csv and latency.png")
 @options.asking(
     *(name for name in options.JUDGED if name not in ("latency_budget", "cars")), has_cache=False

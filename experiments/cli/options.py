@@ -259,7 +259,7 @@ def table_options(command: str, **more: dict[str, Any]) -> dict[str, Decorator]:
     }
 
 
-def options_of(command: str, **more: dict[str, Any]) -> Decorator:
+def from_table(command: str, **more: dict[str, Any]) -> Decorator:
     """All of :func:`table_options`."""
     return combined(*table_options(command, **more).values())
 
@@ -391,7 +391,7 @@ def one_run_options() -> Decorator:
     asked = [name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")]
     return combined(
         click.argument("cases", metavar="CASE"),
-        options_of("run"),
+        from_table("run"),
         question_options(*asked, named_apart=apart, has_file=False),
     )
 

@@ -42,7 +42,7 @@ Examples:
   place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
   place-rsus pareto --max 5 --out results/pareto --json""",
 )
-@options.options_of("pareto")
+@options.from_table("pareto")
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | None) -> None:
@@ -110,7 +110,7 @@ Examples:
   place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
 )
 @options.layout_option
-@options.options_of("retrofit")
+@options.from_table("retrofit")
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
 def retrofit(

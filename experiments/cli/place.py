@@ -43,8 +43,8 @@ Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the i
 cannot be met (one line says what), 130 interrupted, 143 terminated.""",
 )
 @click.version_option(package_name="place-rsus")
-@options.options_of("place")
-@options.options_of("recording")
+@options.from_table("place")
+@options.from_table("recording")
 @options.asking(*options.PLANNED, *options.JUDGED)
 def cli(
     job: Job, *, recording: Path | None, min_confidence: float, out: Path, pdf: Path | None

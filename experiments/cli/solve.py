@@ -36,7 +36,7 @@ Examples:
   place-rsus solve results/latest/instance.npz --budget 2""",
 )
 @click.argument("file", type=click.Path(path_type=Path))
-@options.options_of("solve", target={"type": _target})
+@options.from_table("solve", target={"type": _target})
 @options.json_option
 @options.quiet_option
 @click.pass_obj

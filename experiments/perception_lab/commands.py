@@ -10,21 +10,7 @@ import click
 from placement.compute import Compute
 from placement.question import Question, question_fields
 
-from ..cli.options import (
-    PICTURED,
-    SectionedCommand,
-    compute_options,
-    folder_option,
-    is_given,
-    job_options,
-    json_option,
-    layout_option,
-    option_of,
-    options_of,
-    question_options,
-    quiet_option,
-    scene_option,
-)
+from ..cli import options
 from ..cli.running import begin, command_line, load_one_layout, print_result, unwritable
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell
@@ -41,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus dataset --layout carlancap-12 --cases CPNC-50,CBNA \\
@@ -50,12 +36,12 @@ Examples:
       --weather day,night,rain --lidar none --format coco --out training
   place-rsus evaluate --recording ncap_data      reads it back""",
 )
-@layout_option
-@options_of("dataset")
-@question_options(*PICTURED)
-@json_option
-@quiet_option
-@compute_options()
+@options.layout_option
+@options.from_table("dataset")
+@options.question_options(*options.PICTURED)
+@options.json_option
+@options.quiet_option
+@options.compute_options()
 @click.pass_obj
 def dataset(
     progress: StageProgress,
@@ -118,7 +104,7 @@ def detector() -> None:
 
 
 @detector.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus detector fit --detector cnn --layout carlancap-12 --out cnn
@@ -130,11 +116,11 @@ Examples:
       --out mine
   place-rsus --budget 3 --detector mine/response.toml      plans with it""",
 )
-@layout_option
-@options_of("fit")
-@folder_option("response.toml, fit.json and calibration.png")
-@question_options(*PICTURED)
-@job_options()
+@options.layout_option
+@options.from_table("fit")
+@options.folder_option("response.toml, fit.json and calibration.png")
+@options.question_options(*options.PICTURED)
+@options.job_options()
 @click.pass_obj
 def fit(
     progress: StageProgress,
@@ -197,9 +183,9 @@ def _check_one_source(
             f"detector fit: got {got}; expected one of --layout with --detector cnn or FILE.onnx, "
             "--recording, or --labels with --results"
         )
-    driven = [name for name in PICTURED if name not in _OF_RULE and is_given(name)]
+    driven = [name for name in options.PICTURED if name not in _OF_RULE and options.is_given(name)]
     if driven and not layout_names:
-        field = option_of(question_fields()[driven[0]])
+        field = options.option_of(question_fields()[driven[0]])
         raise click.UsageError(f"{field}: got it with {names[0]}; expected it with --layout alone")
 
 
@@ -265,7 +251,7 @@ def _rate(interval: "Interval") -> str:
 
 
 @click.command(
-    cls=SectionedCommand,
+    cls=options.SectionedCommand,
     epilog="""\b
 Examples:
   place-rsus render --layout carlancap-12 --run CPNC-50/east/40 \\
@@ -277,11 +263,11 @@ Examples:
   place-rsus render --layout carlancap-12 --run CBLA/west/50 \\
       --frame -11 --unit VUT-LIDAR""",
 )
-@layout_option
-@options_of("render")
-@scene_option
-@quiet_option
-@compute_options()
+@options.layout_option
+@options.from_table("render")
+@options.scene_option
+@options.quiet_option
+@options.compute_options()
 @click.pass_obj
 def render(
     progress: StageProgress,

@@ -40,7 +40,7 @@ Examples:
   place-rsus plan --scene city.osm --port 8042 --no-open""",
 )
 @options.layout_option
-@options.options_of("plan")
+@options.from_table("plan")
 @options.question_options(*_ASKED)
 @options.quiet_option
 @options.compute_options(has_cache=True)

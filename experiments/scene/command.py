@@ -11,7 +11,7 @@ from msgspec import UNSET
 
 from placement.question import read_point
 
-from ..cli.options import json_option, option, options_of, quiet_option
+from ..cli.options import from_table, json_option, option, quiet_option
 from ..cli.running import print_result
 from ..cli.terminal import listing, sentences, table
 from ..progress import StageProgress
@@ -40,7 +40,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(*args, reading=reading, **values)
 
     offset = {"type": lambda text: read_point(text, "--offset")}
-    return options_of("reading", offset_m=offset)(with_reading)
+    return from_table("reading", offset_m=offset)(with_reading)
 
 
 @click.group()
@@ -66,7 +66,7 @@ Examples:
   place-rsus --scene scene --budget 3              and then""",
 )
 @click.argument("files", nargs=-1, metavar="FILE...")
-@options_of("scene-import", at={"type": lambda text: read_point(text, "--at")})
+@from_table("scene-import", at={"type": lambda text: read_point(text, "--at")})
 @reading_options
 @option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
 @json_option
@@ -111,7 +111,7 @@ Examples:
 )
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
-@options_of("scene-show")
+@from_table("scene-show")
 @json_option
 @quiet_option
 @click.pass_obj
