@@ -4,7 +4,6 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from functools import wraps
 from importlib.resources import files
 from pathlib import Path
@@ -29,88 +28,15 @@ from placement.question import (
 
 from .running import Job, cache_folder, check_address_space
 
-ASKED = "What is asked"
-MOUNTED = "What may be mounted, and where"
-SOUGHT = "How it is looked for"
-DRIVEN = "What is driven"
-SEEN = "What is seen, told and braked"
-SECTIONS = (ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN)
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """The option of a field of :class:`placement.question.Question`."""
-
-    section: str  # of the help
-    metavar: str = ""  # what the help shows for a value; empty: what the type says
-    is_common: bool = False  # most people need it: the short help shows it
-    is_path: bool = False  # a shell completes the value as a path
-    takes_infinity: bool = False
-    needs: str = ""  # field without which this one has no effect
-    excludes: str = ""  # field with which this one has no effect
-
-
+_TABLES = load_toml(files("experiments") / "data" / "options.toml")
+SECTIONS = ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN = tuple(_TABLES["question"])
+"""Titles in the help."""
 OPTIONS = {
-    "budget": Shown(ASKED, is_common=True),
-    "budget_cost": Shown(ASKED, metavar="EUR", is_common=True),
-    "target": Shown(ASKED, metavar="SHARE", is_common=True),
-    "least": Shown(ASKED, is_common=True, needs="target"),
-    "min_case_apr": Shown(ASKED),
-    "survive": Shown(ASKED, metavar="N|unit|site", is_common=True),
-    "give_up": Shown(ASKED, metavar="SHARE"),
-    "keep": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
-    "within": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
-    "force_site": Shown(MOUNTED, metavar="SITES"),
-    "forbid_site": Shown(MOUNTED, metavar="SITES"),
-    "site_capacity": Shown(MOUNTED),
-    "site_cost_eur": Shown(MOUNTED, metavar="EUR"),
-    "separation_m": Shown(MOUNTED, metavar="METRES"),
-    "sensors": Shown(MOUNTED, metavar="NAMES", is_common=True, excludes="within"),
-    "heights": Shown(MOUNTED, metavar="METRES"),
-    "yaw_step_deg": Shown(MOUNTED, metavar="DEGREES"),
-    "pitches": Shown(MOUNTED, metavar="DEGREES"),
-    "no_look": Shown(MOUNTED, metavar="FILE", is_path=True),
-    "no_look_share": Shown(MOUNTED, needs="no_look"),
-    "solver": Shown(SOUGHT),
-    "time_limit_s": Shown(SOUGHT, metavar="SECONDS", is_common=True),
-    "gap": Shown(SOUGHT),
-    "refine": Shown(SOUGHT, is_common=True),
-    "samples": Shown(SOUGHT),
-    "uncertainty": Shown(SOUGHT, metavar="NAME", needs="samples"),
-    "traffic": Shown(SOUGHT, metavar="sumo|FILE", is_path=True, needs="samples"),
-    "risk": Shown(SOUGHT, metavar="HOW", needs="samples"),
-    "scene": Shown(DRIVEN, metavar="PATH", is_common=True, is_path=True),
-    "junction": Shown(DRIVEN, metavar="NAME", is_common=True),
-    "at": Shown(DRIVEN, metavar="X,Y"),
-    "sites": Shown(DRIVEN, metavar="WHERE"),
-    "driving_side": Shown(DRIVEN),
-    "cases": Shown(DRIVEN, metavar="CASES", is_common=True),
-    "case_range": Shown(DRIVEN),
-    "protect": Shown(DRIVEN),
-    "along_arms": Shown(DRIVEN, metavar="METRES", is_common=True),
-    "speeds": Shown(DRIVEN, metavar="KMH"),
-    "approaches": Shown(DRIVEN, metavar="ARMS"),
-    "weather": Shown(DRIVEN, metavar="WEATHER", is_common=True),
-    "force": Shown(DRIVEN, needs="speeds"),
-    "strict": Shown(DRIVEN),
-    "weights": Shown(DRIVEN, metavar="HOW"),
-    "near": Shown(DRIVEN, metavar="LAT,LON", needs="weights"),
-    "accidents_within_m": Shown(DRIVEN, metavar="METRES", needs="weights"),
-    "score": Shown(DRIVEN),
-    "fusion": Shown(SEEN, is_common=True),
-    "detector": Shown(SEEN, metavar="HOW", is_common=True),
-    "vut_sensors": Shown(SEEN, metavar="SENSORS"),
-    "cars": Shown(SEEN, metavar="see|blind|SHARE"),
-    "packet_loss": Shown(SEEN),
-    "vam_rate": Shown(SEEN),
-    "n_confirmations": Shown(SEEN),
-    "track_memory_s": Shown(SEEN, metavar="SECONDS", takes_infinity=True),
-    "latency_s": Shown(SEEN, metavar="SECONDS"),
-    "latency_budget": Shown(SEEN, metavar="NAME|FILE"),
-    "deceleration_mps2": Shown(SEEN, metavar="M/S2"),
-    "build_up_s": Shown(SEEN, metavar="SECONDS"),
+    name: {"section": section, "is_common": False} | settings
+    for section, of_section in _TABLES["question"].items()
+    for name, settings in of_section.items()
 }
-"""One for each field, in the fields' order."""
+"""How each field of a question is shown, in the fields' order."""
 
 
 def option_of(field: QuestionField) -> str:
@@ -247,7 +173,6 @@ def combined(*options: Decorator) -> Decorator:
 # ---------- options from a table
 
 
-_TABLES = load_toml(files("experiments") / "data" / "options.toml")
 _PATHS = {"file": {}, "folder": {"file_okay": False}, "regular file": {"dir_okay": False}}
 
 
@@ -289,7 +214,7 @@ def _table_option(parameter: str, settings: dict[str, Any]) -> Decorator:
 def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
     """Names of a question's fields in these sections of the help, without some of them."""
     return tuple(
-        name for name, shown in OPTIONS.items() if shown.section in sections and name not in but
+        name for name, shown in OPTIONS.items() if shown["section"] in sections and name not in but
     )
 
 
@@ -312,32 +237,23 @@ ONLY_DRIVEN = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "detector"))
 def field_option(field: QuestionField, default: Any = None) -> Decorator:
     """The option of a field of a question; `default` in place of the field's own."""
     default = field.default if default is None else default
-    shown = OPTIONS[field.name]
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
     limit: Any = limits[0] if limits else Meta()
-    settings: dict[str, Any] = {
-        **asdict(shown),
-        "default": default,
-        "show_default": bool(default),
-        "help": help_of(field),
-        "metavar": shown.metavar or None,
-        "expected": limit.description or "",
-    }
     name = option_of(field)
-    if kind is bool:
-        return option(f"{name}/--no-{name.removeprefix('--')}", field.name, **settings)
+    settings: dict[str, Any] = {
+        **OPTIONS[field.name],
+        "option": f"{name}/--no-{name.removeprefix('--')}" if kind is bool else name,
+        "default": default,
+        "expected": limit.description or "",
+        "help": help_of(field),
+    }
     if get_origin(kind) is Literal:
-        settings["type"] = click.Choice(get_args(kind))
-    elif kind is int:
-        settings["type"] = click.IntRange(min=limit.ge, max=limit.le)
-        settings["metavar"] = "N"
-    elif kind is float:
-        is_open = limit.gt is not None
-        settings["type"] = click.FloatRange(
-            min=limit.gt if is_open else limit.ge, min_open=is_open, max=limit.le
-        )
-        settings["metavar"] = settings["metavar"] or "SHARE"
-    return option(name, field.name, **settings)
+        settings["type"] = get_args(kind)
+    elif kind in (int, float):
+        limits_of_kind = {"min": limit.ge, "above": limit.gt, "max": limit.le}
+        words = {"type": kind.__name__, "metavar": "N" if kind is int else "SHARE"}
+        settings = limits_of_kind | words | settings
+    return _table_option(field.name, settings)
 
 
 def question_options(

@@ -65,17 +65,8 @@ def judge_apart(kind: str, folder: Path) -> Any:
         raise MissingExtraError(f"{APART[kind][0]} needs uv, which makes its environment")
     given = [part for package in APART[kind] for part in ("--with", package)]
     python = f"{sys.version_info.major}.{sys.version_info.minor}"
-    base = [
-        uv,
-        "run",
-        "--quiet",
-        "--isolated",
-        "--no-project",
-        "--python",
-        python,
-        *given,
-        "python",
-    ]
+    words = f"run --quiet --isolated --no-project --python {python}".split()
+    base = [uv, *words, *given, "python"]
     if subprocess.run([*base, "-c", ""], capture_output=True, check=False).returncode:
         raise MissingExtraError(f"uv cannot make an environment with {', '.join(APART[kind])}")
     script = Path(__file__).with_name("judging_apart.py")
