@@ -24,13 +24,7 @@ from placement.layout import Layout
 from placement.optimiser.steering import TOLERANCE
 
 from ..results.numbers import euros, percent, several
-from ..results.record import (
-    Record,
-    Share,
-    StageRecord,
-    UnitRecord,
-    build_stage_records,
-)
+from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
 from .inputs import JUNCTIONS, City, CityMapRecord, CitySearch, CityValues, CityWish
 
 SCHEMA = "place-rsus/city/1"
@@ -76,8 +70,17 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
         return replace(self, layouts=(), notes=())
 
 
-def load_record(path: Path, kind: type[_T]) -> _T | None:
-    """Read ``front.json`` or ``city.json``; None where it is missing, damaged, or of no use."""
+def load_front(path: Path) -> CityFrontRecord | None:
+    """Read ``front.json``; None if there is none, or it is damaged: then it is made anew."""
+    return _load(path, CityFrontRecord)
+
+
+def load_summary(path: Path) -> "CityResult | None":
+    """Read ``city.json``; None if there is none, or it is of another program."""
+    return _load(path, CityResult)
+
+
+def _load(path: Path, kind: type[_T]) -> _T | None:
     try:
         return msgspec.json.decode(read_bytes(path), type=kind)
     except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
@@ -356,7 +359,7 @@ def _with_point(
     layout: tuple[UnitRecord, ...] = ()
     if point.units or has_units:
         path = out / head.folder / FRONT
-        found = load_record(path, CityFrontRecord)
+        found = load_front(path)
         if found is None or number >= len(found.layouts):
             raise InputError(str(path), Unquoted("a file that has changed"), "what was written")
         layout = found.layouts[number]

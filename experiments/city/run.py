@@ -264,8 +264,7 @@ def _task_maker(
     code = [hash_of_files(package) for package in ALL_PACKAGES]
     prints = Fingerprints()
     same = prints.of(
-        *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid),
-        weighed,
+        *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid), weighed
     )
 
     def task_of(one: CityJunction) -> JunctionTask:

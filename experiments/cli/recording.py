@@ -110,10 +110,7 @@ def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
             "drive's class in view: they count only if each of them is detected."
         )
     skipped = "; ".join(f"{number} {reason}" for reason, number in summary.skipped.items())
-    lines = [
-        "",
-        *sentences(read, f"Skipped: {skipped or 'nothing'}.", _NOTE),
-    ]
+    lines = ["", *sentences(read, f"Skipped: {skipped or 'nothing'}.", _NOTE)]
     if out is not None:
         lines += ["", f"Written to {out}: summary.json."]
     return lines
