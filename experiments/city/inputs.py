@@ -11,15 +11,8 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text
+from geometry.maps import importing
 from geometry.maps.georeferences import transform
-from geometry.maps.importing import (
-    DEFAULT_RADIUS_M,
-    ReadingOptions,
-    Surveyed,
-    choose_junction,
-    read_map,
-    survey_junctions,
-)
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 from geometry.maps.source_map import SourceMap
 from placement.city.choose import CityWishes, District
@@ -78,9 +71,9 @@ class CitySearch:
     is_coarse: bool = False  # a ninth of the poses
     max_units: int = 6  # new ones at a junction
     max_junction_s: float = 300.0
-    radius_m: float = DEFAULT_RADIUS_M
+    radius_m: float = importing.DEFAULT_RADIUS_M
     sites: str = "auto"
-    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    reading: importing.ReadingOptions = field(default_factory=importing.ReadingOptions)
     gap: float = 0.0  # relative, at which the city's choice counts as settled
 
 
@@ -99,7 +92,7 @@ class CityJunction:
     Its position, (2,) float, is in the coordinates of the first map with roads. [m]
     """
 
-    surveyed: Surveyed
+    surveyed: importing.Surveyed
     roads: SourceMap
     folder: str
     position_m: FloatArray
@@ -140,7 +133,7 @@ class City:
 # ---------- maps and junctions
 
 
-def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) -> City:
+def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: CityWish) -> City:
     """Read maps once, and find the junctions that count.
 
     Raises InputError: a file cannot be read, none has roads, two have the same name or overlap, or
@@ -152,7 +145,7 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise InputError("MAP", Unquoted(f"two files called {twice[0]}"), "each map once")
-    maps = [read_map(path, reading) for path in paths]
+    maps = [importing.read_map(path, reading) for path in paths]
     roads = tuple(source for source in maps if source.lanes)
     if not roads:
         raise InputError(", ".join(names), Unquoted("no roads"), "a map with roads")
@@ -162,7 +155,7 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
     )
     found: list[CityJunction] = []
     for source in roads:
-        for surveyed in survey_junctions(source):
+        for surveyed in importing.survey_junctions(source):
             place = surveyed.junction.position_m
             if source.crs != roads[0].crs:
                 if not (source.crs and roads[0].crs):
@@ -247,7 +240,7 @@ def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[C
     chosen: dict[int, CityJunction] = {}
     for name in filter(None, map(str.strip, names)):
         try:
-            surveyed = choose_junction(roads, [one.surveyed for one in found], name=name)
+            surveyed = importing.choose_junction(roads, [one.surveyed for one in found], name=name)
         except InputError as error:
             raise InputError("--junctions", error.got, error.expected) from None
         chosen[id(surveyed)] = by_survey[id(surveyed)]
