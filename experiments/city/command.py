@@ -31,18 +31,7 @@ _DRIVEN = tuple(
 _MAX_LISTED = 12
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus city town.osm.pbf --budget-eur 400000 --out city
-  place-rsus city town.osm.pbf --budget 60 --within centre.geojson --out city
-  place-rsus city town.osm.pbf --budget-eur 400000 --out city \\
-      --junction-weights accidents.csv --snap 40
-  place-rsus city town.osm.pbf --budget 60 --units-per-year 20 --out city \\
-      --districts districts.geojson --min-district-apr 0.3
-  place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["city"])
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
 @options.from_table("city")
 @reading_options

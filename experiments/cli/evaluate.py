@@ -15,14 +15,7 @@ if TYPE_CHECKING:
     from placement.layout import Layout
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus evaluate --layout carlancap-12
-  place-rsus evaluate --layout results/latest/layout.json --out results/mine
-  place-rsus evaluate --recording ncap_data""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["evaluate"])
 @options.layout_option
 @options.from_table("recording")
 @options.folder_option("a report")
@@ -70,14 +63,7 @@ def evaluate(
 # ---------- any number of layouts on the same runs
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus compare results/latest/layout.json carlancap-12
-  place-rsus compare a.json b.json c.json --report results/abc
-  place-rsus compare a.json b.json --samples 60     is the difference sure?""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["compare"])
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
 @options.from_table("compare")
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)

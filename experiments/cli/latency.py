@@ -17,15 +17,7 @@ if TYPE_CHECKING:
     from ..parts.latency import LatencyResult
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus latency --layout carlancap-12
-  place-rsus latency --layout carlancap-12 --budget cpm-100ms --out mine
-  place-rsus latency --layout mine.json --budget mine.toml --json
-  place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["latency"])
 @options.layout_option
 @options.from_table("latency")
 @options.folder_option("latency.csv and latency.png")

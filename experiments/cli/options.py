@@ -37,6 +37,8 @@ OPTIONS = {
     for name, settings in of_section.items()
 }
 """How each field of a question is shown, in the fields' order."""
+EXAMPLES = {name: f"\b\n{text}" for name, text in _TABLES["examples"].items()}
+"""What stands below the help of a command, as it is."""
 
 
 def option_of(field: QuestionField) -> str:

@@ -32,16 +32,7 @@ def front_options(*asked: str) -> options.Decorator:
     )
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus pareto --max 8                        what each further unit buys
-  place-rsus pareto --max 4 --all-stages           time to spare, too
-  place-rsus pareto --by cost --site-cost 2000     what more money buys
-  place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
-  place-rsus pareto --max 5 --out results/pareto --json""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["pareto"])
 @options.from_table("pareto")
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
@@ -100,15 +91,7 @@ def _with_head(
 _ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus retrofit --layout carlancap-12
-  place-rsus retrofit --layout results/latest/layout.json --budget-cost 4000
-  place-rsus retrofit --layout mine.json --sensors carla-ncap-lidar
-  place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["retrofit"])
 @options.layout_option
 @options.from_table("retrofit")
 @options.folder_option("retrofit.csv and retrofit.json")

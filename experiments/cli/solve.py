@@ -25,16 +25,7 @@ def _target(text: str) -> float | None:
     return share
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus solve scp41.txt                       all rows at least cost
-  place-rsus solve scp41.txt --target 0.9          enough of them
-  place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
-  place-rsus solve camera.txt --out camera.scp     in OR-Library's format, too
-  place-rsus solve results/latest/instance.npz --budget 2""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["solve"])
 @click.argument("file", type=click.Path(path_type=Path))
 @options.from_table("solve", target={"type": _target})
 @options.json_option

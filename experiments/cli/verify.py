@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..progress import StageProgress
-from .options import json_option, quiet_option, scene_option
+from . import options
 from .running import print_result
 from .terminal import sentences
 
@@ -17,18 +17,11 @@ if TYPE_CHECKING:
 _EXIT_FAILED = 1
 
 
-@click.command(
-    epilog="""\b
-Examples:
-  place-rsus verify results/latest
-  place-rsus verify results/latest --json --quiet | jq .is_verified
-
-Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong."""
-)
+@click.command(epilog=options.EXAMPLES["verify"])
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@scene_option
-@json_option
-@quiet_option
+@options.scene_option
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def verify(
     progress: StageProgress, *, folder: Path, scene: str, as_json: bool, quiet: bool

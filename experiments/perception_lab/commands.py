@@ -26,16 +26,7 @@ if TYPE_CHECKING:
 # ---------- dataset
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus dataset --layout carlancap-12 --cases CPNC-50,CBNA \\
-      --out ncap_data
-  place-rsus dataset --layout results/latest/layout.json --every 10 \\
-      --weather day,night,rain --lidar none --format coco --out training
-  place-rsus evaluate --recording ncap_data      reads it back""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["dataset"])
 @options.layout_option
 @options.from_table("dataset")
 @options.question_options(*options.PICTURED)
@@ -103,19 +94,7 @@ def detector() -> None:
     """Response tables of detectors: what a detector finds, by height, cover, class and light."""
 
 
-@detector.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus detector fit --detector cnn --layout carlancap-12 --out cnn
-  place-rsus detector fit --detector net.onnx --layout carlancap-12 \\
-      --weather day,night,rain --out mine
-  place-rsus detector fit --recording ncap_data --out mine
-  place-rsus detector fit --labels coco.json --results found.json --out mine
-  place-rsus detector fit --labels gt.txt --results det.txt --frame-rate 7 \\
-      --out mine
-  place-rsus --budget 3 --detector mine/response.toml      plans with it""",
-)
+@detector.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["fit"])
 @options.layout_option
 @options.from_table("fit")
 @options.folder_option("response.toml, fit.json and calibration.png")
@@ -250,19 +229,7 @@ def _rate(interval: "Interval") -> str:
 # ---------- render
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus render --layout carlancap-12 --run CPNC-50/east/40 \\
-      --frame -13 --unit RSU3
-  place-rsus render --layout carlancap-12 --run CBNA/east/60/rain \\
-      --frame -1 --unit VUT
-  place-rsus render --layout results/latest/layout.json \\
-      --run CPNC-50/east/55/night --frame -20 --unit RSU1 --out night.jpg
-  place-rsus render --layout carlancap-12 --run CBLA/west/50 \\
-      --frame -11 --unit VUT-LIDAR""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["render"])
 @options.layout_option
 @options.from_table("render")
 @options.scene_option

@@ -30,15 +30,7 @@ _ASKED = (
 _LOCAL = "127.0.0.1"
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus plan
-  place-rsus plan --layout carlancap-12 --cases study
-  place-rsus plan --scene scene --layout mine.json --save plan.json
-  place-rsus plan --scene city.osm --port 8042 --no-open""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["plan"])
 @options.layout_option
 @options.from_table("plan")
 @options.question_options(*_ASKED)

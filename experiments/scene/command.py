@@ -11,7 +11,7 @@ from msgspec import UNSET
 
 from placement.question import read_point
 
-from ..cli.options import from_table, json_option, option, quiet_option
+from ..cli import options
 from ..cli.running import print_result
 from ..cli.terminal import listing, sentences, table
 from ..progress import StageProgress
@@ -40,7 +40,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(*args, reading=reading, **values)
 
     offset = {"type": lambda text: read_point(text, "--offset")}
-    return from_table("reading", offset_m=offset)(with_reading)
+    return options.from_table("reading", offset_m=offset)(with_reading)
 
 
 @click.group()
@@ -52,25 +52,15 @@ def scene() -> None:
     """
 
 
-@scene.command(
-    "import",
-    epilog="""\b
-Examples:
-  place-rsus scene import city.osm -o scene
-  place-rsus scene import city.osm --junction "Mill Lane / High St" -o scene
-  place-rsus scene import town.xodr --junction 189 -o scene.zip
-  place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
-  place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene
-  place-rsus scene import roads.xodr scan.laz --class vegetation -o scene
-  place-rsus scene import town05 -o scene          the study's junction
-  place-rsus --scene scene --budget 3              and then""",
-)
+@scene.command("import", epilog=options.EXAMPLES["scene-import"])
 @click.argument("files", nargs=-1, metavar="FILE...")
-@from_table("scene-import", at={"type": lambda text: read_point(text, "--at")})
+@options.from_table("scene-import", at={"type": lambda text: read_point(text, "--at")})
 @reading_options
-@option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
-@json_option
-@quiet_option
+@options.option(
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
+)
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def import_(
     progress: StageProgress,
@@ -100,20 +90,12 @@ def import_(
     print_result(summary, progress, as_json, lambda: scene_text(summary))
 
 
-@scene.command(
-    epilog="""\b
-Examples:
-  place-rsus scene show                            the study's junction
-  place-rsus scene show scene --out pictures
-  place-rsus scene show city.osm --sort signals    all junctions of a map
-  place-rsus scene show city.osm --out pictures    .. drawn with their names
-  place-rsus scene show city.osm --json --quiet | jq .junctions"""
-)
+@scene.command(epilog=options.EXAMPLES["scene-show"])
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
-@from_table("scene-show")
-@json_option
-@quiet_option
+@options.from_table("scene-show")
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def show(
     progress: StageProgress,
@@ -133,17 +115,10 @@ def show(
     print_result(summary, progress, as_json, lambda: scene_text(summary))
 
 
-@scene.command(
-    epilog="""\b
-Examples:
-  place-rsus scene check scene
-  place-rsus scene check scene.zip --json --quiet | jq .findings
-
-Exit codes: 0 no errors (there may be warnings), 1 errors, 2 the input is wrong."""
-)
+@scene.command(epilog=options.EXAMPLES["scene-check"])
 @click.argument("path", metavar="[SCENE]", default="")
-@json_option
-@quiet_option
+@options.json_option
+@options.quiet_option
 @click.pass_obj
 def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> None:
     """Look for what may be wrong: holes, floating or overlapping buildings, sites inside walls."""
