@@ -88,9 +88,6 @@ def _candidates() -> tuple[CandidatePose, ...]:
     return build_candidates(load_study_scene(), grid, extra=study.units)
 
 
-# ---------- rays against bare Embree
-
-
 def bare_embree(
     vertices_m: FloatArray, triangles: Any, rays: Sequence[Rays]
 ) -> Callable[[], object]:
@@ -229,9 +226,6 @@ def _run_together(calls: Calls, n_threads: int) -> None:
             done.result()
 
 
-# ---------- the table, the evaluator, the optimiser
-
-
 def measure_table() -> Figures:
     """Verdicts of the table per second, over the whole build for some mounts."""
     setting, candidates = _setting(), _candidates()
@@ -331,9 +325,6 @@ def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
     )
     solution: Any = result.x
     return float(solution[n_poses:] @ weight)
-
-
-# ---------- the whole command
 
 
 def measure_command(budget: int) -> Figures:

@@ -36,8 +36,6 @@ _T = TypeVar("_T")
 Count = Annotated[int, Meta(ge=0)]
 Amount = Annotated[float, Meta(ge=0)]
 
-# ---------- one junction
-
 
 class CityFrontRecord(Record, frozen=True, kw_only=True):
     """``front.json``: what a junction may get, or why there is nothing."""
@@ -106,9 +104,6 @@ def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
     return file.getvalue()
 
 
-# ---------- the folder
-
-
 class CityEntry(Record, frozen=True, kw_only=True):
     """A junction's folder, and the hashes of what it was made from and of its front."""
 
@@ -139,9 +134,6 @@ def load_manifest(path: Path) -> CityManifest:
     if found.schema != SCHEMA:
         raise InputError(f"{path}: schema", found.schema, SCHEMA)
     return found
-
-
-# ---------- the answer
 
 
 class CityJunctionRecord(Record, frozen=True, kw_only=True):
@@ -233,9 +225,6 @@ class CityResult(Record, frozen=True, kw_only=True):
     notes: tuple[str, ...]
     seconds: dict[str, float] = msgspec.field(default_factory=dict)
     versions: dict[str, str] = msgspec.field(default_factory=dict)
-
-
-# ---------- the choice
 
 
 def choose_for_city(

@@ -130,9 +130,6 @@ class City:
         return self.roads[0].source_crs or self.roads[0].crs
 
 
-# ---------- maps and junctions
-
-
 def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: CityWish) -> City:
     """Read maps once, and find the junctions that count.
 
@@ -247,9 +244,6 @@ def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[C
     if not chosen:
         raise InputError("--junctions", text, "ids or names, or a file with one a line")
     return list(chosen.values())
-
-
-# ---------- weights, areas, districts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -388,9 +382,6 @@ def _number(values: Mapping[str, object], where: str, name: str, otherwise: floa
         top = "" if most == np.inf else f" to {most:g}"
         raise InputError(f"{where}: {name}", value, f"a number from 0{top}")
     return number
-
-
-# ---------- units mounted already
 
 
 def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:

@@ -256,9 +256,6 @@ def _assumptions_section(result: CityResult) -> Section:
     return Section("assumptions", "What this rests on", [Bullets(sentences)])
 
 
-# ---------- one junction
-
-
 def render_junction_page(
     one: CityJunctionRecord, record: CityFrontRecord, scene: Scene, layout: Layout, *, question: str
 ) -> str:
@@ -353,9 +350,6 @@ def _front_blocks(one: CityJunctionRecord, record: CityFrontRecord) -> list[Bloc
         numeric=(0, 1, 2, 3),
     )
     return [front, table]
-
-
-# ---------- figures: the map with what each junction gets, the front, and a junction's front
 
 
 _AREA_PT2 = (70.0, 380.0)  # of the smallest and the largest circle

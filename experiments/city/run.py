@@ -152,9 +152,6 @@ def run_city(
     return result
 
 
-# ---------- the folder
-
-
 def _begin(out: Path, city: inputs.City) -> CityManifest:
     """The folder's manifest, new or as it is; InputError if the folder is of something else."""
     new = CityManifest(maps=city.records, crs=city.crs, bounds=city.bounds)
@@ -222,9 +219,6 @@ def _update_manifest(
     return {f"{inputs.JUNCTIONS}/{folder}" for folder in same}
 
 
-# ---------- tasks
-
-
 def _task_maker(
     city: inputs.City,
     question: Question,
@@ -278,9 +272,6 @@ def _task_maker(
         )
 
     return task_of
-
-
-# ---------- the junctions that get units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -431,9 +422,6 @@ def _purchases(served: Iterable[Served]) -> tuple[CityPurchaseRecord, ...]:
         CityPurchaseRecord(part=key[0], name=key[1], count=n, sum_eur=cents[key] / 100.0)  # type: ignore[arg-type]
         for key, n in count.most_common()
     )
-
-
-# ---------- tables, map, report
 
 
 def write_city(

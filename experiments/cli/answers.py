@@ -44,9 +44,6 @@ _MOST_ASSUMED, _MOST_REASONS, _MAX_DISAGREEMENTS = 4, 5, 5
 _Apr = PartyAprRecord | Score
 
 
-# ---------- what a command prints
-
-
 def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     """The best layout, its proof, and what it is compared with."""
     n_units = len(result.layout)
@@ -205,9 +202,6 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     ]
 
 
-# ---------- parts of several answers
-
-
 def _impacts(result: Result, others: Mapping[str, EvaluationRecord]) -> Part:
     """What is left of the impacts, and with a score what the runs count."""
     parties = {
@@ -313,9 +307,6 @@ def _last(out: Path | None) -> Part:
     """Where the rest is."""
     written = [] if out is None else [f"Written to {out}: report.html and more."]
     return _said(*written, "--verbose prints why, APR by case, and all else.")
-
-
-# ---------- tables
 
 
 def _units_table(units: Sequence[UnitRecord]) -> Table:
@@ -463,9 +454,6 @@ def _disagreements(found: Sequence[Disagreement]) -> list[str]:
     ]
     n_left = len(found) - _MAX_DISAGREEMENTS
     return lines + ([f"and {n_left} more in summary.json"] if n_left > 0 else [])
-
-
-# ---------- why these poses, in short
 
 
 _MAX_RUNS, _MAX_MISSED = 3, 8

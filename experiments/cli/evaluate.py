@@ -60,9 +60,6 @@ def evaluate(
     job.print_answer(result, lambda: evaluation_parts(result, out))
 
 
-# ---------- any number of layouts on the same runs
-
-
 @click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["compare"])
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
 @options.from_table("compare")

@@ -172,9 +172,6 @@ def combined(*options: Decorator) -> Decorator:
     return decorate
 
 
-# ---------- options from a table
-
-
 _PATHS = {"file": {}, "folder": {"file_okay": False}, "regular file": {"dir_okay": False}}
 
 
@@ -208,9 +205,6 @@ def _table_option(parameter: str, settings: dict[str, Any]) -> Decorator:
         kind = click.Path(path_type=Path, **_PATHS[kind])
     settings = {"show_default": bool(settings.get("default"))} | settings
     return option(*([names] if isinstance(names, str) else names), parameter, type=kind, **settings)
-
-
-# ---------- options of a question
 
 
 def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
@@ -320,9 +314,6 @@ def _read_question(context: click.Context, _param: click.Parameter, path: Path |
         context.default_map = load_question_values(path)
 
 
-# ---------- options that several commands share
-
-
 def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: bool) -> None:
     if is_shown:
         context.obj.shows_tracebacks = True
@@ -405,9 +396,6 @@ def folder_option(files: str) -> Decorator:
 scene_option = field_option(question_fields()["scene"])
 
 
-# ---------- help in sections: the short one, and all of it
-
-
 def _show_all(context: click.Context, _param: click.Parameter, is_asked: bool) -> None:
     if is_asked:
         context.meta[_show_all.__qualname__] = True
@@ -465,9 +453,6 @@ class SectionedGroup(SectionedCommand, click.Group):
         """Write commands first: whoever looks for one need not pass by the options."""
         self.format_commands(ctx, formatter)
         _write_sections(self, ctx, formatter)
-
-
-# ---------- names of options in messages of the library
 
 
 def with_option_names(message: str, group: click.Group) -> str:

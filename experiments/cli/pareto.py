@@ -84,9 +84,6 @@ def _with_head(
     return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
 
 
-# ---------- what to change about units that are mounted
-
-
 # Existing units are --layout; what is added is asked for by money alone.
 _ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
 

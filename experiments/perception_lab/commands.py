@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from .dataset import DatasetSummary
     from .fit import FitResult
 
-# ---------- dataset
-
 
 @click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["dataset"])
 @options.layout_option
@@ -84,9 +82,6 @@ def _dataset_text(summary: "DatasetSummary", form: str) -> str:
     if form == "carlancap":
         lines.append(f"Read it back: place-rsus evaluate --recording {summary.folder}")
     return "\n".join(line for text in lines for line in sentences(text))
-
-
-# ---------- detector fit
 
 
 @click.group()
@@ -224,9 +219,6 @@ def _alarms_words(alarms: "FalseAlarms") -> str:
 
 def _rate(interval: "Interval") -> str:
     return f"{interval.value:.3g} (95 %: {interval.low:.3g} to {interval.high:.3g})"
-
-
-# ---------- render
 
 
 @click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["render"])

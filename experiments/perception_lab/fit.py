@@ -202,9 +202,6 @@ def _open_source(
     return _from_network(question, wish.layout, wish, compute, progress)
 
 
-# ---------- a network, shown rendered pictures
-
-
 def _from_network(
     question: Question, layout: Layout, wish: FitWish, compute: Compute, progress: StageProgress
 ) -> _Source:
@@ -320,9 +317,6 @@ def _pick_frames(
     return [chosen[row] for row in sorted(chosen)][:n_wanted]
 
 
-# ---------- recordings
-
-
 def _from_recording(recording: Recording, min_confidence: float) -> _Source:
     return _Source(
         words=f"the detections of {recording.folder}, {recording.n_frames} frames",
@@ -383,9 +377,6 @@ def _plain_picture(
     )
 
 
-# ---------- recordings in the formats of others
-
-
 _FOUND_CLASSES = ("pedestrian", "cyclist")
 
 
@@ -396,9 +387,6 @@ def _from_boxes(labels: Path, results: Path, min_score: float) -> _Source:
     left_out = "".join(f" without {n} {what}" for what, n in annotated.left_out.items())
     words = f"{results} on the {len(paired.pictures)} frames of {labels}{left_out}"
     return _Source(words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect"))
-
-
-# ---------- COCO's files
 
 
 class _Image(msgspec.Struct, frozen=True):
@@ -501,9 +489,6 @@ def _corners(bbox: _CornerAndSize) -> Box:
     return left, top, left + width, top + height
 
 
-# ---------- the table as a file
-
-
 _NOTES = {
     "seen_share": "share of the road user that is seen, and recall; straight lines between",
     "height_half_px": "factor 1 / (1 + (half / height)^steepness) of the visible box",
@@ -579,9 +564,6 @@ def table_text(
             *(f"{key} = {value:.6g}" for key, value in asdict(false_tracks_per_hour).items()),
         ]
     return "\n".join(lines) + "\n"
-
-
-# ---------- figure
 
 
 def plot_calibration(result: FitResult) -> "Figure":

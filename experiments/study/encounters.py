@@ -47,7 +47,6 @@ _NEAR_M = 30.0  # others than these hide nobody
 _FACTS = (1.0, 2.0, 3.0)
 
 
-# ---------- clips
 def lay_clips(folder: Path) -> dict[str, tuple[Track, ...]]:
     """Tracks of each clip, in the frame of the first one that shows the two parked cars.
 
@@ -105,7 +104,6 @@ def _aligned(
     )
 
 
-# ---------- scene
 def build_street(clips: Mapping[str, Sequence[Track]]) -> Scene:
     """A scene of what the tracks tell: lanes, kerbs with poles, parked cars, the crosswalk.
 
@@ -194,7 +192,6 @@ def _crosswalk_m(tracks: Sequence[Track], cars: Sequence[Track]) -> FloatArray:
     return line[None]
 
 
-# ---------- runs
 def with_crowd(
     setting: Setting, found: Mapping[str, FoundEncounter], clips: Mapping[str, Sequence[Track]]
 ) -> Setting:
@@ -231,7 +228,6 @@ def _with_others(run: Run, one: FoundEncounter, tracks: Sequence[Track]) -> Run:
     return replace(run, traffic=tuple(kept))
 
 
-# ---------- answer
 def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
     """The table of encounters as Markdown, and the scene."""
     clips = lay_clips(folder)

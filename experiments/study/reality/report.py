@@ -159,9 +159,6 @@ def measure(folder: Path) -> Measured:
     )
 
 
-# ---------- words
-
-
 def _share(interval: Interval) -> str:
     """A share with its interval, in per cent."""
     low, high = (f"{100.0 * one:.0f}" for one in (interval.low, interval.high))
@@ -307,9 +304,6 @@ def lidar_reach_m() -> float:
     return float(np.sqrt(np.mean(areas) * per_sr / n_points))
 
 
-# ---------- the first look
-
-
 def _mean(values: BoolArray | FloatArray) -> str:
     return number(float(values.mean()) if len(values) else None)
 
@@ -360,9 +354,6 @@ def _values(m: Measured) -> dict[str, str]:
     }
 
 
-# ---------- tables
-
-
 def tables(m: Measured) -> dict[str, str]:
     """Response tables of cameras, and the LiDAR's recalls, as TOML by the names of their files."""
     written = {}
@@ -410,9 +401,6 @@ def tables(m: Measured) -> dict[str, str]:
 
 def _three(figure: Interval) -> list[float]:
     return [float(f"{value:.3g}") for value in (figure.value, figure.low, figure.high)]
-
-
-# ---------- figures: they can be read without colours
 
 
 _BAND_M = 2.0  # of the distance
