@@ -6,7 +6,8 @@ what follows is the same.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -56,6 +57,7 @@ from ..progress import WRITING, StageProgress
 from ..results.drives import versions
 from ..results.folders import check_folder, write_files
 from ..results.record import Record
+from ..results.tables import page_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -489,27 +491,16 @@ def _corners(bbox: _CornerAndSize) -> Box:
     return left, top, left + width, top + height
 
 
-_NOTES = {
-    "seen_share": "share of the road user that is seen, and recall; straight lines between",
-    "height_half_px": "factor 1 / (1 + (half / height)^steepness) of the visible box",
-    "min_box_height_px": "the lowest box that was found",
-    "pedestrian": "factor by class, relative to the class that is found best",
-    "assumed": "classes that nothing was measured of",
-    "assumed_figures": "other figures that were not measured",
-    "cyclist_end_on": "factor of a cyclist seen from straight behind or ahead; 1 from the side",
-    "contrast_half": "factor 1 / (1 + (half / contrast)^steepness), 1 at full contrast",
-    "box_noise_share": "standard deviation of the sides of boxes, by the median error",
-    "frame_correlation": "of what decides a frame, how much carries over from the frame before",
-    "plan_probability": "the detection table counts a frame from this probability on",
-}
-
-
 _KEYS_OF = {
     "aspect": ("cyclist_end_on",),
     "contrast": ("contrast_half", "contrast_steepness"),
     "frame_correlation": ("frame_correlation",),
 }
 """By what a source does not say, the keys whose figures are the built-in ones."""
+_FIGURES = (
+    *("height_half_px", "height_steepness", "min_box_height_px", "cyclist_end_on"),
+    *("contrast_half", "contrast_steepness", "box_noise_share", "frame_correlation"),
+)
 
 
 def table_text(
@@ -521,49 +512,35 @@ def table_text(
     false_tracks_per_hour: Interval | None,
 ) -> str:
     """The table as TOML, for ``--detector FILE``; each figure with its 95 % interval."""
-    detector, intervals = fit.detector, fit.intervals
-    lines = [
-        f"# Response table fitted to {source}:",
-        f"# {fit.frames} frames with a road user, {fit.found} found, "
-        f"{fit.tracks} cameras and runs.",
-        f"# {command}",
-    ]
-    if unknown:
-        lines.append(f"# Not known from them, and as built in: {', '.join(unknown)}.")
-    lines += ["", "[response]"]
+    table, intervals = fit.detector, fit.intervals
     figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
-    assumed = {*figures, *detector.assumed, "plan_probability"}
+    assumed = {*figures, *table.assumed}
 
-    def add(key: str, value: object, *names: str) -> None:
+    def said(key: str, *names: str) -> str:
         ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
         words = ", ".join(f"{one.low:.3g} to {one.high:.3g}" for one in ranges)
-        words = f"95 %: {words}" if ranges else "assumption" if key in assumed else ""
-        if key in _NOTES:
-            lines.append(f"# {_NOTES[key]}")
-        lines.append(f"{key} = {value}" + (f" # {words}" if words else ""))
+        return f"95 %: {words}" if ranges else "assumption" if key in assumed else ""
 
-    add("seen_share", [round(value, 6) for value in detector.seen_share.tolist()])
-    recalls = detector.recall.tolist()
-    names = [f"recall[{index}]" for index in range(len(recalls))]
-    add("recall", [round(value, 6) for value in recalls], *names)
-    for key in ("height_half_px", "height_steepness", "min_box_height_px"):
-        add(key, f"{getattr(detector, key):.6g}", key)
-    for kind, factor in zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True):
-        add(kind, f"{factor:.6g}", kind)
-    if detector.assumed:
-        add("assumed", msgspec.json.encode(detector.assumed).decode())
-    add("assumed_figures", msgspec.json.encode(figures).decode())
-    for key in ("cyclist_end_on", "contrast_half", "contrast_steepness", "box_noise_share"):
-        add(key, f"{getattr(detector, key):.6g}", key)
-    add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")
-    add("plan_probability", f"{detector.plan_probability:g}")
-    if false_tracks_per_hour is not None:
-        lines += [
-            "",
-            "[false_tracks_per_hour] # that one unit confirms, with the 95 % interval",
-            *(f"{key} = {value:.6g}" for key, value in asdict(false_tracks_per_hour).items()),
-        ]
-    return "\n".join(lines) + "\n"
+    recall = [round(value, 6) for value in table.recall.tolist()]
+    return page_of(
+        files(__package__) / "response.toml.j2",
+        fit=fit,
+        table=table,
+        source=source,
+        command=command,
+        unknown=unknown,
+        seen_share=[round(value, 6) for value in table.seen_share.tolist()],
+        recall=recall,
+        classes=list(zip(VRU_CLASSES, table.class_factor.tolist(), strict=True)),
+        assumed=msgspec.json.encode(table.assumed).decode(),
+        assumed_figures=msgspec.json.encode(figures).decode(),
+        per_hour=false_tracks_per_hour,
+        words={
+            "recall": said("recall", *(f"recall[{index}]" for index in range(len(recall)))),
+            **{key: said(key, key) for key in (*_FIGURES, *VRU_CLASSES)},
+            "plan_probability": "assumption",
+        },
+    )
 
 
 def plot_calibration(result: FitResult) -> "Figure":

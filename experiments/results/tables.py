@@ -163,8 +163,8 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list
     return [*lines, *("| " + " | ".join(row) + " |" for row in rows)]
 
 
-def markdown_page(template: Traversable, **values: Any) -> str:
-    """A page in Markdown of a Jinja template; its filter `table` takes rows, and their heads."""
+def page_of(template: Traversable, **values: Any) -> str:
+    """A text of a Jinja template; its filter `table` makes Markdown of rows, with their heads."""
     from jinja2 import Environment, StrictUndefined
 
     page = Environment(

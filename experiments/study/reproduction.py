@@ -22,7 +22,7 @@ from ..figures.axes import to_png
 from ..figures.evaluation import plot_heatmaps
 from ..progress import StageProgress
 from ..results.numbers import percent
-from ..results.tables import markdown_page
+from ..results.tables import page_of
 from .variants import (
     AS_STUDIED,
     BEFORE,
@@ -117,7 +117,7 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     ]
     picture = to_png(plot_heatmaps(base, heatmaps)[0])
     found = [quantities(evaluation) for evaluation in evaluations]
-    text = markdown_page(
+    text = page_of(
         files(__package__) / "reproduction.md.j2",
         **_published(found),
         **_additional(of_additional),

@@ -22,7 +22,7 @@ from placement.detectors.fitting import ResponseFit, fit_lasting_share, fit_resp
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 from ...perception_lab.fit import table_text
 from ...results.numbers import number, percent
-from ...results.tables import markdown_page
+from ...results.tables import page_of
 from .projection import (
     BODY,
     Heights,
@@ -209,7 +209,7 @@ def text(m: Measured) -> str:
     rows = (m.lidar.hidden_level == 0) & (m.lidar.distance_m < lidar_reach_m())
     seen = m.lidar.sightings
     fitted = {words: one for words, one in m.watched.items() if one.name in m.fits}
-    return markdown_page(
+    return page_of(
         files(__package__) / "reality.md.j2",
         m=m,
         command=COMMAND,
