@@ -76,7 +76,11 @@ def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
     mounted = f"{_capital(units)} on {_spelled(several(n_poles, 'pole', 'poles'))}"
     verb = "prevents" if len(subject.layout.units) == 1 else "prevent"
     seeing = " together with cars that see for themselves" if result.cars == 1.0 else ""
-    is_best = isinstance(result, PlacementResult) and result.sampled is None and _is_best(result)
+    is_best = (
+        isinstance(result, PlacementResult)
+        and (result.sampled, result.goal, result.stages[0].name) == (None, "best", "apr")
+        and _is_proven(result)
+    )
     best = ", and no other choice prevents more" if is_best else ""
     also = "" if result.cars == 1.0 else f", and {together} if they hear what the sensors see"
     if isinstance(result, PlacementResult) and result.highest and result.highest.compared:
@@ -91,11 +95,6 @@ def _sentence(result: Result, subject: Evaluation, avoided: BoolArray) -> str:
         f"{mounted}{seeing} {verb} {share} of the collisions that were tried{best}. Cars by "
         f"themselves prevent {own}{also}."
     )
-
-
-def _is_best(result: PlacementResult) -> bool:
-    """True if no choice is proven to prevent more, and nothing else was asked for."""
-    return result.goal == "best" and result.stages[0].name == "apr" and _is_proven(result)
 
 
 def _is_proven(result: PlacementResult) -> bool:
