@@ -6,13 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from placement.compute import Compute
-from placement.question import Question
-
 from ..cli import options
-from ..cli.running import command_line, print_result
+from ..cli.running import Job, command_line
 from ..cli.terminal import sentences, table
-from ..progress import StageProgress, tell
 from ..results.numbers import percent
 from ..scene.command import reading_options
 
@@ -35,23 +31,15 @@ _MAX_LISTED = 12
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
 @options.from_table("city")
 @reading_options
-@options.question_options(*_MOUNTED, *_SOUGHT, *_DRIVEN, defaults={"time_limit_s": _TIME_LIMIT_S})
-@options.json_option
-@options.quiet_option
-@options.compute_options()
-@click.pass_obj
+@options.asking(
+    *_MOUNTED,
+    *_SOUGHT,
+    *_DRIVEN,
+    defaults={"time_limit_s": _TIME_LIMIT_S},
+    has_cache=False,
+)
 def city(
-    progress: StageProgress,
-    /,
-    *,
-    maps: tuple[Path, ...],
-    out: Path,
-    worker_memory: str,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-    **given: Any,
+    job: Job, /, *, maps: tuple[Path, ...], out: Path, worker_memory: str, **given: Any
 ) -> None:
     """Choose units for the junctions of a city under one budget.
 
@@ -63,28 +51,24 @@ def city(
         raise click.UsageError(
             "--budget: got nothing; expected a whole number of units, at least 0, or --budget-eur"
         )
-    progress.start(quiet=quiet)
-    from . import run as job
+    job.start()
     from .inputs import CitySearch, CityWish
+    from .run import run_city
 
-    def announce(sentence: str) -> None:
-        if not quiet:
-            tell(f"place-rsus: {sentence}", err=True)
-
-    result = job.run_city(
-        question,
+    result = run_city(
+        job.question,
         maps=maps,
         wish=CityWish(**_of(CityWish, given)),
-        search=CitySearch(**_of(CitySearch, given), gap=question.gap),
-        n_workers=compute.workers,
+        search=CitySearch(**_of(CitySearch, given), gap=job.question.gap),
+        n_workers=job.compute.workers,
         memory=worker_memory,
         out=out,
-        seed=compute.seed,
+        seed=job.compute.seed,
         command=command_line(),
-        progress=progress,
-        tell=announce,
+        progress=job.progress,
+        tell=job.announce,
     )
-    print_result(result, progress, as_json, lambda: city_text(result, out))
+    job.print(result, lambda: city_text(result, out))
 
 
 def _of(kind: Any, given: dict[str, Any]) -> dict[str, Any]:

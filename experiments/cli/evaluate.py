@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from . import options
-from .recording import check_recording_options, recording_table
+from .recording import check_recording_options, evaluate_recording
 from .running import Job, command_line
 
 if TYPE_CHECKING:
@@ -31,29 +31,14 @@ def evaluate(
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
     check_recording_options(recording)
     if recording is not None:
-        job.progress.start(quiet=job.quiet)
-        from ..parts import recording as recording_job
-
-        summary = recording_job.run_recording(
-            job.question,
-            folder=recording,
-            min_confidence=min_confidence,
-            out=out,
-            progress=job.progress,
-        )
-        job.print(summary, lambda: recording_table(summary, out))
+        evaluate_recording(job, recording, min_confidence, out)
         return
     job = job.begin()
     layout = job.layout(layout_names)
     from ..jobs import placement
 
     result = placement.run_evaluation(
-        job.question,
-        layout=layout,
-        no_look=job.question.no_look,
-        out=out,
-        command=command_line(),
-        **job.means,
+        job.question, layout=layout, out=out, command=command_line(), **job.means
     )
     from .answers import evaluation_parts
 
@@ -83,14 +68,7 @@ def compare(
     from ..jobs import placement
 
     result = placement.run_comparison(
-        job.question,
-        layouts=found,
-        samples=job.question.samples,
-        uncertainty=job.question.uncertainty,
-        no_look=job.question.no_look,
-        out=out,
-        command=command_line(),
-        **job.means,
+        job.question, layouts=found, out=out, command=command_line(), **job.means
     )
     from .answers import comparison_parts
 

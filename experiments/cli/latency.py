@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,15 +24,7 @@ if TYPE_CHECKING:
 @options.asking(
     *(name for name in options.JUDGED if name not in ("latency_budget", "cars")), has_cache=False
 )
-def latency(
-    job: Job,
-    *,
-    layout_names: tuple[str, ...],
-    budget: str | None,
-    vut_latency_s: float | None,
-    max_latency_s: float | None,
-    out: Path | None,
-) -> None:
+def latency(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any) -> None:
     """How much latency a layout bears: accidents prevented against the time to braking.
 
     The layout is evaluated once. From the frame that confirms to the onset of braking it takes as
@@ -43,15 +35,7 @@ def latency(
     layout = job.layout(layout_names)
     from ..parts.latency import run_latency
 
-    summary = run_latency(
-        job.question,
-        layout=layout,
-        budget=budget,
-        vut_latency_s=vut_latency_s,
-        max_latency_s=max_latency_s,
-        out=out,
-        **job.means,
-    )
+    summary = run_latency(job.question, layout=layout, out=out, **asked, **job.means)
     job.print(summary, lambda: latency_text(summary, out))
 
 

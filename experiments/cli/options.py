@@ -26,7 +26,7 @@ from placement.question import (
     save_question,
 )
 
-from .running import Job, cache_folder, check_address_space
+from .running import Call, Job, cache_folder, check_address_space
 
 _TABLES = load_toml(files("experiments") / "data" / "options.toml")
 SECTIONS = ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN = tuple(_TABLES["question"])
@@ -359,6 +359,17 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
         return combined(*(_SHARED[name] for name in names))(with_compute)
 
     return decorate
+
+
+def calling(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options ``--json``, ``--quiet`` and so on: the command gets them as one `call`."""
+
+    @wraps(command)
+    def with_call(*, as_json: bool, quiet: bool, **values: Any) -> Any:
+        progress = click.get_current_context().find_root().obj
+        return command(Call(progress=progress, as_json=as_json, quiet=quiet), **values)
+
+    return combined(json_option, quiet_option)(with_call)
 
 
 def job_options(*, has_cache: bool = False) -> Decorator:

@@ -1,7 +1,7 @@
 """``place-rsus pareto``: what each further unit, or more money, buys."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -36,7 +36,7 @@ def front_options(*asked: str) -> options.Decorator:
 @options.from_table("pareto")
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
-def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | None) -> None:
+def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share of
@@ -45,15 +45,7 @@ def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | N
     job = job.begin()
     from ..parts.front import run_pareto
 
-    summary = run_pareto(
-        job.question,
-        by=by,
-        max_units=max_units,
-        all_stages=all_stages,
-        out=out,
-        command=command_line(),
-        **job.means,
-    )
+    summary = run_pareto(job.question, out=out, command=command_line(), **asked, **job.means)
     job.print(summary, lambda: front_text(summary, out))
 
 

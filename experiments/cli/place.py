@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from . import options
-from .recording import check_recording_options, recorded_placement_table
+from .recording import check_recording_options, evaluate_recording
 from .running import Job, command_line
 
 
@@ -53,18 +53,8 @@ def cli(
 
         browser = find_browser()
     if recording is not None:
-        job.progress.start(quiet=job.quiet)
-        from ..parts import recording as recording_job
-
-        folder = out if options.is_given("out") else None
-        summary = recording_job.run_recorded_placement(
-            question,
-            folder=recording,
-            min_confidence=min_confidence,
-            out=folder,
-            progress=job.progress,
-        )
-        job.print(summary, lambda: recorded_placement_table(summary, folder))
+        to = out if options.is_given("out") else None
+        evaluate_recording(job, recording, min_confidence, to, chooses=True)
         return
     job = job.begin()
     from ..jobs import READY

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
+from .running import Job
 from .terminal import answer_text, sentences, wide_table
 
 if TYPE_CHECKING:
@@ -39,40 +40,40 @@ def check_recording_options(recording: Path | None) -> None:
             )
 
 
-def recording_table(summary: "RecordedResult", out: Path | None) -> str:
-    """The result of :func:`run_recording` for a terminal."""
-    lines = [
-        *sentences(f"{summary.recording} on {summary.runs} drives:"),
-        *_parties_text(summary.evaluation, summary.detected_share, summary.cases),
-        *_footer(summary, out),
-    ]
-    return "\n".join(lines)
+def evaluate_recording(
+    job: Job, folder: Path, min_confidence: float, out: Path | None, *, chooses: bool = False
+) -> None:
+    """Judge the units of a recording, or with `chooses` find the best of them; end the command."""
+    job.start()
+    from ..parts.recording import run_recorded_placement, run_recording
+
+    run = run_recorded_placement if chooses else run_recording
+    asked: dict[str, Any] = {"folder": folder, "min_confidence": min_confidence, "out": out}
+    summary = run(job.question, **asked, progress=job.progress)
+    job.print(summary, lambda: recording_text(summary, out))
 
 
-def recorded_placement_table(summary: "RecordedResult", out: Path | None) -> str:
-    """The result of :func:`run_recorded_placement` for a terminal."""
+def recording_text(summary: "RecordedResult", out: Path | None) -> str:
+    """The result of a recording for a terminal: the units that were chosen, if any, and all."""
     from ..parts.proof import stage_table
     from ..parts.recording import ALL_UNITS
 
-    assert summary.stages is not None
-    assert summary.baseline is not None
-    chosen = ", ".join(unit.id for unit in summary.layout)
-    best = Part(
-        words=[
-            f"Best {len(summary.layout)} of {summary.candidates} recorded units on "
-            f"{summary.runs} drives (fusion {summary.fusion}): {chosen}"
-        ],
-        table=stage_table(summary.stages),
-    )
-    lines = [answer_text([best], is_verbose=True)]
-    lines += [
-        "",
-        *_parties_text(summary.evaluation, summary.detected_share, summary.cases),
-        f"  {ALL_UNITS} of all {summary.candidates} recorded units: "
-        f"{percent(summary.baseline.rsu_all.all)} of the accidents prevented.",
-        *_footer(summary, out),
-    ]
-    return "\n".join(lines)
+    drives = f"{summary.runs} drives"
+    lines = sentences(f"{summary.recording} on {drives}:")
+    parties = _parties_text(summary.evaluation, summary.detected_share, summary.cases)
+    if summary.stages is not None and summary.baseline is not None:
+        chosen = ", ".join(unit.id for unit in summary.layout)
+        words = (
+            f"Best {len(summary.layout)} of {summary.candidates} recorded units on {drives} "
+            f"(fusion {summary.fusion}): {chosen}"
+        )
+        best = Part(words=[words], table=stage_table(summary.stages))
+        lines = [answer_text([best], is_verbose=True), ""]
+        parties.append(
+            f"  {ALL_UNITS} of all {summary.candidates} recorded units: "
+            f"{percent(summary.baseline.rsu_all.all)} of the accidents prevented."
+        )
+    return "\n".join([*lines, *parties, *_footer(summary, out)])
 
 
 def _parties_text(

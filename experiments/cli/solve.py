@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..parts import Part
-from ..progress import StageProgress
 from . import options
-from .running import print_result, unwritable
+from .running import Call, unwritable
 from .terminal import answer_text, sentences
 
 if TYPE_CHECKING:
@@ -28,11 +27,9 @@ def _target(text: str) -> float | None:
 @click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["solve"])
 @click.argument("file", type=click.Path(path_type=Path))
 @options.from_table("solve", target={"type": _target})
-@options.json_option
-@options.quiet_option
-@click.pass_obj
+@options.calling
 def solve(
-    progress: StageProgress,
+    call: Call,
     /,
     *,
     file: Path,
@@ -40,8 +37,6 @@ def solve(
     track_memory_s: float | None,
     format_name: str,
     out: Path | None,
-    as_json: bool,
-    quiet: bool,
     **asked: Any,
 ) -> None:
     """Solve a covering or placement problem from a file, and prove it.
@@ -60,7 +55,7 @@ def solve(
         raise click.UsageError(
             f"{asked_for[1]}: got it beside {asked_for[0]}; expected one of {known}"
         )
-    progress.start(quiet=quiet)
+    call.start()
     from ..jobs import solve
 
     if format_name == "auto" and solve.is_placement_problem(file):
@@ -70,10 +65,10 @@ def solve(
             file,
             target=float("inf") if target is None and options.is_given("target") else target,
             track_memory_s=track_memory_s,
-            progress=progress,
+            progress=call.progress,
             **asked,
         )
-        print_result(solution, progress, as_json, lambda: window_text(solution))
+        call.print(solution, lambda: window_text(solution))
         return
     if track_memory_s is not None:
         raise click.UsageError(
@@ -85,14 +80,14 @@ def solve(
             format_name=None if format_name == "auto" else format_name,
             target=target,
             out=out,
-            progress=progress,
+            progress=call.progress,
             **asked,
         )
     except OSError as error:
         if out is None:
             raise
         raise unwritable(out, error) from None
-    print_result(summary, progress, as_json, lambda: solution_text(summary))
+    call.print(summary, lambda: solution_text(summary))
 
 
 def solution_text(summary: "CoveringResult") -> str:

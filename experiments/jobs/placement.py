@@ -324,6 +324,10 @@ def _private_ground(
     return None if private is None else build_private_ground_record(layout.units, scene, private)
 
 
+def _load_private_ground(question: Question, scene: Scene) -> PrivateGround | None:
+    return load_private_ground(Path(question.no_look), scene) if question.no_look else None
+
+
 def _front_below(job: _Job, found: _Found) -> FrontRecord | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     placement, plan, progress = found.placement, found.plan, job.progress
@@ -372,7 +376,6 @@ def run_evaluation(
     question: Question,
     *,
     layout: Layout,
-    no_look: str = "",
     out: Path | None,
     compute: Compute,
     command: str,
@@ -383,7 +386,7 @@ def run_evaluation(
     with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         (layout,) = _with_distinct_names([layout])
         check_layout(layout, scene)
-        private = load_private_ground(Path(no_look), scene) if no_look else None
+        private = _load_private_ground(question, scene)
         (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
         bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
         evaluations = {layout.name: evaluation}
@@ -402,9 +405,6 @@ def run_comparison(
     question: Question,
     *,
     layouts: Sequence[Layout],
-    samples: int = 0,
-    uncertainty: str = "default",
-    no_look: str = "",
     out: Path | None,
     compute: Compute,
     command: str,
@@ -415,14 +415,15 @@ def run_comparison(
     With samples also in so many sampled worlds. Raises InputError as :func:`run_evaluation`.
     """
     scene = load_scene(question.scene)
-    drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
-    check_worlds_of_cars(replace(question, samples=samples))
+    samples = question.samples
+    drawn = load_drawn(question, scene, n_samples=samples)
+    check_worlds_of_cars(question)
     with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         setting = job.setting
         layouts = _with_distinct_names(layouts)
         for layout in layouts:
             check_layout(layout, scene)
-        private = load_private_ground(Path(no_look), scene) if no_look else None
+        private = _load_private_ground(question, scene)
         proposed = compare_layout(layouts[0], setting, compute=compute)
         everyone = layouts
         if proposed is not None and proposed.expert is not None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from placement.compute import Compute
-from placement.question import Question, question_fields
+from placement.question import question_fields
 
 from ..cli import options
-from ..cli.running import begin, command_line, load_one_layout, print_result, unwritable
+from ..cli.running import Job, command_line, load_one_layout, unwritable
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell
 from ..results.numbers import percent
@@ -27,43 +27,19 @@ if TYPE_CHECKING:
 @click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["dataset"])
 @options.layout_option
 @options.from_table("dataset")
-@options.question_options(*options.PICTURED)
-@options.json_option
-@options.quiet_option
-@options.compute_options()
-@click.pass_obj
-def dataset(
-    progress: StageProgress,
-    /,
-    *,
-    layout_names: tuple[str, ...],
-    out: Path,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-    **wish: Any,
-) -> None:
+@options.asking(*options.PICTURED, has_cache=False)
+def dataset(job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any) -> None:
     """Write a dataset: what the cameras of a layout see of all runs, with labels."""
     layout = load_one_layout(layout_names)
-    progress.start(quiet=quiet)
+    job.start()
     from .dataset import run_dataset
     from .drawing import DatasetWish
 
-    def announce(sentence: str) -> None:
-        if not quiet:
-            tell(f"place-rsus: {sentence}", err=True)
-
+    drawn = DatasetWish(**wish)
     summary = run_dataset(
-        question,
-        layout=layout,
-        wish=DatasetWish(**wish),
-        out=out,
-        compute=compute,
-        progress=progress,
-        tell=announce,
+        job.question, layout=layout, wish=drawn, out=out, tell=job.announce, **job.means
     )
-    print_result(summary, progress, as_json, lambda: _dataset_text(summary, wish["format"]))
+    job.print(summary, lambda: _dataset_text(summary, drawn.format))
 
 
 def _dataset_text(summary: "DatasetSummary", form: str) -> str:
@@ -93,21 +69,8 @@ def detector() -> None:
 @options.layout_option
 @options.from_table("fit")
 @options.folder_option("response.toml, fit.json and calibration.png")
-@options.question_options(*options.PICTURED)
-@options.job_options()
-@click.pass_obj
-def fit(
-    progress: StageProgress,
-    /,
-    *,
-    layout_names: tuple[str, ...],
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-    **wish: Any,
-) -> None:
+@options.asking(*options.PICTURED, has_cache=False)
+def fit(job: Job, /, *, layout_names: tuple[str, ...], out: Path | None, **wish: Any) -> None:
     """Fit a response table to what a detector really finds.
 
     The table is then what --detector mine/response.toml plans and judges with, in place of the
@@ -115,23 +78,19 @@ def fit(
     """
     _check_one_source(layout_names, wish["recording"], wish["labels"], wish["results"])
     layout = load_one_layout(layout_names) if layout_names else None
-    question = begin(progress, question, quiet=quiet)
-    from . import fit as job
+    job = job.begin()
+    from .fit import FitWish, run_detector_fit
 
-    result = job.run_detector_fit(
-        question,
-        wish=job.FitWish(layout=layout, **wish),
-        out=out,
-        command=command_line(),
-        compute=compute,
-        progress=progress,
+    asked = FitWish(layout=layout, **wish)
+    result = run_detector_fit(
+        job.question, wish=asked, out=out, command=command_line(), **job.means
     )
-    print_result(result, progress, as_json, lambda: fit_text(result, out))
+    job.print(result, lambda: fit_text(result, out))
 
 
-_OF_RULE = ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget") + (
-    "n_confirmations",
-    "track_memory_s",
+_OF_RULE = (
+    *("deceleration_mps2", "build_up_s", "latency_s", "latency_budget"),
+    *("n_confirmations", "track_memory_s"),
 )
 
 

@@ -196,7 +196,6 @@ class Tasks:
         run_evaluation(
             self._work.question,
             layout=layout,
-            no_look=self._work.question.no_look,
             out=folder,
             compute=self._of_units,
             command=command,

@@ -12,9 +12,8 @@ from msgspec import UNSET
 from placement.question import read_point
 
 from ..cli import options
-from ..cli.running import print_result
+from ..cli.running import Call
 from ..cli.terminal import listing, sentences, table
-from ..progress import StageProgress
 
 if TYPE_CHECKING:
     from geometry.maps.importing import ReadingOptions
@@ -59,20 +58,8 @@ def scene() -> None:
 @options.option(
     "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
 )
-@options.json_option
-@options.quiet_option
-@click.pass_obj
-def import_(
-    progress: StageProgress,
-    /,
-    *,
-    files: tuple[str, ...],
-    bbox: str,
-    out: Path,
-    as_json: bool,
-    quiet: bool,
-    **cut: Any,
-) -> None:
+@options.calling
+def import_(call: Call, /, *, files: tuple[str, ...], bbox: str, out: Path, **cut: Any) -> None:
     """Make a scene of map files, around one junction.
 
     Roads come from OpenDRIVE (.xodr), OpenStreetMap (.osm, .osm.pbf), Lanelet2 (.osm) or CommonRoad
@@ -81,52 +68,42 @@ def import_(
     point clouds (LAS, LAZ, PCD). Where several junctions are in the map and none is named, the one
     with the most arms is taken; `scene show FILE` lists them.
     """
-    progress.start(quiet=quiet)
+    call.start()
     from geometry.maps.importing import ImportOptions
 
     from . import run
 
-    summary = run.run_import(files, ImportOptions(**cut), bbox=bbox, out=out, progress=progress)
-    print_result(summary, progress, as_json, lambda: scene_text(summary))
+    cut_out = ImportOptions(**cut)
+    summary = run.run_import(files, cut_out, bbox=bbox, out=out, progress=call.progress)
+    call.print(summary, lambda: scene_text(summary))
 
 
 @scene.command(epilog=options.EXAMPLES["scene-show"])
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
 @options.from_table("scene-show")
-@options.json_option
-@options.quiet_option
-@click.pass_obj
+@options.calling
 def show(
-    progress: StageProgress,
-    *,
-    paths: tuple[str, ...],
-    reading: "ReadingOptions",
-    out: Path | None,
-    sort: str,
-    as_json: bool,
-    quiet: bool,
+    call: Call, *, paths: tuple[str, ...], reading: "ReadingOptions", out: Path | None, sort: str
 ) -> None:
     """Show a scene or a map: arms, lanes, sites, things, and what was left out and why."""
-    progress.start(quiet=quiet)
+    call.start()
     from . import run
 
-    summary = run.run_show(paths, reading, out=out, progress=progress, sort=sort)
-    print_result(summary, progress, as_json, lambda: scene_text(summary))
+    summary = run.run_show(paths, reading, out=out, progress=call.progress, sort=sort)
+    call.print(summary, lambda: scene_text(summary))
 
 
 @scene.command(epilog=options.EXAMPLES["scene-check"])
 @click.argument("path", metavar="[SCENE]", default="")
-@options.json_option
-@options.quiet_option
-@click.pass_obj
-def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> None:
+@options.calling
+def check(call: Call, *, path: str) -> None:
     """Look for what may be wrong: holes, floating or overlapping buildings, sites inside walls."""
-    progress.start(quiet=quiet)
+    call.start()
     from . import run
 
-    summary = run.run_check(path, progress=progress)
-    print_result(summary, progress, as_json, lambda: findings_text(summary))
+    summary = run.run_check(path, progress=call.progress)
+    call.print(summary, lambda: findings_text(summary))
     if not summary.is_sound:
         sys.exit(1)
 

@@ -137,9 +137,8 @@ def test_comparisons_follow(small_study, tmp_path):
         assert left >= result.cars * result.evaluation.vut.all - 1e-9
     with pytest.raises(InputError, match=r"cars: got '0\.3'; expected blind or see"):
         placement.run_comparison(
-            Question(cars="0.3"),
+            Question(cars="0.3", samples=2),
             layouts=[first, layout],
-            samples=2,
             out=None,
             compute=Compute(),
             command="place-rsus compare",
