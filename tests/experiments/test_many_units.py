@@ -11,7 +11,8 @@ from partial_pages import build_result
 
 from experiments.cli.answers import evaluation_parts
 from experiments.cli.terminal import answer_text
-from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
+from experiments.figures.labels import MAX_LABELLED_UNITS
+from experiments.figures.plan import plot_plan
 from experiments.parts.accidents import MAX_UNIT_COLUMNS, unit_apr_table
 from experiments.results.numbers import percent
 from geometry.poses import Pose
