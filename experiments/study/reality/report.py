@@ -366,36 +366,16 @@ def tables(m: Measured) -> dict[str, str]:
             unknown=_UNKNOWN,
             false_tracks_per_hour=one.alarms.per_hour,
         )
-    lines = [
-        f"# Recalls of {m.lidar.detector}, {m.lidar.year}, on KITTI tracking, even sequences "
-        f"({m.lidar.source}).",
-        f"# {COMMAND}",
-        "# Found: image boxes overlap by more than half. Whether somebody is hidden is not told "
-        "apart.",
-        "# Classes of which nothing was measured are found as others are: assumption.",
-        'stands_for = { child = "pedestrian", motorcyclist = "cyclist", car = "cyclist" }',
-        "plan_probability = 0.5 # assumption",
-        "# Recall by the middles of tens of metres, the last of 40 m and more; straight lines "
-        "between: assumption.",
-    ]
+    classes = []
     for name, one in (("pedestrian", m.lidar), ("cyclist", m.lidar_cyclists)):
         groups = recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
-        rows = np.array([(g.measured.value, g.measured.low, g.measured.high) for g in groups])
-        shares = {"recall": rows[:, 0], "recall_low": rows[:, 1], "recall_high": rows[:, 2]}
+        shares = [_three(group.measured) for group in groups]
         link = fit_response(one.sightings, name=name).intervals["frame_correlation"]
-        lines += [
-            "",
-            f"[{name}]",
-            f"distance_m = {[5.0 + float(g.words.split()[0]) for g in groups]}",
-            *(f"{key} = {[float(f'{v:.3g}') for v in of_all]}" for key, of_all in shares.items()),
-            f"frames = {[g.frames for g in groups]}",
-            f"tracks = {[g.tracks for g in groups]}",
-            "# as in response tables, and of found or not; value, 95 % interval; 10 Hz",
-            f"frame_correlation = {_three(link)}",
-            f"phi_of_frames = {_three(phi(one.sightings))}",
-            f"false_boxes_per_frame = {one.alarms.per_picture.value:.3g}",
-        ]
-    written["pointrcnn-2019.toml"] = "\n".join(lines) + "\n"
+        classes.append((name, one, groups, [*zip(*shares, strict=True)], _three(link)))
+    lidar = files(__package__) / "lidar.toml.j2"
+    written["pointrcnn-2019.toml"] = page_of(
+        lidar, one=m.lidar, command=COMMAND, classes=classes, phi=phi, three=_three
+    )
     return written
 
 
