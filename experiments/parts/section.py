@@ -109,7 +109,15 @@ class Picture:
     narrow: "Picture | None" = None  # the same for a phone
 
 
-Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture
+@dataclass(frozen=True, slots=True)
+class Html:
+    """What a template has made, as it is."""
+
+    kind: ClassVar[str] = "html"
+    html: str
+
+
+Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture | Html
 
 
 @dataclass(frozen=True, slots=True)

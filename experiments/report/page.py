@@ -51,6 +51,7 @@ def page_environment() -> Environment:
         loader=PackageLoader("experiments.report"),
         autoescape=True,
         undefined=StrictUndefined,
+        extensions=["jinja2.ext.do"],
         trim_blocks=True,
         lstrip_blocks=True,
     )
