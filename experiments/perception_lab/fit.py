@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import replace as replace_fields
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
@@ -53,9 +52,9 @@ from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
 
 from ..export.json import to_json_text
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.drives import versions
-from ..results.folders import check_folder, write_files
+from ..results.folders import expect_files, save_files
 from ..results.record import Record
 from ..results.tables import page_of
 
@@ -136,9 +135,7 @@ def run_detector_fit(
     Raises InputError if a source is not what it should be, there are too few frames, or `out`
     cannot be written.
     """
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    expect_files(out, progress)
     source = _open_source(question, wish, compute, progress)
     rule = build_rule(question)
     frame_rate_hz = wish.frame_rate_hz or rule.frame_rate_hz
@@ -166,25 +163,16 @@ def run_detector_fit(
         seconds={},
         versions=versions(),
     )
-    if out is not None:
+
+    def contents(done: FitResult) -> dict[str, str | bytes]:
         from ..figures.axes import to_png
 
-        progress(WRITING, 0, 0)
-        files = {
-            TABLE_NAME: table_text(
-                fit,
-                source=source.words,
-                command=command,
-                unknown=unknown,
-                false_tracks_per_hour=alarms.per_hour,
-            ).encode(),
-            PNG_NAME: to_png(plot_calibration(result)),
-        }
-        result = replace_fields(result, seconds=progress.finish())
-        write_files(out, {**files, JSON_NAME: to_json_text(result).encode()})
-        progress.kept = f"the results are in {out}"
-        return result
-    return replace_fields(result, seconds=progress.finish())
+        head, per_hour = {"source": source.words, "command": command}, alarms.per_hour
+        table = table_text(fit, unknown=unknown, false_tracks_per_hour=per_hour, **head)
+        png = to_png(plot_calibration(done))
+        return {TABLE_NAME: table, PNG_NAME: png, JSON_NAME: to_json_text(done)}
+
+    return save_files(result, out, progress, contents)
 
 
 def _open_source(
