@@ -70,11 +70,12 @@ class Subheading:
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
-    """Terms, each with what there is to say of it."""
+class Filled:
+    """A template of the report, with the values that it shows."""
 
-    kind: ClassVar[str] = "terms"
-    terms: Sequence[tuple[str, str]]
+    kind: ClassVar[str] = "filled"
+    template: str
+    values: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +118,7 @@ class Html:
     html: str
 
 
-Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture | Html
+Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Html
 
 
 @dataclass(frozen=True, slots=True)
