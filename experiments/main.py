@@ -11,12 +11,12 @@ import click
 from click.shell_completion import get_completion_class
 
 from .city.command import city
+from .cli import options
 from .cli.certify import certify
 from .cli.doctor import doctor
 from .cli.evaluate import compare, evaluate
 from .cli.export import export, sheet
 from .cli.latency import latency
-from .cli.options import with_option_names
 from .cli.pareto import pareto, retrofit
 from .cli.place import cli
 from .cli.running import Session, command_line
@@ -39,13 +39,7 @@ _SHELLS = ("bash", "zsh", "fish")
 _COMPLETE_VARIABLE = "_PLACE_RSUS_COMPLETE"
 
 
-@click.command(
-    epilog="""\b
-Examples:
-  eval "$(place-rsus completion bash)"                      in ~/.bashrc
-  eval "$(place-rsus completion zsh)"                       in ~/.zshrc
-  place-rsus completion fish > ~/.config/fish/completions/place-rsus.fish"""
-)
+@click.command(epilog=options.EXAMPLES["completion"])
 @click.argument("shell", type=click.Choice(_SHELLS))
 @click.pass_context
 def completion(context: click.Context, *, shell: str) -> None:
@@ -75,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except Interrupted as error:
         code, message = 128 + error.signum, progress.interruption()
     except _mendable_errors() as error:
-        code, message = _EXIT_BAD_INPUT, f"place-rsus: {with_option_names(str(error), cli)}"
+        code, message = _EXIT_BAD_INPUT, f"place-rsus: {options.with_option_names(str(error), cli)}"
     except click.ClickException as error:
         text = " ".join(error.format_message().split())
         code, message = _EXIT_BAD_INPUT, f"place-rsus: {text}"

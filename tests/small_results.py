@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.jobs import placement, writing
+from experiments.jobs import placement
 from experiments.progress import StageProgress
 from geometry.actors import load_actors
 from geometry.scene import Scene
@@ -101,7 +101,7 @@ def write_small_results(folder: Path, setting: Setting, question: Question | Non
         lay_runs_of(patch, setting)
         patch.setattr(poses, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
-        patch.setattr(writing, "write_report", write_blank_report)
+        patch.setattr(placement, "write_report", write_blank_report)
         placement.run_placement(
             question or Question(budget=2, time_limit_s=60.0),
             out=folder,

@@ -39,8 +39,6 @@ _REPORT_PARTS = (
     "Bill of materials",
 )
 
-# ---------- a page in a browser
-
 
 @contextmanager
 def _browser() -> Iterator[Any]:
@@ -77,9 +75,6 @@ def _open(browser: Any, address: str, size_px: tuple[int, int]) -> Any:
     page.locator("[data-chip]").first.click()
     page.wait_for_timeout(400)
     return page
-
-
-# ---------- pictures
 
 
 @click.group()

@@ -18,19 +18,13 @@ from msgspec.structs import replace
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
-from placement.city.choose import Phases, Step, choose, city_front, plan_phases
+from placement.city.choose import Phases, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.steering import TOLERANCE
 
 from ..results.numbers import euros, percent, several
-from ..results.record import (
-    Record,
-    Share,
-    StageRecord,
-    UnitRecord,
-    build_stage_records,
-)
+from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
 from .inputs import JUNCTIONS, City, CityMapRecord, CitySearch, CityValues, CityWish
 
 SCHEMA = "place-rsus/city/1"
@@ -41,8 +35,6 @@ _MAX_STEPS = 200
 _T = TypeVar("_T")
 Count = Annotated[int, Meta(ge=0)]
 Amount = Annotated[float, Meta(ge=0)]
-
-# ---------- one junction
 
 
 class CityFrontRecord(Record, frozen=True, kw_only=True):
@@ -112,9 +104,6 @@ def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
     return file.getvalue()
 
 
-# ---------- the folder
-
-
 class CityEntry(Record, frozen=True, kw_only=True):
     """A junction's folder, and the hashes of what it was made from and of its front."""
 
@@ -145,9 +134,6 @@ def load_manifest(path: Path) -> CityManifest:
     if found.schema != SCHEMA:
         raise InputError(f"{path}: schema", found.schema, SCHEMA)
     return found
-
-
-# ---------- the answer
 
 
 class CityJunctionRecord(Record, frozen=True, kw_only=True):
@@ -241,9 +227,6 @@ class CityResult(Record, frozen=True, kw_only=True):
     versions: dict[str, str] = msgspec.field(default_factory=dict)
 
 
-# ---------- the choice
-
-
 def choose_for_city(
     out: Path,
     city: City,
@@ -287,10 +270,14 @@ def choose_for_city(
     years = np.zeros_like(first) if phases is None else phases.year
     got = zip((choice.rows - first).tolist(), years.tolist(), strict=True)
     got_at = dict(zip(solved, got, strict=True))
-    junctions = [
-        _junction_record(out, city, values, index, record, got_at.get(index), existing)
-        for index, record in enumerate(records)
-    ]
+    junctions = []
+    for index, record in enumerate(records):
+        head = _junction_head(city, values, index, record.reason)
+        if record.front is not None and index in got_at:
+            number, year = got_at[index]
+            has_units = city.junctions[index].scene_name in existing
+            head = _with_point(head, record.front, number, year, out, has_units=has_units)
+        junctions.append(head)
     steps = city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
     result = CityResult(
         maps=city.records,
@@ -307,7 +294,15 @@ def choose_for_city(
         junctions=tuple(junctions),
         not_done=len(records) - len(solved),
         by="cost" if by_cost else "units",
-        front=tuple(_step_record(city, solved, options, step) for step in steps),
+        front=tuple(
+            CityStepRecord(
+                junction=city.junctions[solved[step.junction]].label,
+                units=int(options.units[step.row]),
+                taken=step.taken,
+                apr=step.apr,
+            )
+            for step in steps
+        ),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
         search=CitySearchRecord(
@@ -322,37 +317,36 @@ def choose_for_city(
     return replace(result, sentences=_sentences(result, wish, phases))
 
 
-def _junction_record(
-    out: Path,
-    city: City,
-    values: CityValues,
-    index: int,
-    record: CityFrontRecord,
-    got: tuple[int, int] | None,
-    existing: dict[str, Layout],
-) -> CityJunctionRecord:
-    """A junction and what it gets, if it has a front: number of a point, and the year.
-
-    The layout of the point is read from the folder.
-    """
+def _junction_head(city: City, values: CityValues, index: int, reason: str) -> CityJunctionRecord:
+    """A junction, without what it gets."""
     one = city.junctions[index]
-    head = CityJunctionRecord(
+    x, y = one.surveyed.position.tolist()
+    return CityJunctionRecord(
         id=one.surveyed.junction.id,
         name=one.surveyed.junction.name,
         map=one.roads.name,
         folder=f"{JUNCTIONS}/{one.folder}",
-        x=float(one.surveyed.position[0]),
-        y=float(one.surveyed.position[1]),
+        x=x,
+        y=y,
         weight=float(values.weight[index] / values.weight.sum()),
         district=", ".join(name for name, members in values.districts if index in members),
-        reason=record.reason,
+        reason=reason,
     )
-    if record.front is None or got is None:
-        return head
-    number, year = got
-    point = record.front.points[number]
+
+
+def _with_point(
+    head: CityJunctionRecord,
+    front: JunctionFront,
+    number: int,
+    year: int,
+    out: Path,
+    *,
+    has_units: bool,
+) -> CityJunctionRecord:
+    """A junction with a point of its front; the layout is read from the folder."""
+    point = front.points[number]
     layout: tuple[UnitRecord, ...] = ()
-    if point.units or one.scene_name in existing:
+    if point.units or has_units:
         path = out / head.folder / FRONT
         found = load_front(path)
         if found is None or number >= len(found.layouts):
@@ -362,21 +356,12 @@ def _junction_record(
         head,
         units=point.units,
         cost_eur=point.cost_eur,
-        apr_before=record.front.points[0].apr,
+        apr_before=front.points[0].apr,
         apr=point.apr,
         apr_one_failed=point.apr_one_failed,
         layout=layout,
         kept=max(len(layout) - point.units, 0),
         year=year,
-    )
-
-
-def _step_record(city: City, solved: Sequence[int], options: Options, step: Step) -> CityStepRecord:
-    return CityStepRecord(
-        junction=city.junctions[solved[step.junction]].label,
-        units=int(options.units[step.row]),
-        taken=step.taken,
-        apr=step.apr,
     )
 
 
@@ -429,11 +414,9 @@ def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tup
         "them are prevented"
     )
     if result.units == 0:
-        budget = (
-            several(result.budget_units or 0, "unit", "units")
-            if result.budget_eur is None
-            else euros(result.budget_eur)
-        )
+        budget = several(result.budget_units or 0, "unit", "units")
+        if result.budget_eur is not None:
+            budget = euros(result.budget_eur)
         head = f"Nothing at {several(n_fronts, 'junction', 'junctions')} for at most {budget}"
     if result.not_done:
         head += f"; {several(result.not_done, 'junction is', 'junctions are')} not done"
@@ -468,11 +451,10 @@ def _proof(apr: StageRecord, of_fronts: float) -> str:
             "Proven: no other units for the same budget, at these sites and in these poses, "
             "prevent more."
         )
+    rest = f", none among the layouts found more than {percent(of_fronts)}."
     if of_fronts <= apr.objective + TOLERANCE:
         rest = (
             "; among the layouts found this choice is the best one, what is open are the fronts "
             "of the junctions."
         )
-    else:
-        rest = f", none among the layouts found more than {percent(of_fronts)}."
     return f"No choice prevents more than {percent(apr.bound)}{rest}"

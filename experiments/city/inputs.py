@@ -11,15 +11,8 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_text
+from geometry.maps import importing
 from geometry.maps.georeferences import transform
-from geometry.maps.importing import (
-    DEFAULT_RADIUS_M,
-    ReadingOptions,
-    Surveyed,
-    choose_junction,
-    read_map,
-    survey_junctions,
-)
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 from geometry.maps.source_map import SourceMap
 from placement.city.choose import CityWishes, District
@@ -78,9 +71,9 @@ class CitySearch:
     is_coarse: bool = False  # a ninth of the poses
     max_units: int = 6  # new ones at a junction
     max_junction_s: float = 300.0
-    radius_m: float = DEFAULT_RADIUS_M
+    radius_m: float = importing.DEFAULT_RADIUS_M
     sites: str = "auto"
-    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    reading: importing.ReadingOptions = field(default_factory=importing.ReadingOptions)
     gap: float = 0.0  # relative, at which the city's choice counts as settled
 
 
@@ -99,7 +92,7 @@ class CityJunction:
     Its position, (2,) float, is in the coordinates of the first map with roads. [m]
     """
 
-    surveyed: Surveyed
+    surveyed: importing.Surveyed
     roads: SourceMap
     folder: str
     position_m: FloatArray
@@ -137,10 +130,7 @@ class City:
         return self.roads[0].source_crs or self.roads[0].crs
 
 
-# ---------- maps and junctions
-
-
-def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) -> City:
+def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: CityWish) -> City:
     """Read maps once, and find the junctions that count.
 
     Raises InputError: a file cannot be read, none has roads, two have the same name or overlap, or
@@ -152,7 +142,7 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise InputError("MAP", Unquoted(f"two files called {twice[0]}"), "each map once")
-    maps = [read_map(path, reading) for path in paths]
+    maps = [importing.read_map(path, reading) for path in paths]
     roads = tuple(source for source in maps if source.lanes)
     if not roads:
         raise InputError(", ".join(names), Unquoted("no roads"), "a map with roads")
@@ -162,7 +152,7 @@ def load_city(paths: Sequence[Path], reading: ReadingOptions, wish: CityWish) ->
     )
     found: list[CityJunction] = []
     for source in roads:
-        for surveyed in survey_junctions(source):
+        for surveyed in importing.survey_junctions(source):
             place = surveyed.junction.position_m
             if source.crs != roads[0].crs:
                 if not (source.crs and roads[0].crs):
@@ -240,24 +230,20 @@ def _counting(
 
 
 def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[CityJunction]:
-    is_file = Path(text).is_file()
-    names = (
-        read_text(Path(text), "a list of junctions").splitlines() if is_file else text.split(";")
-    )
+    names = text.split(";")
+    if Path(text).is_file():
+        names = read_text(Path(text), "a list of junctions").splitlines()
     by_survey = {id(one.surveyed): one for one in found}
     chosen: dict[int, CityJunction] = {}
     for name in filter(None, map(str.strip, names)):
         try:
-            surveyed = choose_junction(roads, [one.surveyed for one in found], name=name)
+            surveyed = importing.choose_junction(roads, [one.surveyed for one in found], name=name)
         except InputError as error:
             raise InputError("--junctions", error.got, error.expected) from None
         chosen[id(surveyed)] = by_survey[id(surveyed)]
     if not chosen:
         raise InputError("--junctions", text, "ids or names, or a file with one a line")
     return list(chosen.values())
-
-
-# ---------- weights, areas, districts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -273,13 +259,11 @@ class CityValues:
     def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
         """The wishes for the junctions that have a front, by their indices."""
         place = {index: row for row, index in enumerate(solved)}
-        districts = []
+        districts, least_apr = [], wish.min_district_apr
         for name, members in self.districts:
             rows = np.array([place[index] for index in members if index in place], dtype=np.int64)
             if len(rows) and self.weight[list(members)].sum() > 0.0:
-                districts.append(
-                    District(name=name, junctions=rows, least_apr=wish.min_district_apr)
-                )
+                districts.append(District(name=name, junctions=rows, least_apr=least_apr))
         limit = wish.budget_units
         if wish.units_per_year is not None and wish.years is not None:
             most = wish.units_per_year * wish.years
@@ -398,9 +382,6 @@ def _number(values: Mapping[str, object], where: str, name: str, otherwise: floa
         top = "" if most == np.inf else f" to {most:g}"
         raise InputError(f"{where}: {name}", value, f"a number from 0{top}")
     return number
-
-
-# ---------- units mounted already
 
 
 def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:

@@ -1,10 +1,11 @@
 """Pages and figures of a city: the report of all junctions, and one for each."""
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
+from functools import cache, partial
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -16,8 +17,8 @@ from placement.city.fronts import JunctionFront
 from placement.layout import Layout
 
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_axes
-from ..parts.section import Block, Bullets, Code, Section, build_picture, tabulate
-from ..report.page import page_template
+from ..parts.section import Bullets, Code, Html, Section, build_picture
+from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
 from ..scene.pictures import HALO, new_map_axes, plot_scene_plan
 from .answer import CityFrontRecord, CityJunctionRecord, CityResult
@@ -27,13 +28,19 @@ MAX_ROWS = 400
 
 _MAX_STEPS = 60
 _ARROW_M = 9.0
-_STAGES = {
-    "apr": "accidents prevented",
-    "apr_one_failed": "if at each junction the unit needed most fails",
-    "smallest_margin_s": "smallest time to spare (s)",
-    "mean_margin_s": "mean time to spare (s)",
-    "cost_eur": "cost (EUR)",
-}
+
+
+@cache
+def _templates() -> Any:
+    """Sections of the pages, as macros by the ids of the sections."""
+    source = (files(__package__) / "sections.html.j2").read_text(encoding="utf-8")
+    words = {"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS}
+    return page_environment().from_string(source, globals=words).module
+
+
+def _section(name: str, title: str, *values: object, macro: str = "") -> Section:
+    html = getattr(_templates(), macro or name.replace("-", "_"))(*values)
+    return Section(name, title, [Html(html)] if html else [])
 
 
 def render_city_report(
@@ -45,218 +52,33 @@ def render_city_report(
     paged: Container[str],
 ) -> str:
     """The city's report as one HTML page; it links the pages of the folders that have one."""
+    by_cost = result.by == "cost"
+    counted, budget = ("euros", result.budget_eur) if by_cost else ("units", result.budget_units)
+    steps = result.front[:_MAX_STEPS]
+    n_within = 0
+    if budget is not None:
+        n_within = sum(step.taken <= budget + 1e-6 for step in result.front)
+    failed = [one for one in result.junctions if one.reason]
     sections = [
-        _map_section(result, city_map),
-        _junction_section(result, paged),
-        _front_section(result, front),
-        _proof_section(result),
-        _order_section(result, poles),
-        _not_done_section(result),
-        _assumptions_section(result),
+        _section("map", "Where", result, partial(build_picture, city_map)),
+        _section("junctions", "What each junction gets", result, paged),
+        _section(
+            *("front", f"What more {counted} buy"),
+            *(result, partial(build_picture, front), counted, steps, n_within),
+        ),
+        _section("proof", "How good it is proven to be", result),
+        *([_section("order", "What to order", result, poles)] if result.purchases else []),
+        *([_section("not-done", "What was not done", failed)] if failed else []),
+        _section("assumptions", "What this rests on", result, result.search),
+        Section("again", "Make it again", [Code(result.command)]),
     ]
     names = " and ".join(one.name for one in result.maps if one.has_roads)
     return page_template().render(
         title=f"Roadside units for {names}",
         answer=list(result.sentences),
-        sections=[
-            *(section for section in sections if section is not None),
-            Section("again", "Make it again", [Code(result.command)]),
-        ],
+        sections=sections,
         interactive=None,
     )
-
-
-def _map_section(result: CityResult, city_map: Axes) -> Section:
-    picture = build_picture(
-        city_map,
-        title="What each junction gets",
-        caption="Circles grow with the gain and darken with the number of units, which stands in "
-        "them. Next to the largest ones is the rank, as in the table below. Streets and buildings "
-        "are those of the maps.",
-        alt=f"Map with {sum(one.units > 0 for one in result.junctions)} junctions that get units "
-        f"and {sum(not one.units for one in result.junctions)} that get none; the table below "
-        "lists all of them.",
-    )
-    return Section("map", "Where", [picture])
-
-
-def _junction_section(result: CityResult, paged: Container[str]) -> Section:
-    served = sorted((one for one in result.junctions if one.units), key=lambda one: -one.gain)
-    rank = {one.folder: number for number, one in enumerate(served, start=1)}
-    columns: dict[str, Callable[[CityJunctionRecord], object]] = {
-        "rank": lambda one: str(rank[one.folder]),
-        "junction": lambda one: _link(one, paged),
-        "district": lambda one: one.district,
-        "units": lambda one: str(one.units),
-        "year": lambda one: str(one.year),
-        "cost (EUR)": lambda one: f"{one.cost_eur:,.0f}",
-        "weight": lambda one: percent(one.weight),
-        "APR before": lambda one: percent(one.apr_before),
-        "APR": lambda one: percent(one.apr),
-        "APR if a unit fails": lambda one: percent(one.apr_one_failed),
-        "gain for the city": lambda one: percent(one.gain),
-    }
-    is_asked = {
-        "district": any(one.district for one in served),
-        "year": any(one.year for one in served),
-        "APR before": result.apr_before > 0.0,
-    }
-    for name in (name for name, asked in is_asked.items() if not asked):
-        del columns[name]
-    blocks: list[Block] = []
-    if served:
-        left = len(served) - MAX_ROWS
-        more = f" ({left} more in junctions.csv)" if left > 0 else ""
-        caption = f"Junctions that get units, by their gain{more}"
-        numeric = range(2 + is_asked["district"], len(columns))
-        blocks.append(tabulate(caption, served[:MAX_ROWS], columns, numeric=numeric))
-    rest = [one for one in result.junctions if not one.units and not one.reason]
-    if rest:
-        blocks.append(
-            tabulate(
-                "Junctions that get nothing",
-                rest[:MAX_ROWS],
-                {
-                    "junction": lambda one: _link(one, paged),
-                    "weight": lambda one: percent(one.weight),
-                    "APR": lambda one: percent(one.apr),
-                },
-                summary=f"{len(rest)} junctions get nothing",
-                numeric=(1, 2),
-            )
-        )
-    return Section("junctions", "What each junction gets", blocks)
-
-
-def _link(one: CityJunctionRecord, paged: Container[str]) -> str:
-    """The name of a junction that leads to its page, if it has one."""
-    if one.folder not in paged:
-        return one.label
-    return Markup('<a href="{}">{}</a>').format(f"{one.folder}/report.html", one.label)
-
-
-def _front_section(result: CityResult, front: Axes) -> Section:
-    by_cost = result.by == "cost"
-    counted, unit = ("euros", " EUR") if by_cost else ("units", "")
-    budget = result.budget_eur if by_cost else result.budget_units
-    picture = build_picture(
-        front,
-        title=f"What more {counted} buy",
-        caption="Each dot is a step at which a junction joins or gets more, and the best choice "
-        "for what it takes. Between two dots other choices are best; made of the layouts found, "
-        "none is above the line. Wishes for districts and areas are not counted here.",
-        alt=f"Accidents prevented against {counted}, rising from {percent(result.apr_before)}.",
-    )
-    shown = list(enumerate(result.front[:_MAX_STEPS], start=1))
-    within = sum(1 for step in result.front if budget is not None and step.taken <= budget + 1e-6)
-    table = tabulate(
-        "Steps of the city's front",
-        shown,
-        {
-            "step": lambda one: str(one[0]),
-            "junction": lambda one: one[1].junction,
-            "units from here on": lambda one: str(one[1].units),
-            f"together{unit}": lambda one: f"{one[1].taken:,.0f}",
-            "prevented": lambda one: percent(one[1].apr),
-        },
-        summary=f"The first {len(shown)} steps; {within} of them fit into the budget",
-        numeric=(2, 3, 4),
-    )
-    return Section("front", f"What more {counted} buy", [picture, table])
-
-
-def _proof_section(result: CityResult) -> Section:
-    table = tabulate(
-        "Objectives in order; each holds those above it",
-        result.stages,
-        {
-            "objective": lambda stage: _STAGES[stage.name],
-            "found": lambda stage: _shown(stage.name, stage.objective),
-            "bound": lambda stage: _shown(stage.name, stage.bound),
-            "gap": lambda stage: "proven" if stage.gap == 0.0 else "open",
-        },
-        numeric=(1, 2),
-    )
-    note = (
-        "The first bound holds for all layouts at all junctions: it is made of the bounds of the "
-        "junctions' fronts and of the choice among them. The others hold for the choice among the "
-        f"points of the fronts, of which none exceeds {percent(result.bound_of_fronts)} in the "
-        f"first objective. Solver: {result.solver}."
-    )
-    return Section("proof", "How good it is proven to be", [table, note])
-
-
-def _shown(objective: str, value: float | None) -> str:
-    if value is None:
-        return number(None)
-    if objective.startswith("apr"):
-        return percent(value)
-    return f"{value:,.0f}" if objective == "cost_eur" else number(value)
-
-
-def _order_section(result: CityResult, poles: Sequence[Mapping[str, Any]]) -> Section | None:
-    if not result.purchases:
-        return None
-    order = tabulate(
-        "To order",
-        result.purchases,
-        {
-            "part": lambda one: one.part,
-            "what": lambda one: one.name,
-            "number": lambda one: str(one.count),
-            "sum (EUR)": lambda one: f"{one.sum_eur:,.0f}" if one.sum_eur else "unknown",
-        },
-        numeric=(2, 3),
-    )
-    columns: dict[str, Callable[[Mapping[str, Any]], object]] = {
-        "junction": lambda pole: str(pole["name"] or pole["junction"]),
-        "pole": lambda pole: str(pole["site"]),
-        "kind": lambda pole: str(pole["kind"]),
-        "units": lambda pole: str(pole["units"]),
-    }
-    if all("map_x" in pole for pole in poles):
-        columns["x"] = lambda pole: f"{pole['map_x']:.6f}"
-        columns["y"] = lambda pole: f"{pole['map_y']:.6f}"
-    summary = f"{len(poles)} poles that carry units"
-    listed = tabulate("Poles", poles[:MAX_ROWS], columns, summary=summary, numeric=(3, 4, 5))
-    note = (
-        "Prices are those of the catalogue; sites without a known price have those that "
-        "placement/data/prices.toml assumes. All units are in city.gpkg, all poles in poles.csv."
-    )
-    return Section("order", "What to order", [order, listed, note])
-
-
-def _not_done_section(result: CityResult) -> Section | None:
-    failed = [one for one in result.junctions if one.reason]
-    table = tabulate(
-        "Junctions without a front",
-        failed[:MAX_ROWS],
-        {
-            "junction": lambda one: one.label,
-            "weight": lambda one: percent(one.weight),
-            "why": lambda one: one.reason,
-        },
-        numeric=(1,),
-    )
-    return Section("not-done", "What was not done", [table]) if failed else None
-
-
-def _assumptions_section(result: CityResult) -> Section:
-    search = result.search
-    sentences = [
-        f"Weights: {result.weights}.",
-        f"Poses at each site: {search.poses}; at most {search.max_units} new units at a junction, "
-        f"{search.max_junction_seconds:g} s for each; sites: {search.sites}; "
-        f"{search.radius_m:g} m around each junction.",
-        "Junctions do not help one another: a unit counts at the junction that it was chosen for.",
-        "Each APR is that of the detection table; the page of a junction has the command that "
-        "evaluates its units by full perception and braking.",
-        *result.notes,
-    ]
-    return Section("assumptions", "What this rests on", [Bullets(sentences)])
-
-
-# ---------- one junction
 
 
 def render_junction_page(
@@ -266,7 +88,6 @@ def render_junction_page(
 
     `question` is the name of the file of the runs that are driven, in the page's folder.
     """
-    again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
     answer = [
         f"{one.units} new units for {euros(one.cost_eur)}: APR {percent(one.apr)}"
         + (f", before {percent(one.apr_before)}." if one.kept else ".")
@@ -274,9 +95,19 @@ def render_junction_page(
         else "This junction gets no new unit.",
         f"{record.runs} runs, {record.sites} sites, {record.poses} poses.",
     ]
+    again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
+    assert record.front is not None
+    points = record.front.points
+    chosen = next(
+        index
+        for index, point in enumerate(points)
+        if (point.units, point.cost_eur, point.apr) == (one.units, one.cost_eur, one.apr)
+    )
+    plan = partial(build_picture, _plot_units(scene, layout))
+    front = partial(build_picture, plot_junction_front(record.front, chosen=chosen))
     sections = [
-        Section("plan", "Plan", _plan_blocks(one, scene, layout)),
-        Section("front", "What money buys here", _front_blocks(one, record)),
+        _section("plan", "Plan", one, plan),
+        _section("front", "What money buys here", points, points[chosen], front, macro="layouts"),
         Section(
             "closer",
             "Look closer",
@@ -290,7 +121,8 @@ def render_junction_page(
     )
 
 
-def _plan_blocks(one: CityJunctionRecord, scene: Scene, layout: Layout) -> list[Block]:
+def _plot_units(scene: Scene, layout: Layout) -> Axes:
+    """Plan of a scene with its sites, and where each unit stands and looks."""
     plan = plot_scene_plan(scene)
     for unit in layout.units:
         x, y = unit.pose.position_m[:2]
@@ -303,59 +135,7 @@ def _plan_blocks(one: CityJunctionRecord, scene: Scene, layout: Layout) -> list[
             zorder=10,
         )
         plan.plot([x], [y], marker="o", ms=7.0, mfc=VERMILION, mec="black", mew=0.6, zorder=11)
-    picture = build_picture(
-        plan,
-        title="Plan",
-        caption="Sites, and the units that are chosen, with the direction in which they look.",
-        alt=f"Plan of {one.label} with {len(one.layout)} units.",
-    )
-    table = tabulate(
-        "Units",
-        one.layout,
-        {
-            "unit": lambda unit: unit.id,
-            "site": lambda unit: unit.site,
-            "east (m)": lambda unit: number(unit.x_m),
-            "north (m)": lambda unit: number(unit.y_m),
-            "height (m)": lambda unit: number(unit.z_m),
-            "yaw (deg)": lambda unit: number(unit.yaw_deg, 0),
-            "pitch (deg)": lambda unit: number(unit.pitch_deg, 0),
-        },
-        numeric=range(2, 7),
-    )
-    return [picture, table]
-
-
-def _front_blocks(one: CityJunctionRecord, record: CityFrontRecord) -> list[Block]:
-    assert record.front is not None
-    points = record.front.points
-    chosen = next(
-        index
-        for index, point in enumerate(points)
-        if (point.units, point.cost_eur, point.apr) == (one.units, one.cost_eur, one.apr)
-    )
-    front = build_picture(
-        plot_junction_front(record.front, chosen=chosen),
-        title="What money buys here",
-        caption="Layouts found, and the upper bound of all.",
-        alt="APR against cost; the table below has the numbers.",
-    )
-    table = tabulate(
-        "Layouts",
-        points,
-        {
-            "new units": lambda point: str(point.units),
-            "cost (EUR)": lambda point: f"{point.cost_eur:,.0f}",
-            "APR": lambda point: percent(point.apr),
-            "APR if a unit fails": lambda point: percent(point.apr_one_failed),
-            "chosen": lambda point: "yes" if point is points[chosen] else "",
-        },
-        numeric=(0, 1, 2, 3),
-    )
-    return [front, table]
-
-
-# ---------- figures: the map with what each junction gets, the front, and a junction's front
+    return plan
 
 
 _AREA_PT2 = (70.0, 380.0)  # of the smallest and the largest circle

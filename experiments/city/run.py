@@ -45,6 +45,7 @@ from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, wr
 from ..results.numbers import several
 from ..results.record import Record, to_plain
 from ..results.tables import csv_text
+from . import inputs, pages
 from .answer import (
     FRONT,
     FRONTS,
@@ -62,23 +63,6 @@ from .answer import (
     load_front,
     load_manifest,
     load_summary,
-)
-from .inputs import (
-    JUNCTIONS,
-    City,
-    CityJunction,
-    CitySearch,
-    CityWish,
-    load_city,
-    load_existing,
-    load_values,
-)
-from .pages import (
-    MAX_ROWS,
-    plot_city_front,
-    plot_city_map,
-    render_city_report,
-    render_junction_page,
 )
 from .workers import JunctionTask, check_memory, run_junctions, start_workers
 
@@ -100,8 +84,8 @@ def run_city(
     question: Question,
     *,
     maps: Sequence[Path],
-    wish: CityWish,
-    search: CitySearch,
+    wish: inputs.CityWish,
+    search: inputs.CitySearch,
     n_workers: int,
     memory: str,
     out: Path,
@@ -123,11 +107,11 @@ def run_city(
     check_question(question)
     check_memory(memory)
     progress("read maps", 0, 0)
-    city = load_city(maps, search.reading, wish)
+    city = inputs.load_city(maps, search.reading, wish)
     for source in city.roads:
         check_sites(search.sites, crs=source.crs)
-    values = load_values(city, wish)
-    existing = load_existing(wish.keep, city)
+    values = inputs.load_values(city, wish)
+    existing = inputs.load_existing(wish.keep, city)
     manifest = _begin(out, city)
     task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
     done = _find_done(out, city, task_of)
@@ -146,7 +130,7 @@ def run_city(
                 one = todo[task.options.name]
                 # The scene first: where a front is, the scene is whole.
                 files = {**answer.files, FRONT: _json(answer.record)}
-                write_files(out / JUNCTIONS / one.folder, files)
+                write_files(out / inputs.JUNCTIONS / one.folder, files)
                 done[one.folder] = answer.record.without_layouts()
                 progress(SOLVE, len(done), len(city.junctions))
     unchanged = _update_manifest(out, manifest, city, done)
@@ -168,10 +152,7 @@ def run_city(
     return result
 
 
-# ---------- the folder
-
-
-def _begin(out: Path, city: City) -> CityManifest:
+def _begin(out: Path, city: inputs.City) -> CityManifest:
     """The folder's manifest, new or as it is; InputError if the folder is of something else."""
     new = CityManifest(maps=city.records, crs=city.crs, bounds=city.bounds)
     path = out / MANIFEST
@@ -201,14 +182,14 @@ def _json(record: Record) -> bytes:
     return msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n"
 
 
-_TaskOf = Callable[[CityJunction], JunctionTask]
+_TaskOf = Callable[[inputs.CityJunction], JunctionTask]
 
 
-def _find_done(out: Path, city: City, task_of: _TaskOf) -> dict[str, CityFrontRecord]:
+def _find_done(out: Path, city: inputs.City, task_of: _TaskOf) -> dict[str, CityFrontRecord]:
     """Fronts of the same question, by their junction's folder; without layouts."""
     found = {}
     for one in city.junctions:
-        record = load_front(out / JUNCTIONS / one.folder / FRONT)
+        record = load_front(out / inputs.JUNCTIONS / one.folder / FRONT)
         if record is None or record.schema != SCHEMA or not record.is_final:
             continue
         if record.key == task_of(one).key:
@@ -217,7 +198,7 @@ def _find_done(out: Path, city: City, task_of: _TaskOf) -> dict[str, CityFrontRe
 
 
 def _update_manifest(
-    out: Path, manifest: CityManifest, city: City, done: dict[str, CityFrontRecord]
+    out: Path, manifest: CityManifest, city: inputs.City, done: dict[str, CityFrontRecord]
 ) -> set[str]:
     """Write the manifest with all fronts; folders whose fronts were there before."""
     before = {entry.folder: entry.sha256 for entry in manifest.junctions}
@@ -227,7 +208,7 @@ def _update_manifest(
             map=one.roads.name,
             folder=one.folder,
             key=done[one.folder].key,
-            sha256=sha256(out / JUNCTIONS / one.folder / FRONT),
+            sha256=sha256(out / inputs.JUNCTIONS / one.folder / FRONT),
         )
         for one in city.junctions
     }
@@ -235,16 +216,13 @@ def _update_manifest(
     junctions = (*entries.values(), *others)
     write_files(out, {MANIFEST: _json(replace(manifest, junctions=junctions))})
     same = (folder for folder, entry in entries.items() if before.get(folder) == entry.sha256)
-    return {f"{JUNCTIONS}/{folder}" for folder in same}
-
-
-# ---------- tasks
+    return {f"{inputs.JUNCTIONS}/{folder}" for folder in same}
 
 
 def _task_maker(
-    city: City,
+    city: inputs.City,
     question: Question,
-    search: CitySearch,
+    search: inputs.CitySearch,
     grid: CandidateGrid,
     *,
     existing: dict[str, Layout],
@@ -264,11 +242,10 @@ def _task_maker(
     code = [hash_of_files(package) for package in ALL_PACKAGES]
     prints = Fingerprints()
     same = prints.of(
-        *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid),
-        weighed,
+        *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid), weighed
     )
 
-    def task_of(one: CityJunction) -> JunctionTask:
+    def task_of(one: inputs.CityJunction) -> JunctionTask:
         maps = around[one.roads.name].around(one.surveyed.junction)
         wishes = JunctionWishes(
             grid=grid,
@@ -295,9 +272,6 @@ def _task_maker(
         )
 
     return task_of
-
-
-# ---------- the junctions that get units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -355,7 +329,7 @@ def write_served(task: ServedTask) -> Served:
         if task.has_page:
             record = load_front(folder / FRONT)
             assert record is not None
-            page = render_junction_page(one, record, scene, layout, question=QUESTION)
+            page = pages.render_junction_page(one, record, scene, layout, question=QUESTION)
             files[REPORT] = page.encode()
         write_files(folder, files)
     head = {"junction": one.id, "name": one.name, "year": one.year}
@@ -405,7 +379,7 @@ def _served_tasks(
     same = {one.folder: one for one in chosen if one.folder in same_fronts}
     asked = question_text(question).encode()
     served = [one for one in result.junctions if one.layout and not one.reason]
-    by_gain = sorted(served, key=lambda one: -one.gain)[:MAX_ROWS]
+    by_gain = sorted(served, key=lambda one: -one.gain)[: pages.MAX_ROWS]
     paged = {one.folder for one in by_gain}
     right = {
         one.folder
@@ -414,11 +388,11 @@ def _served_tasks(
         and (out / one.folder / QUESTION).is_file()
         and read_bytes(out / one.folder / QUESTION) == asked
     }
-    for path in (out / JUNCTIONS).glob("*/" + REPORT):
+    for path in (out / inputs.JUNCTIONS).glob("*/" + REPORT):
         folder = path.parent.relative_to(out).as_posix()
         if folder not in right or folder not in paged:
             path.unlink()
-    for path in (out / JUNCTIONS).glob("*/" + LAYOUT_FILE):
+    for path in (out / inputs.JUNCTIONS).glob("*/" + LAYOUT_FILE):
         if path.parent.relative_to(out).as_posix() not in right:
             path.unlink()
     return [
@@ -450,13 +424,10 @@ def _purchases(served: Iterable[Served]) -> tuple[CityPurchaseRecord, ...]:
     )
 
 
-# ---------- tables, map, report
-
-
 def write_city(
     out: Path,
     result: CityResult,
-    city: City,
+    city: inputs.City,
     records: Sequence[CityFrontRecord],
     served: Sequence[Served],
     *,
@@ -482,13 +453,13 @@ def write_city(
         tables[GEOPACKAGE] = _to_geopackage(units, result.junctions, crs=city.crs)
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
-    drawn = plot_city_map([*city.roads, *city.others], position, result)
-    front = plot_city_front(result)
+    drawn = pages.plot_city_map([*city.roads, *city.others], position, result)
+    front = pages.plot_city_front(result)
     tables["map.png"] = to_png(drawn)
     tables["front.png"] = to_png(front)
     write_files(out, tables)
     paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
-    report = render_city_report(result, drawn, front, poles=poles, paged=paged)
+    report = pages.render_city_report(result, drawn, front, poles=poles, paged=paged)
     result = replace(result, seconds=finish())
     write_files(out, {REPORT: report.encode(), SUMMARY: to_json_text(result).encode()})
     write_manifest(out)
@@ -536,7 +507,7 @@ def _to_geopackage(
     )
     rows = [{name: getattr(one, name) for name in columns} for one in junctions]
     points = gpd.points_from_xy([one.x for one in junctions], [one.y for one in junctions])
-    layers = [(JUNCTIONS, "Point", rows, points)]
+    layers = [(inputs.JUNCTIONS, "Point", rows, points)]
     if units:
         places = [
             transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)

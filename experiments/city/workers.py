@@ -93,9 +93,6 @@ def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
     )
 
 
-# ---------- processes on this machine
-
-
 class WorkerDiedError(Exception):
     """A process ended without an answer."""
 

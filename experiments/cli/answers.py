@@ -20,6 +20,7 @@ from ..parts import (
     baselines,
     comparison,
     dangers,
+    explanation,
     front,
     next_unit,
     proof,
@@ -30,14 +31,6 @@ from ..parts import (
 from ..parts.assumptions import assumption_sentences
 from ..parts.baselines import Baselines, Score
 from ..parts.comparison import HIGHEST
-from ..parts.explanation import (
-    OUTCOMES,
-    ExplainedRecord,
-    cause,
-    contribution_sentences,
-    contribution_table,
-    missed_sentences,
-)
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
@@ -49,9 +42,6 @@ _MAX_UNITS, _MAX_SHORT_UNITS = 24, 12
 _NAME_WIDTH = 40
 _MOST_ASSUMED, _MOST_REASONS, _MAX_DISAGREEMENTS = 4, 5, 5
 _Apr = PartyAprRecord | Score
-
-
-# ---------- what a command prints
 
 
 def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
@@ -212,9 +202,6 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     ]
 
 
-# ---------- parts of several answers
-
-
 def _impacts(result: Result, others: Mapping[str, EvaluationRecord]) -> Part:
     """What is left of the impacts, and with a score what the runs count."""
     parties = {
@@ -321,9 +308,6 @@ def _last(out: Path | None) -> Part:
     """Where the rest is."""
     written = [] if out is None else [f"Written to {out}: report.html and more."]
     return _said(*written, "--verbose prints why, APR by case, and all else.")
-
-
-# ---------- tables
 
 
 def _units_table(units: Sequence[UnitRecord]) -> Table:
@@ -470,24 +454,21 @@ def _disagreements(found: Sequence[Disagreement]) -> list[str]:
     return lines + ([f"and {n_left} more in summary.json"] if n_left > 0 else [])
 
 
-# ---------- why these poses, in short
-
-
 _MAX_RUNS, _MAX_MISSED = 3, 8
 
 
-def explanation_parts(explained: ExplainedRecord) -> list[Part]:
+def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
     """What each unit is there for, and what is missed: runs alike together, but for numbers."""
     groups = _alike(explained.not_avoided)
     n_left = sum(map(len, groups[_MAX_MISSED:]))
     return [
         Part(
             title="Why these units, on the detection table:",
-            words=contribution_sentences(explained),
-            table=contribution_table(explained),
+            words=explanation.contribution_sentences(explained),
+            table=explanation.contribution_table(explained),
         ),
         Part(
-            words=[" ".join(missed_sentences(explained))],
+            words=[" ".join(explanation.missed_sentences(explained))],
             notes=[
                 *map(_missed_in_short, groups[:_MAX_MISSED]),
                 *([f"and {n_left} more in summary.json"] if n_left else []),
@@ -500,7 +481,7 @@ def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
     """Runs that have the same said of them, but for numbers; the largest group first."""
     groups: dict[tuple[str, ...], list[Unavoided]] = {}
     for entry in missed:
-        because = cause(entry.reasons[0]) if entry.reasons else ""
+        because = explanation.cause(entry.reasons[0]) if entry.reasons else ""
         rescue = entry.rescue.unit if entry.rescue else ""
         groups.setdefault((entry.outcome, entry.unit, because, rescue), []).append(entry)
     return sorted(groups.values(), key=len, reverse=True)
@@ -508,7 +489,8 @@ def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
 
 def _missed_in_short(group: Sequence[Unavoided]) -> str:
     first = group[0]
-    words = f"{first_of([entry.run for entry in group], _MAX_RUNS)}: {OUTCOMES[first.outcome]}"
+    runs = first_of([entry.run for entry in group], _MAX_RUNS)
+    words = f"{runs}: {explanation.OUTCOMES[first.outcome]}"
     if first.reasons:
-        words += f"; for {first.unit} {cause(first.reasons[0])}"
+        words += f"; for {first.unit} {explanation.cause(first.reasons[0])}"
     return f"{words}; would be saved by {first.rescue.unit}" if first.rescue else words

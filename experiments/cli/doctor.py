@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..progress import tell
-from .options import json_option
+from . import options
 from .running import cache_folder
 from .terminal import WIDTH, sentences
 
@@ -112,15 +112,8 @@ def _examine_cache(folder: Path) -> dict[str, Any]:
     }
 
 
-@click.command(
-    epilog="""\b
-Examples:
-  place-rsus doctor
-  place-rsus doctor --json | jq .extras
-
-Exit codes: 0 all is well (extras may be missing), 1 something is not."""
-)
-@json_option
+@click.command(epilog=options.EXAMPLES["doctor"])
+@options.json_option
 def doctor(*, as_json: bool) -> None:
     """Say what is installed here, what is missing, and what that costs."""
     from ..export.json import to_json_text

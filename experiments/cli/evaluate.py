@@ -8,23 +8,16 @@ from typing import TYPE_CHECKING
 import click
 
 from . import options
-from .recording import check_recording_options, recording_options, recording_table
+from .recording import check_recording_options, evaluate_recording
 from .running import Job, command_line
 
 if TYPE_CHECKING:
     from placement.layout import Layout
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus evaluate --layout carlancap-12
-  place-rsus evaluate --layout results/latest/layout.json --out results/mine
-  place-rsus evaluate --recording ncap_data""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["evaluate"])
 @options.layout_option
-@recording_options
+@options.from_table("recording")
 @options.folder_option("a report")
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
@@ -38,55 +31,23 @@ def evaluate(
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
     check_recording_options(recording)
     if recording is not None:
-        job.progress.start(quiet=job.quiet)
-        from ..parts import recording as recording_job
-
-        summary = recording_job.run_recording(
-            job.question,
-            folder=recording,
-            min_confidence=min_confidence,
-            out=out,
-            progress=job.progress,
-        )
-        job.print(summary, lambda: recording_table(summary, out))
+        evaluate_recording(job, recording, min_confidence, out)
         return
     job = job.begin()
     layout = job.layout(layout_names)
     from ..jobs import placement
 
     result = placement.run_evaluation(
-        job.question,
-        layout=layout,
-        no_look=job.question.no_look,
-        out=out,
-        command=command_line(),
-        **job.means,
+        job.question, layout=layout, out=out, command=command_line(), **job.means
     )
     from .answers import evaluation_parts
 
     job.print_answer(result, lambda: evaluation_parts(result, out))
 
 
-# ---------- any number of layouts on the same runs
-
-
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus compare results/latest/layout.json carlancap-12
-  place-rsus compare a.json b.json c.json --report results/abc
-  place-rsus compare a.json b.json --samples 60     is the difference sure?""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["compare"])
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@options.option("--layout", "more_layouts", multiple=True, help="The same as an argument.")
-@options.option(
-    "--report",
-    "--out",
-    "out",
-    type=click.Path(path_type=Path),
-    help="Folder for a report; else none.",
-)
+@options.from_table("compare")
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
     job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None
@@ -107,14 +68,7 @@ def compare(
     from ..jobs import placement
 
     result = placement.run_comparison(
-        job.question,
-        layouts=found,
-        samples=job.question.samples,
-        uncertainty=job.question.uncertainty,
-        no_look=job.question.no_look,
-        out=out,
-        command=command_line(),
-        **job.means,
+        job.question, layouts=found, out=out, command=command_line(), **job.means
     )
     from .answers import comparison_parts
 

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,51 +17,14 @@ if TYPE_CHECKING:
     from ..parts.latency import LatencyResult
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus latency --layout carlancap-12
-  place-rsus latency --layout carlancap-12 --budget cpm-100ms --out mine
-  place-rsus latency --layout mine.json --budget mine.toml --json
-  place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["latency"])
 @options.layout_option
-@options.option(
-    "--budget",
-    metavar="NAME|FILE",
-    help="study (one number, 25 ms), cpm-100ms, cpm-50ms, or a .toml file with parts of one's own; "
-    "default: study.",
-)
-@options.option(
-    "--vut-latency",
-    "vut_latency_s",
-    type=click.FloatRange(min=0.0),
-    metavar="SECONDS",
-    expected="seconds, at least 0",
-    help="Of the VUT's own sensors, which wait for no message; default: that of all others.",
-)
-@options.option(
-    "--max",
-    "max_latency_s",
-    type=click.FloatRange(min=0.0, min_open=True),
-    metavar="SECONDS",
-    expected="seconds, more than 0",
-    help="Longest latency shown; default: 0.5, or as far as the budget reaches.",
-)
+@options.from_table("latency")
 @options.folder_option("latency.csv and latency.png")
 @options.asking(
     *(name for name in options.JUDGED if name not in ("latency_budget", "cars")), has_cache=False
 )
-def latency(
-    job: Job,
-    *,
-    layout_names: tuple[str, ...],
-    budget: str | None,
-    vut_latency_s: float | None,
-    max_latency_s: float | None,
-    out: Path | None,
-) -> None:
+def latency(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any) -> None:
     """How much latency a layout bears: accidents prevented against the time to braking.
 
     The layout is evaluated once. From the frame that confirms to the onset of braking it takes as
@@ -72,15 +35,7 @@ def latency(
     layout = job.layout(layout_names)
     from ..parts.latency import run_latency
 
-    summary = run_latency(
-        job.question,
-        layout=layout,
-        budget=budget,
-        vut_latency_s=vut_latency_s,
-        max_latency_s=max_latency_s,
-        out=out,
-        **job.means,
-    )
+    summary = run_latency(job.question, layout=layout, out=out, **asked, **job.means)
     job.print(summary, lambda: latency_text(summary, out))
 
 

@@ -4,8 +4,8 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial, wraps
+from functools import wraps
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -15,6 +15,7 @@ from click.shell_completion import CompletionItem
 from msgspec import Meta
 
 from geometry.errors import InputError
+from geometry.files import load_toml
 from placement.compute import RAYS, Compute
 from placement.question import (
     BASELINE_NAME,
@@ -25,90 +26,19 @@ from placement.question import (
     save_question,
 )
 
-from .running import Job, cache_folder, check_address_space
+from .running import Call, Job, cache_folder, check_address_space
 
-ASKED = "What is asked"
-MOUNTED = "What may be mounted, and where"
-SOUGHT = "How it is looked for"
-DRIVEN = "What is driven"
-SEEN = "What is seen, told and braked"
-SECTIONS = (ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN)
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """The option of a field of :class:`placement.question.Question`."""
-
-    section: str  # of the help
-    metavar: str = ""  # what the help shows for a value; empty: what the type says
-    is_common: bool = False  # most people need it: the short help shows it
-    is_path: bool = False  # a shell completes the value as a path
-    takes_infinity: bool = False
-    needs: str = ""  # field without which this one has no effect
-    excludes: str = ""  # field with which this one has no effect
-
-
+_TABLES = load_toml(files("experiments") / "data" / "options.toml")
+SECTIONS = ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN = tuple(_TABLES["question"])
+"""Titles in the help."""
 OPTIONS = {
-    "budget": Shown(ASKED, is_common=True),
-    "budget_cost": Shown(ASKED, metavar="EUR", is_common=True),
-    "target": Shown(ASKED, metavar="SHARE", is_common=True),
-    "least": Shown(ASKED, is_common=True, needs="target"),
-    "min_case_apr": Shown(ASKED),
-    "survive": Shown(ASKED, metavar="N|unit|site", is_common=True),
-    "give_up": Shown(ASKED, metavar="SHARE"),
-    "keep": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
-    "within": Shown(MOUNTED, metavar="LAYOUT", is_common=True, is_path=True),
-    "force_site": Shown(MOUNTED, metavar="SITES"),
-    "forbid_site": Shown(MOUNTED, metavar="SITES"),
-    "site_capacity": Shown(MOUNTED),
-    "site_cost_eur": Shown(MOUNTED, metavar="EUR"),
-    "separation_m": Shown(MOUNTED, metavar="METRES"),
-    "sensors": Shown(MOUNTED, metavar="NAMES", is_common=True, excludes="within"),
-    "heights": Shown(MOUNTED, metavar="METRES"),
-    "yaw_step_deg": Shown(MOUNTED, metavar="DEGREES"),
-    "pitches": Shown(MOUNTED, metavar="DEGREES"),
-    "no_look": Shown(MOUNTED, metavar="FILE", is_path=True),
-    "no_look_share": Shown(MOUNTED, needs="no_look"),
-    "solver": Shown(SOUGHT),
-    "time_limit_s": Shown(SOUGHT, metavar="SECONDS", is_common=True),
-    "gap": Shown(SOUGHT),
-    "refine": Shown(SOUGHT, is_common=True),
-    "samples": Shown(SOUGHT),
-    "uncertainty": Shown(SOUGHT, metavar="NAME", needs="samples"),
-    "traffic": Shown(SOUGHT, metavar="sumo|FILE", is_path=True, needs="samples"),
-    "risk": Shown(SOUGHT, metavar="HOW", needs="samples"),
-    "scene": Shown(DRIVEN, metavar="PATH", is_common=True, is_path=True),
-    "junction": Shown(DRIVEN, metavar="NAME", is_common=True),
-    "at": Shown(DRIVEN, metavar="X,Y"),
-    "sites": Shown(DRIVEN, metavar="WHERE"),
-    "driving_side": Shown(DRIVEN),
-    "cases": Shown(DRIVEN, metavar="CASES", is_common=True),
-    "case_range": Shown(DRIVEN),
-    "protect": Shown(DRIVEN),
-    "along_arms": Shown(DRIVEN, metavar="METRES", is_common=True),
-    "speeds": Shown(DRIVEN, metavar="KMH"),
-    "approaches": Shown(DRIVEN, metavar="ARMS"),
-    "weather": Shown(DRIVEN, metavar="WEATHER", is_common=True),
-    "force": Shown(DRIVEN, needs="speeds"),
-    "strict": Shown(DRIVEN),
-    "weights": Shown(DRIVEN, metavar="HOW"),
-    "near": Shown(DRIVEN, metavar="LAT,LON", needs="weights"),
-    "accidents_within_m": Shown(DRIVEN, metavar="METRES", needs="weights"),
-    "score": Shown(DRIVEN),
-    "fusion": Shown(SEEN, is_common=True),
-    "detector": Shown(SEEN, metavar="HOW", is_common=True),
-    "vut_sensors": Shown(SEEN, metavar="SENSORS"),
-    "cars": Shown(SEEN, metavar="see|blind|SHARE"),
-    "packet_loss": Shown(SEEN),
-    "vam_rate": Shown(SEEN),
-    "n_confirmations": Shown(SEEN),
-    "track_memory_s": Shown(SEEN, metavar="SECONDS", takes_infinity=True),
-    "latency_s": Shown(SEEN, metavar="SECONDS"),
-    "latency_budget": Shown(SEEN, metavar="NAME|FILE"),
-    "deceleration_mps2": Shown(SEEN, metavar="M/S2"),
-    "build_up_s": Shown(SEEN, metavar="SECONDS"),
+    name: {"section": section, "is_common": False} | settings
+    for section, of_section in _TABLES["question"].items()
+    for name, settings in of_section.items()
 }
-"""One for each field, in the fields' order."""
+"""How each field of a question is shown, in the fields' order."""
+EXAMPLES = {name: f"\b\n{text}" for name, text in _TABLES["examples"].items()}
+"""What stands below the help of a command, as it is."""
 
 
 def option_of(field: QuestionField) -> str:
@@ -231,20 +161,56 @@ def complete_paths(
     return [CompletionItem(incomplete, type="file")]
 
 
-def _decorate(command: Callable[..., Any], options: Sequence[Decorator]) -> Callable[..., Any]:
-    """Add options so that the help shows them in this order."""
-    for add in reversed(options):
-        command = add(command)
-    return command
+def combined(*options: Decorator) -> Decorator:
+    """All of these options, so that the help shows them in this order."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for add in reversed(options):
+            command = add(command)
+        return command
+
+    return decorate
 
 
-# ---------- options of a question
+_PATHS = {"file": {}, "folder": {"file_okay": False}, "regular file": {"dir_okay": False}}
+
+
+def table_options(command: str, **more: dict[str, Any]) -> dict[str, Decorator]:
+    """Options of a command by parameter, as ``data/options.toml`` has them, or `more` of each."""
+    return {
+        name: _table_option(name, settings | more.get(name, {}))
+        for name, settings in _TABLES[command].items()
+    }
+
+
+def from_table(command: str, **more: dict[str, Any]) -> Decorator:
+    """All of :func:`table_options`."""
+    return combined(*table_options(command, **more).values())
+
+
+def _table_option(parameter: str, settings: dict[str, Any]) -> Decorator:
+    names = settings.pop("option", "--" + parameter.replace("_", "-"))
+    kind = settings.pop("type", None)
+    least, above, most = (settings.pop(key, None) for key in ("min", "above", "max"))
+    if isinstance(kind, list | tuple):
+        kind = click.Choice(kind)
+    elif kind == "int":
+        kind = click.IntRange(min=least, max=most)
+        settings = {"metavar": "N"} | settings
+    elif kind == "float":
+        low = least if above is None else above
+        is_ranged = low is not None or most is not None
+        kind = click.FloatRange(low, most, min_open=above is not None) if is_ranged else float
+    elif kind in _PATHS:
+        kind = click.Path(path_type=Path, **_PATHS[kind])
+    settings = {"show_default": bool(settings.get("default"))} | settings
+    return option(*([names] if isinstance(names, str) else names), parameter, type=kind, **settings)
 
 
 def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
     """Names of a question's fields in these sections of the help, without some of them."""
     return tuple(
-        name for name, shown in OPTIONS.items() if shown.section in sections and name not in but
+        name for name, shown in OPTIONS.items() if shown["section"] in sections and name not in but
     )
 
 
@@ -267,32 +233,23 @@ ONLY_DRIVEN = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "detector"))
 def field_option(field: QuestionField, default: Any = None) -> Decorator:
     """The option of a field of a question; `default` in place of the field's own."""
     default = field.default if default is None else default
-    shown = OPTIONS[field.name]
     kind, *limits = get_args(field.kind) if get_origin(field.kind) is Annotated else [field.kind]
     limit: Any = limits[0] if limits else Meta()
-    settings: dict[str, Any] = {
-        **asdict(shown),
-        "default": default,
-        "show_default": bool(default),
-        "help": help_of(field),
-        "metavar": shown.metavar or None,
-        "expected": limit.description or "",
-    }
     name = option_of(field)
-    if kind is bool:
-        return option(f"{name}/--no-{name.removeprefix('--')}", field.name, **settings)
+    settings: dict[str, Any] = {
+        **OPTIONS[field.name],
+        "option": f"{name}/--no-{name.removeprefix('--')}" if kind is bool else name,
+        "default": default,
+        "expected": limit.description or "",
+        "help": help_of(field),
+    }
     if get_origin(kind) is Literal:
-        settings["type"] = click.Choice(get_args(kind))
-    elif kind is int:
-        settings["type"] = click.IntRange(min=limit.ge, max=limit.le)
-        settings["metavar"] = "N"
-    elif kind is float:
-        is_open = limit.gt is not None
-        settings["type"] = click.FloatRange(
-            min=limit.gt if is_open else limit.ge, min_open=is_open, max=limit.le
-        )
-        settings["metavar"] = settings["metavar"] or "SHARE"
-    return option(name, field.name, **settings)
+        settings["type"] = get_args(kind)
+    elif kind in (int, float):
+        limits_of_kind = {"min": limit.ge, "above": limit.gt, "max": limit.le}
+        words = {"type": kind.__name__, "metavar": "N" if kind is int else "SHARE"}
+        settings = limits_of_kind | words | settings
+    return _table_option(field.name, settings)
 
 
 def question_options(
@@ -315,7 +272,7 @@ def question_options(
         if name in names
     ]
     if has_file:
-        options += [_question_option, _save_question_option]
+        options += [_SHARED["question"], _SHARED["save_question_to"]]
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
@@ -326,7 +283,7 @@ def question_options(
                 save_question(save_question_to, question)
             return command(*args, question=question, **values)
 
-        return _decorate(with_question, options)
+        return combined(*options)(with_question)
 
     return decorate
 
@@ -342,32 +299,13 @@ def _refuse_program_of_file(question: Question) -> None:
 
 def one_run_options() -> Decorator:
     """The argument and options that name a run: the command gets `question` and `position`."""
-    naming = (
-        click.argument("cases", metavar="CASE"),
-        option("--approach", "approaches", required=True, metavar="ARM", help="Such as east."),
-        option(
-            "--speed",
-            "speeds",
-            required=True,
-            metavar="KMH",
-            help="Of the VUT; 30x50: and of whoever it meets.",
-        ),
-        option(
-            "--position",
-            default="0",
-            show_default=True,
-            metavar="METRES",
-            help="Where along the arms: -15 is so far before the junction, +15 behind it.",
-        ),
-    )
     apart = ("cases", "approaches", "speeds")
     asked = [name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")]
-    others = question_options(*asked, named_apart=apart, has_file=False)
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        return _decorate(others(command), naming)
-
-    return decorate
+    return combined(
+        click.argument("cases", metavar="CASE"),
+        from_table("run"),
+        question_options(*asked, named_apart=apart, has_file=False),
+    )
 
 
 def _read_question(context: click.Context, _param: click.Parameter, path: Path | None) -> None:
@@ -376,97 +314,23 @@ def _read_question(context: click.Context, _param: click.Parameter, path: Path |
         context.default_map = load_question_values(path)
 
 
-_question_option = option(
-    "--question",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    expose_value=False,
-    is_eager=True,
-    callback=_read_question,
-    is_path=True,
-    section=PROGRAM,
-    help="Read the question from a TOML file: every option above, by its name with underscores; "
-    "what stands on the command line wins, what this command has no option for is not used.",
-)
-_save_question_option = option(
-    "--save-question",
-    "save_question_to",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    is_path=True,
-    section=PROGRAM,
-    help="Write the question in use to a TOML file for --question.",
-)
-
-
-# ---------- options that several commands share
-
-
 def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: bool) -> None:
     if is_shown:
         context.obj.shows_tracebacks = True
 
 
-_of_program = partial(option, section=PROGRAM)
-_seldom = partial(option, section=PROGRAM, is_common=False)
-
-json_option = _of_program(
-    "--json", "as_json", is_flag=True, help="Print JSON on stdout and nothing else."
+_SHARED = table_options(
+    "shared",
+    verbose={"callback": lambda context, _, is_given: is_given and context.obj.tell_more()},
+    debug={"callback": _show_traceback},
+    workers={"default": os.cpu_count() or 1},
+    rays={"type": RAYS, "default": RAYS[0]},
+    question={"callback": _read_question},
 )
-_verbose_option = _seldom(
-    "--verbose",
-    is_flag=True,
-    expose_value=False,
-    callback=lambda context, _, is_given: is_given and context.obj.tell_more(),
-    help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
-)
-_debug_option = _seldom(
-    "--debug",
-    is_flag=True,
-    expose_value=False,
-    callback=_show_traceback,
-    help="Show the full text of an unexpected error.",
-)
-_quiet_option = _of_program("--quiet", is_flag=True, help="Nothing but errors on stderr.")
-
-
-def quiet_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
-    return _quiet_option(_verbose_option(_debug_option(command)))
-
-
-_workers_option = _seldom(
-    "--workers",
-    type=click.IntRange(min=1),
-    metavar="N",
-    default=os.cpu_count() or 1,
-    show_default="one per processor",
-    expected="a number of threads, at least 1",
-    help="Threads.",
-)
-_seed_option = _seldom(
-    "--seed",
-    type=click.IntRange(min=0),
-    metavar="N",
-    default=0,
-    show_default=True,
-    expected="a whole number, at least 0",
-    help="Of all that is left to chance: points on the road users, misses, lost messages.",
-)
-_cache_option = _seldom(
-    "--cache/--no-cache",
-    "uses_cache",
-    default=True,
-    show_default=True,
-    help="Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder.",
-)
-_rays_option = _seldom(
-    "--rays",
-    type=click.Choice(RAYS),
-    default=RAYS[0],
-    show_default=True,
-    help="Library that casts rays; auto: the fastest that loads. The results are the same.",
-)
+json_option = _SHARED["as_json"]
+layout_option = _SHARED["layout_names"]
+quiet_option = combined(_SHARED["quiet"], _SHARED["verbose"], _SHARED["debug"])
+"""Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:
@@ -491,19 +355,26 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
             )
             return command(*args, compute=compute, **values)
 
-        cache = [_cache_option] if has_cache else []
-        return _decorate(with_compute, [_seed_option, _workers_option, _rays_option, *cache])
+        names = ("seed", "workers", "rays", *(["uses_cache"] if has_cache else []))
+        return combined(*(_SHARED[name] for name in names))(with_compute)
 
     return decorate
+
+
+def calling(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options ``--json``, ``--quiet`` and so on: the command gets them as one `call`."""
+
+    @wraps(command)
+    def with_call(*, as_json: bool, quiet: bool, **values: Any) -> Any:
+        progress = click.get_current_context().find_root().obj
+        return command(Call(progress=progress, as_json=as_json, quiet=quiet), **values)
+
+    return combined(json_option, quiet_option)(with_call)
 
 
 def job_options(*, has_cache: bool = False) -> Decorator:
     """The last options of a command that computes: it gets `as_json`, `quiet` and `compute`."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        return _decorate(command, [json_option, quiet_option, compute_options(has_cache=has_cache)])
-
-    return decorate
+    return combined(json_option, quiet_option, compute_options(has_cache=has_cache))
 
 
 def asking(
@@ -522,9 +393,8 @@ def asking(
             )
             return command(job, **values)
 
-        return question_options(*names, defaults=defaults)(
-            job_options(has_cache=has_cache)(with_job)
-        )
+        asked = question_options(*names, defaults=defaults)
+        return combined(asked, job_options(has_cache=has_cache))(with_job)
 
     return decorate
 
@@ -534,17 +404,7 @@ def folder_option(files: str) -> Decorator:
     return option("--out", type=click.Path(path_type=Path), help=f"Folder for {files}; else none.")
 
 
-layout_option = option(
-    "--layout",
-    "layout_names",
-    multiple=True,
-    is_path=True,
-    help="carlancap-12, or a layout file.",
-)
 scene_option = field_option(question_fields()["scene"])
-
-
-# ---------- help in sections: the short one, and all of it
 
 
 def _show_all(context: click.Context, _param: click.Parameter, is_asked: bool) -> None:
@@ -604,9 +464,6 @@ class SectionedGroup(SectionedCommand, click.Group):
         """Write commands first: whoever looks for one need not pass by the options."""
         self.format_commands(ctx, formatter)
         _write_sections(self, ctx, formatter)
-
-
-# ---------- names of options in messages of the library
 
 
 def with_option_names(message: str, group: click.Group) -> str:

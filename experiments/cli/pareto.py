@@ -1,7 +1,7 @@
 """``place-rsus pareto``: what each further unit, or more money, buys."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -32,41 +32,11 @@ def front_options(*asked: str) -> options.Decorator:
     )
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus pareto --max 8                        what each further unit buys
-  place-rsus pareto --max 4 --all-stages           time to spare, too
-  place-rsus pareto --by cost --site-cost 2000     what more money buys
-  place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
-  place-rsus pareto --max 5 --out results/pareto --json""",
-)
-@options.option(
-    "--max",
-    "max_units",
-    type=click.IntRange(min=1),
-    metavar="N",
-    expected="a whole number of units, at least 1",
-    default=8,
-    show_default=True,
-    help="Most units, beside those of --keep.",
-)
-@options.option(
-    "--by",
-    type=click.Choice(("units", "cost")),
-    default="units",
-    show_default=True,
-    help="What there is more and more of: units, or money for units and sites.",
-)
-@options.option(
-    "--all-stages",
-    is_flag=True,
-    help="Optimise time to spare and cost, too, not only the APR with and without a failure.",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["pareto"])
+@options.from_table("pareto")
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
-def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | None) -> None:
+def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
     For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share of
@@ -75,15 +45,7 @@ def pareto(job: Job, *, max_units: int, by: str, all_stages: bool, out: Path | N
     job = job.begin()
     from ..parts.front import run_pareto
 
-    summary = run_pareto(
-        job.question,
-        by=by,
-        max_units=max_units,
-        all_stages=all_stages,
-        out=out,
-        command=command_line(),
-        **job.means,
-    )
+    summary = run_pareto(job.question, out=out, command=command_line(), **asked, **job.means)
     job.print(summary, lambda: front_text(summary, out))
 
 
@@ -114,31 +76,13 @@ def _with_head(
     return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
 
 
-# ---------- what to change about units that are mounted
-
-
 # Existing units are --layout; what is added is asked for by money alone.
 _ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus retrofit --layout carlancap-12
-  place-rsus retrofit --layout results/latest/layout.json --budget-cost 4000
-  place-rsus retrofit --layout mine.json --sensors carla-ncap-lidar
-  place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["retrofit"])
 @options.layout_option
-@options.option(
-    "--visit-cost",
-    "visit_eur",
-    type=click.FloatRange(min=0.0),
-    metavar="EUR",
-    expected="euros, at least 0",
-    help="Of a re-aim or a removal; default: people and a lift, by the project's assumptions.",
-)
+@options.from_table("retrofit")
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
 def retrofit(

@@ -1,6 +1,6 @@
 """``--recording``: for commands that work on recorded detections, too, and what they print."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +9,7 @@ import click
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
+from .running import Job
 from .terminal import answer_text, sentences, wide_table
 
 if TYPE_CHECKING:
@@ -27,30 +28,6 @@ _NOTE = (
 )
 
 
-def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--recording`` and ``--min-confidence`` to a command."""
-    confidence = options.option(
-        "--min-confidence",
-        type=click.FloatRange(min=0.0, max=1.0),
-        metavar="SHARE",
-        expected="a confidence, 0 to 1",
-        default=0.0,
-        show_default=True,
-        needs="recording",
-        section=options.SEEN,
-        is_common=False,
-        help="With --recording: detections below do not count.",
-    )
-    return options.option(
-        "--recording",
-        type=click.Path(path_type=Path),
-        section=options.SEEN,
-        is_common=False,
-        metavar="DIR",
-        help="Work on recorded detections in the study's folder format; --out gets summary.json.",
-    )(confidence(command))
-
-
 def check_recording_options(recording: Path | None) -> None:
     """Refuse options that say nothing next to a recording, by click.UsageError."""
     if recording is None:
@@ -63,40 +40,40 @@ def check_recording_options(recording: Path | None) -> None:
             )
 
 
-def recording_table(summary: "RecordedResult", out: Path | None) -> str:
-    """The result of :func:`run_recording` for a terminal."""
-    lines = [
-        *sentences(f"{summary.recording} on {summary.runs} drives:"),
-        *_parties_text(summary.evaluation, summary.detected_share, summary.cases),
-        *_footer(summary, out),
-    ]
-    return "\n".join(lines)
+def evaluate_recording(
+    job: Job, folder: Path, min_confidence: float, out: Path | None, *, chooses: bool = False
+) -> None:
+    """Judge the units of a recording, or with `chooses` find the best of them; end the command."""
+    job.start()
+    from ..parts.recording import run_recorded_placement, run_recording
+
+    run = run_recorded_placement if chooses else run_recording
+    asked: dict[str, Any] = {"folder": folder, "min_confidence": min_confidence, "out": out}
+    summary = run(job.question, **asked, progress=job.progress)
+    job.print(summary, lambda: recording_text(summary, out))
 
 
-def recorded_placement_table(summary: "RecordedResult", out: Path | None) -> str:
-    """The result of :func:`run_recorded_placement` for a terminal."""
+def recording_text(summary: "RecordedResult", out: Path | None) -> str:
+    """The result of a recording for a terminal: the units that were chosen, if any, and all."""
     from ..parts.proof import stage_table
     from ..parts.recording import ALL_UNITS
 
-    assert summary.stages is not None
-    assert summary.baseline is not None
-    chosen = ", ".join(unit.id for unit in summary.layout)
-    best = Part(
-        words=[
-            f"Best {len(summary.layout)} of {summary.candidates} recorded units on "
-            f"{summary.runs} drives (fusion {summary.fusion}): {chosen}"
-        ],
-        table=stage_table(summary.stages),
-    )
-    lines = [answer_text([best], is_verbose=True)]
-    lines += [
-        "",
-        *_parties_text(summary.evaluation, summary.detected_share, summary.cases),
-        f"  {ALL_UNITS} of all {summary.candidates} recorded units: "
-        f"{percent(summary.baseline.rsu_all.all)} of the accidents prevented.",
-        *_footer(summary, out),
-    ]
-    return "\n".join(lines)
+    drives = f"{summary.runs} drives"
+    lines = sentences(f"{summary.recording} on {drives}:")
+    parties = _parties_text(summary.evaluation, summary.detected_share, summary.cases)
+    if summary.stages is not None and summary.baseline is not None:
+        chosen = ", ".join(unit.id for unit in summary.layout)
+        words = (
+            f"Best {len(summary.layout)} of {summary.candidates} recorded units on {drives} "
+            f"(fusion {summary.fusion}): {chosen}"
+        )
+        best = Part(words=[words], table=stage_table(summary.stages))
+        lines = [answer_text([best], is_verbose=True), ""]
+        parties.append(
+            f"  {ALL_UNITS} of all {summary.candidates} recorded units: "
+            f"{percent(summary.baseline.rsu_all.all)} of the accidents prevented."
+        )
+    return "\n".join([*lines, *parties, *_footer(summary, out)])
 
 
 def _parties_text(
@@ -134,10 +111,7 @@ def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
             "drive's class in view: they count only if each of them is detected."
         )
     skipped = "; ".join(f"{number} {reason}" for reason, number in summary.skipped.items())
-    lines = [
-        "",
-        *sentences(read, f"Skipped: {skipped or 'nothing'}.", _NOTE),
-    ]
+    lines = ["", *sentences(read, f"Skipped: {skipped or 'nothing'}.", _NOTE)]
     if out is not None:
         lines += ["", f"Written to {out}: summary.json."]
     return lines

@@ -76,14 +76,33 @@ def load_one_layout(names: Sequence[str], question: "Question | None" = None) ->
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
-    """A call of a command that asks something and computes."""
+class Call:
+    """A call of a command that prints a result."""
 
     progress: StageProgress
-    question: "Question"
-    compute: "Compute"
     as_json: bool
     quiet: bool
+
+    def start(self) -> None:
+        """Show what happens from here on."""
+        self.progress.start(quiet=self.quiet)
+
+    def announce(self, sentence: str) -> None:
+        """Tell something beside the stages."""
+        if not self.quiet:
+            tell(f"place-rsus: {sentence}", err=True)
+
+    def print(self, result: Any, text: Callable[[], str]) -> None:
+        """End the command, see :func:`print_result`."""
+        print_result(result, self.progress, self.as_json, text)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job(Call):
+    """A call of a command that asks something and computes."""
+
+    question: "Question"
+    compute: "Compute"
 
     def begin(self) -> "Job":
         """Show what happens from here on; the job with its map imported, see :func:`begin`."""
@@ -97,10 +116,6 @@ class Job:
     def means(self) -> dict[str, Any]:
         """What functions that compute take beside what they are asked."""
         return {"compute": self.compute, "progress": self.progress}
-
-    def print(self, result: Any, text: Callable[[], str]) -> None:
-        """End the command, see :func:`print_result`."""
-        print_result(result, self.progress, self.as_json, text)
 
     def print_answer(self, result: Any, parts: Callable[[], Iterable[Part]]) -> None:
         """End a command that answers: in short, or with ``--verbose`` all of it."""

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..parts import Part
-from ..progress import StageProgress
 from . import options
-from .running import print_result, unwritable
+from .running import Call, unwritable
 from .terminal import answer_text, sentences
 
 if TYPE_CHECKING:
@@ -25,98 +24,12 @@ def _target(text: str) -> float | None:
     return share
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus solve scp41.txt                       all rows at least cost
-  place-rsus solve scp41.txt --target 0.9          enough of them
-  place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
-  place-rsus solve camera.txt --out camera.scp     in OR-Library's format, too
-  place-rsus solve results/latest/instance.npz --budget 2""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["solve"])
 @click.argument("file", type=click.Path(path_type=Path))
-@options.option(
-    "--budget",
-    "budget_units",
-    type=click.IntRange(min=1),
-    metavar="N",
-    expected="a whole number of columns, at least 1",
-    help="Cover as much as so many columns can.",
-)
-@options.option(
-    "--budget-cost",
-    type=click.FloatRange(min=0.0),
-    metavar="COST",
-    expected="an amount of money, at least 0",
-    help="Cover as much as columns for so much money can.",
-)
-@options.option(
-    "--target",
-    type=_target,
-    metavar="max|SHARE",
-    expected="max, or a share of the rows, 0 to 1",
-    help="Cover that share of the rows, or all that can be covered (max), at least cost; max is "
-    "the default.",
-)
-@options.option(
-    "--track-memory",
-    "track_memory_s",
-    type=float,
-    metavar="SECONDS",
-    expected="seconds, at least from one frame to the next, or inf",
-    takes_infinity=True,
-    help="Of placement problems: how long a track lives without detections, in place of the file's "
-    "own; inf: for ever, as the study reads it.",
-)
-@options.option(
-    "--solver",
-    default="auto",
-    show_default=True,
-    metavar="NAME",
-    help="Of placement problems: auto: what proves soonest; HIGHS: that solver alone; greedy: no "
-    "proof. Covering problems are HiGHS' alone.",
-)
-@options.option(
-    "--time-limit",
-    "time_limit_s",
-    type=click.FloatRange(min=0.0, min_open=True),
-    metavar="SECONDS",
-    expected="seconds, more than 0",
-    default=60.0,
-    show_default=True,
-    help="When it is up, the best answer found and its gap are given.",
-)
-@options.option(
-    "--gap",
-    type=click.FloatRange(min=0.0),
-    metavar="SHARE",
-    expected="a share, at least 0",
-    default=0.0,
-    show_default=True,
-    help="Relative distance of objective and bound that is good enough.",
-)
-@options.option(
-    "--format",
-    "format_name",
-    type=click.Choice(("auto", "orlib", "gecco", "rail", "sts")),
-    default="auto",
-    show_default=True,
-    help="Of covering problems: orlib: OR-Library's set covering, by rows; rail: its railway "
-    "instances, by columns; gecco: the camera placement competition of GECCO 2020; sts: Steiner "
-    "triples; auto: by the content.",
-)
-@options.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write the covering problem in OR-Library's format (orlib).",
-)
-@options.json_option
-@options.quiet_option
-@click.pass_obj
+@options.from_table("solve", target={"type": _target})
+@options.calling
 def solve(
-    progress: StageProgress,
+    call: Call,
     /,
     *,
     file: Path,
@@ -124,8 +37,6 @@ def solve(
     track_memory_s: float | None,
     format_name: str,
     out: Path | None,
-    as_json: bool,
-    quiet: bool,
     **asked: Any,
 ) -> None:
     """Solve a covering or placement problem from a file, and prove it.
@@ -144,7 +55,7 @@ def solve(
         raise click.UsageError(
             f"{asked_for[1]}: got it beside {asked_for[0]}; expected one of {known}"
         )
-    progress.start(quiet=quiet)
+    call.start()
     from ..jobs import solve
 
     if format_name == "auto" and solve.is_placement_problem(file):
@@ -154,10 +65,10 @@ def solve(
             file,
             target=float("inf") if target is None and options.is_given("target") else target,
             track_memory_s=track_memory_s,
-            progress=progress,
+            progress=call.progress,
             **asked,
         )
-        print_result(solution, progress, as_json, lambda: window_text(solution))
+        call.print(solution, lambda: window_text(solution))
         return
     if track_memory_s is not None:
         raise click.UsageError(
@@ -169,14 +80,14 @@ def solve(
             format_name=None if format_name == "auto" else format_name,
             target=target,
             out=out,
-            progress=progress,
+            progress=call.progress,
             **asked,
         )
     except OSError as error:
         if out is None:
             raise
         raise unwritable(out, error) from None
-    print_result(summary, progress, as_json, lambda: solution_text(summary))
+    call.print(summary, lambda: solution_text(summary))
 
 
 def solution_text(summary: "CoveringResult") -> str:

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..progress import StageProgress
-from .options import json_option, quiet_option, scene_option
-from .running import print_result
+from . import options
+from .running import Call
 from .terminal import sentences
 
 if TYPE_CHECKING:
@@ -17,22 +16,11 @@ if TYPE_CHECKING:
 _EXIT_FAILED = 1
 
 
-@click.command(
-    epilog="""\b
-Examples:
-  place-rsus verify results/latest
-  place-rsus verify results/latest --json --quiet | jq .is_verified
-
-Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong."""
-)
+@click.command(epilog=options.EXAMPLES["verify"])
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@scene_option
-@json_option
-@quiet_option
-@click.pass_obj
-def verify(
-    progress: StageProgress, *, folder: Path, scene: str, as_json: bool, quiet: bool
-) -> None:
+@options.scene_option
+@options.calling
+def verify(call: Call, *, folder: Path, scene: str) -> None:
     """Check a folder of results, without the optimiser.
 
     Recomputes from certificate.json and instance.npz, by code that it does not share with the
@@ -45,11 +33,11 @@ def verify(
     were solved, and with each other; --scene adds the scene. What cannot be compared with anything
     is listed.
     """
-    progress.start(quiet=quiet)
+    call.start()
     from ..jobs.verify import run_verification
 
-    summary = run_verification(folder, scene=scene, progress=progress)
-    print_result(summary, progress, as_json, lambda: verification_text(summary))
+    summary = run_verification(folder, scene=scene, progress=call.progress)
+    call.print(summary, lambda: verification_text(summary))
     if not summary.is_verified:
         sys.exit(_EXIT_FAILED)
 

@@ -23,8 +23,6 @@ from .axes import (
     write_beside,
 )
 
-MAX_HEATMAP_UNITS = 24
-"""Rows of a heatmap that units have: of more, those that confirm first."""
 _TIME_LABEL = "time before the impact without braking (s)"
 _RED = "#CC0000"
 _LAST_MOMENT: Style = {"color": _RED, "linestyle": (0, (3.0, 1.5)), "linewidth": 1.8}
@@ -33,32 +31,15 @@ _CONFIRMATION: Style = _DIAMOND | {"markerfacecolor": "white", "markeredgecolor"
 _DETECTED, _MISSED = BLUE, "#e6e6e6"
 
 
-def units_in_heatmap(evaluation: Evaluation, run_indices: Sequence[int]) -> list[str]:
-    """Ids of the units that have a row in a heatmap of runs.
-
-    All, in the layout's order; or, of more than ``MAX_HEATMAP_UNITS``, so many: those that confirm
-    first in any of the runs, and then those that detect in the most frames.
-    """
-    units, axis = evaluation.units, evaluation.axis
-    if len(units) <= MAX_HEATMAP_UNITS:
-        return list(units)
-
-    def rank(unit_id: str) -> tuple[float, int]:
-        verdict = units[unit_id]
-        n_detected = sum(int(verdict.detected[axis.frames_of(run)].sum()) for run in run_indices)
-        return float(min(verdict.confirmation_time_s[run] for run in run_indices)), -n_detected
-
-    return sorted(units, key=rank)[:MAX_HEATMAP_UNITS]
-
-
 def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Axes]:
     """Who detects the VRU when, one pair of axes per run, in a new figure.
 
     Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the impact.
-    The dashed red line is the last brake time; a diamond is a confirmation. Of many RSUs only those
-    that confirm first have a row; an axis label tells how many.
+    The dashed red line is the last brake time; a diamond is a confirmation.
     """
-    rows = heatmap_rows(evaluation, run_indices)
+    labels, units = unit_labels(evaluation.layout), evaluation.units
+    rows = {"VUT": evaluation.vut, **{labels[name]: unit for name, unit in units.items()}}
+    rows["all RSUs"] = evaluation.rsu_all
     figure = new_figure(WIDTH_IN, 0.75 + len(run_indices) * (0.85 + 0.21 * len(rows)))
     panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
     for axes, run_index in zip(panels, run_indices, strict=True):
@@ -67,13 +48,6 @@ def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Ax
     below: Style = {"loc": "outside lower center", "ncols": 4, "frameon": False}
     figure.legend(handles=_legend(), fontsize=8, **below)
     return list(panels)
-
-
-def heatmap_rows(evaluation: Evaluation, run_indices: Sequence[int]) -> dict[str, Verdict]:
-    """Who has a row in a heatmap of runs, by what it is called."""
-    labels, shown = unit_labels(evaluation.layout), units_in_heatmap(evaluation, run_indices)
-    rows = {"VUT": evaluation.vut, **{labels[one]: evaluation.units[one] for one in shown}}
-    return rows | {"all RSUs": evaluation.rsu_all}
 
 
 def _draw_heatmap(
@@ -96,9 +70,6 @@ def _draw_heatmap(
     between = np.arange(len(rows) - 1) + 0.5
     axes.hlines(between, *axes.get_xlim(), colors="white", linewidth=2.0, zorder=2)
     axes.set_yticks(range(len(rows)), [literal(row) for row in rows], fontsize=8)
-    n_units, n_shown = len(evaluation.units), len(rows) - 2
-    if n_shown < n_units:
-        axes.set_ylabel(f"{n_shown} of {n_units} units: those that confirm first", fontsize=8)
     axes.tick_params(axis="both", length=0, labelsize=8)
     axes.spines[:].set_visible(False)
     confirmed = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]

@@ -28,17 +28,8 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..results.numbers import shortened
+from . import labels
 from .axes import BLUE, UNIT_COLOURS, VERMILION, WIDTH_IN, Style, literal, new_axes, show_square
-from .labels import (
-    ARROW_POINTS,
-    HALO,
-    MAX_LABELLED_UNITS,
-    arm_names,
-    draw_labels,
-    looks_alike,
-    position_names,
-    unit_names,
-)
 
 CLASS_STYLES: dict[str, Style] = {
     "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
@@ -211,13 +202,13 @@ def plot_plan(
         axes.plot(*unit.pose.position_m[:2], zorder=7, **_camera_marker(unit), **_OTHER)
     _draw_units(axes, layout, scene, max_range_m)
     show_square(axes, middle, half_size_m)
-    names = [*unit_names(layout, scene), *arm_names(scene, middle, half_size_m)]
+    names = [*labels.unit_names(layout, scene), *labels.arm_names(scene, middle, half_size_m)]
     # Approximate ends of the units' arrows.
     yaw = np.radians([unit.pose.yaw_deg for unit in layout.units])
-    length_m = 0.6 * ARROW_POINTS * 2.0 * half_size_m / (60.0 * width_in)
+    length_m = 0.6 * labels.ARROW_POINTS * 2.0 * half_size_m / (60.0 * width_in)
     tips = feet + length_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     marks_m = np.concatenate([feet, tips])
-    draw_labels(axes, [*names, *position_names(setting.runs)], marks_m=marks_m)
+    labels.draw_labels(axes, [*names, *labels.position_names(setting.runs)], marks_m=marks_m)
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
     _draw_compass(axes, middle, half_size_m)
@@ -268,10 +259,10 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
             shape = ring_path(corners, blind_footprint(level, max_range_m=max_range_m))
             ground = PathPatch(shape, facecolor=colour, alpha=0.6 / (n_units + 3.0), zorder=2.5)
             line: Style = {"linestyle": _LINE_STYLES[index % len(_LINE_STYLES)]}
-            line["linewidth"] = 1.2 if n_units <= MAX_LABELLED_UNITS else 0.4
+            line["linewidth"] = 1.2 if n_units <= labels.MAX_LABELLED_UNITS else 0.4
             axes.add_patch(ground)
             axes.add_patch(PathPatch(shape, fc="none", edgecolor=colour, zorder=6, **line))
-        rank = sum(looks_alike(unit, other) for other in layout.units[:index])
+        rank = sum(labels.looks_alike(unit, other) for other in layout.units[:index])
         style = _camera_marker(unit, rank) | _FOUND | {"markerfacecolor": colour}
         axes.plot(*unit.pose.position_m[:2], zorder=8, gid=f"unit:{unit.id}", **style)
 
@@ -292,7 +283,7 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
     east, north = middle_m + half_size_m * np.array([0.91, 0.76])
     arrow = {"arrowstyle": "-|>", "facecolor": "black", "linewidth": 1.4}
     letter: Style = {"fontsize": 11, "fontweight": "bold", "ha": "center", "va": "center"}
-    letter |= {"path_effects": [HALO], "zorder": 10}
+    letter |= {"path_effects": [labels.HALO], "zorder": 10}
     tip = (east, north + 0.18 * half_size_m)
     axes.annotate("N", xy=tip, xytext=(east, north), arrowprops=arrow, **letter)
     length_m = 10.0
@@ -300,7 +291,7 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
     bar: Style = {"color": "black", "linewidth": 4.0, "solid_capstyle": "butt", "zorder": 11}
     halo = [withStroke(linewidth=6.0, foreground="white")]
     axes.plot([x, x + length_m], [y, y], path_effects=halo, **bar)
-    text: Style = {"fontsize": 9, "path_effects": [HALO], "zorder": 11, "va": "bottom"}
+    text: Style = {"fontsize": 9, "path_effects": [labels.HALO], "zorder": 11, "va": "bottom"}
     axes.text(x + 0.5 * length_m, y + 1.2, f"{length_m:g} m", ha="center", **text)
 
 
@@ -309,7 +300,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     bodies = {"vut", *(run.case.vru.class_name for run in setting.runs)}
     paths = [line(label=_PATHS[name][0], **_path_style(name)) for name in _PATHS if name in bodies]
     camera: Style = {"marker": Path(_DART, closed=True), "linestyle": "none", "markersize": 8.0}
-    few = len(layout.units) <= MAX_LABELLED_UNITS
+    few = len(layout.units) <= labels.MAX_LABELLED_UNITS
     what = (
         "camera, and the ground it looks at" if few else "cameras at a place, and what they look at"
     )

@@ -1,6 +1,7 @@
 """Placements, evaluations and comparisons: from a question to a folder of results."""
 
 import logging
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from typing import TypeVar
 from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError
+from geometry.files import write_atomically
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.cache import cached_value
@@ -20,7 +22,7 @@ from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
 from placement.ground import PrivateGround, load_private_ground
-from placement.layout import Layout, check_layout, find_baseline
+from placement.layout import Layout, check_layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
@@ -35,11 +37,16 @@ from placement.sampling.out_of_sample import (
 )
 from placement.sampling.uncertainty import load_drawn
 from placement.setting import Setting, build_setting
+from placement.verification.certificates import build_certificate, save_certificate
+from placement.verification.instances import build_mounts
 from placement.wishes import assumed_prices
 
-from ..parts import alternatives
+from ..export.csv import to_csv
+from ..export.geojson import to_geojson
+from ..export.json import to_json, to_json_text
+from ..parts import alternatives, bill_of_materials
 from ..parts.baselines import build_baselines, compare_layout, compare_placement
-from ..parts.bill_of_materials import BillOfMaterials, build_bill
+from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import build_explained_record, build_refinement_record
 from ..parts.front import FrontRecord, describe_front
@@ -47,6 +54,7 @@ from ..parts.result import (
     ComparisonResult,
     EvaluationResult,
     PlacementResult,
+    Result,
     build_comparison_result,
     build_evaluation_result,
     build_placement_result,
@@ -54,11 +62,12 @@ from ..parts.result import (
 from ..parts.sampled_worlds import SampledRecord, build_sampled_record
 from ..parts.study_cases import StudyCases, on_study_cases
 from ..parts.units import PrivateGroundRecord, build_plans, build_private_ground_record
-from ..progress import StageProgress
-from ..results.folders import check_result_folder, left_as_it_was
+from ..progress import WRITING, StageProgress
+from ..report.page import begin_tasks, write_report
+from ..results import folders
+from ..results.tables import apr_table, csv_text, runs_table
 from ..side_process import SideProcess, Task, side_process
 from . import READY
-from .writing import write_results
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +78,7 @@ MIN_FRESH_WORLDS = 60
 _LARGE_RUNS = 100
 """With fewer, it takes longer to start a second process than to answer and draw."""
 _WORLDS_TOGETHER = 10
-_R = TypeVar("_R", EvaluationResult, ComparisonResult)
+_R = TypeVar("_R", bound=Result)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,6 +324,10 @@ def _private_ground(
     return None if private is None else build_private_ground_record(layout.units, scene, private)
 
 
+def _load_private_ground(question: Question, scene: Scene) -> PrivateGround | None:
+    return load_private_ground(Path(question.no_look), scene) if question.no_look else None
+
+
 def _front_below(job: _Job, found: _Found) -> FrontRecord | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     placement, plan, progress = found.placement, found.plan, job.progress
@@ -363,7 +376,6 @@ def run_evaluation(
     question: Question,
     *,
     layout: Layout,
-    no_look: str = "",
     out: Path | None,
     compute: Compute,
     command: str,
@@ -374,7 +386,7 @@ def run_evaluation(
     with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         (layout,) = _with_distinct_names([layout])
         check_layout(layout, scene)
-        private = load_private_ground(Path(no_look), scene) if no_look else None
+        private = _load_private_ground(question, scene)
         (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
         bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
         evaluations = {layout.name: evaluation}
@@ -393,9 +405,6 @@ def run_comparison(
     question: Question,
     *,
     layouts: Sequence[Layout],
-    samples: int = 0,
-    uncertainty: str = "default",
-    no_look: str = "",
     out: Path | None,
     compute: Compute,
     command: str,
@@ -406,13 +415,14 @@ def run_comparison(
     With samples also in so many sampled worlds. Raises InputError as :func:`run_evaluation`.
     """
     scene = load_scene(question.scene)
-    drawn = load_drawn(replace(question, uncertainty=uncertainty), scene, n_samples=samples)
+    samples = question.samples
+    drawn = load_drawn(question, scene, n_samples=samples)
     with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         setting = job.setting
         layouts = _with_distinct_names(layouts)
         for layout in layouts:
             check_layout(layout, scene)
-        private = load_private_ground(Path(no_look), scene) if no_look else None
+        private = _load_private_ground(question, scene)
         proposed = compare_layout(layouts[0], setting, compute=compute)
         everyone = layouts
         if proposed is not None and proposed.expert is not None:
@@ -448,8 +458,8 @@ def run_comparison(
 
 def _check_out(out: Path | None, progress: StageProgress) -> None:
     if out is not None:
-        check_result_folder(out)
-        progress.kept = left_as_it_was(out)
+        folders.check_result_folder(out)
+        progress.kept = folders.left_as_it_was(out)
 
 
 def _finish(
@@ -486,3 +496,83 @@ def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
         taken.add(name)
         named.append(replace(layout, name=name))
     return named
+
+
+def write_results(
+    folder: Path,
+    result: _R,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    command: str,
+    progress: StageProgress,
+    placement: Placement | None = None,
+    candidates: Sequence[CandidatePose] = (),
+    recommended: Layout | None = None,
+    bill: BillOfMaterials | None = None,
+    side: SideProcess | None = None,
+) -> _R:
+    """Fill a result folder; returns the result with its "seconds", all stages but the writing.
+
+    `folder` is replaced as a whole, or left as it was. The first evaluation is the subject;
+    `candidates` are the rows of the placement's table, `recommended` is what the evaluator prefers,
+    `bill` knows more of costs than the scene, `command` makes the result again. Raises InputError
+    if something cannot be written: it names the folder where the answer is all the same.
+    """
+    progress(WRITING, 0, 0)
+    result = replace_fields(result, seconds=progress.seconds.copy())
+    if side is not None:
+        begin_tasks(side, result, setting, evaluations)  # drawn while other files are written
+    subject = next(iter(evaluations.values()))
+    layout = replace(subject.layout, scene_name=setting.scene.name)
+    # The answer comes first: it is kept if anything that follows cannot be written.
+    answer = {
+        folders.LAYOUT_FILE: to_json(layout, setting.scene),
+        "layout.csv": to_csv(layout, setting.scene),
+        folders.MARKER: to_json_text(result),
+    }
+    if recommended is not None:
+        recommended = replace(recommended, scene_name=setting.scene.name)
+        answer[folders.RECOMMENDED_FILE] = to_json(recommended)
+    with _saved_elsewhere(folder, answer), folders.new_result_folder(folder) as new:
+        for name, text in answer.items():
+            write_atomically(new / name, text)
+        if setting.scene.crs:  # else nobody knows where on earth it lies
+            geojson = to_geojson(layout, setting.scene.crs, setting.scene)
+            write_atomically(new / "layout.geojson", geojson)
+        if placement is not None:
+            mounts = build_mounts(setting.scene, candidates)
+            document = build_certificate(
+                placement.problem,
+                placement.certificate,
+                pose_index=placement.pose_index,
+                units=layout_records(layout),
+                presolve=placement.presolve,
+                seconds=placement.seconds,
+                versions=result.versions,
+                mounts=mounts,
+            )
+            save_certificate(new, document, placement.problem, mounts)
+        bill = bill or build_bill(layout, setting.scene)
+        write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
+        write_atomically(new / folders.APR_FILE, csv_text(apr_table(evaluations)))
+        write_atomically(new / folders.RUNS_FILE, runs_table(evaluations).to_parquet())
+        write_report(new, result, setting, evaluations, command=command, bill=bill, side=side)
+        result = replace_fields(result, seconds=progress.finish())
+        write_atomically(new / folders.MARKER, to_json_text(result))
+    progress.kept = f"the results are in {folder}"
+    return result
+
+
+@contextmanager
+def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
+    """Keep the answer among the system's temporary files if its folder cannot take even that."""
+    try:
+        yield
+    except OSError as error:
+        kept = Path(tempfile.mkdtemp(prefix="place-rsus-kept-"))
+        for name, text in answer.items():
+            write_atomically(kept / name, text)
+        raise folders.unwritable(
+            folder, error, f"; layout and numbers are kept in {kept}"
+        ) from error

@@ -55,12 +55,6 @@ def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bo
     return Section("accidents", "Accidents prevented", blocks)
 
 
-def alone_section(detailed: Mapping[str, Evaluation]) -> Section:
-    """APR of each unit of some layouts by itself."""
-    tables = [unit_apr_table(name, item) for name, item in detailed.items()]
-    return Section("alone", "What each unit achieves alone", tables)
-
-
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     """APR of every sensing party; evaluations on the same runs, the first one is the subject.
 

@@ -14,20 +14,10 @@ from ..results.numbers import count_runs, first_of, joined, percent, several
 from .accidents import is_weighted
 from .result import EvaluationResult, PlacementResult, Result
 from .sampled_worlds import moving_sentence
-from .section import Box, Code, Section, Table, Terms
+from .section import Box, Code, Filled, Section, Table
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _MAX_NAMES = 3
-_MOVING = (
-    "In each sampled world, runs of one case, approach and position see the same traffic, with the "
-    "impact at the same moment. Vehicles more than 100 m from the middle of the junction are cut. "
-    "Who would touch what is parked, or come nearer to car or road user than the clearance, is "
-    "left out of that run. Where SUMO drives, its vehicles react to the car, which minds no lights."
-)
-_FUSIONS = {
-    "any": "A frame counts if any unit detects the road user in it.",
-    "single": "One unit must confirm the road user by itself.",
-}
 
 
 def assumption_sentences(result: Result) -> list[str]:
@@ -54,8 +44,24 @@ def _together(group: Sequence[Note]) -> str:
 
 def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
     """Assumptions behind the numbers; layouts by display name."""
-    terms = assumptions(result, setting, layouts)
-    return Section("assumptions", "How it was computed", [Terms(terms)])
+    axis, rule = setting.axis, setting.rule
+    counted = axis.weight[axis.weight > 0.0]
+    sampled = None if isinstance(result, EvaluationResult) else result.sampled
+    values = {
+        "setting": setting,
+        "weights": [counted.min(), counted.max()] if is_weighted(axis) else [],
+        "n_without": axis.n_runs - len(counted),
+        "figures": _figures(setting),
+        "is_endless": math.isinf(rule.track_memory_s),
+        "latency": latency_words(rule, layouts),
+        "weathers": list(dict.fromkeys(run.weather for run in setting.runs)),
+        "has_radio": setting.radio != Radio(),
+        "moving": moving_sentence(sampled) if sampled is not None and sampled.moving else "",
+        "fusion": result.fusion,
+        "budget": result.budget if isinstance(result, PlacementResult) else None,
+        **{"percent": percent, "count_runs": count_runs, "several": several},
+    }
+    return Section("assumptions", "How it was computed", [Filled("assumptions.html.j2", values)])
 
 
 def again_section(result: Result, command: str) -> Section:
@@ -70,67 +76,13 @@ def again_section(result: Result, command: str) -> Section:
     return Section("again", "To make it again", [Code(command), columns])
 
 
-def assumptions(
-    result: Result, setting: Setting, layouts: Mapping[str, Layout]
-) -> list[tuple[str, str]]:
-    """Assumptions behind the numbers, as term and text; layouts by display name."""
-    rule, axis = setting.rule, setting.axis
-    cars = ""
-    if setting.cars:
-        who = "every car" if setting.cars == 1.0 else f"{percent(setting.cars)} of the cars"
-        cars = f" That is one more unit of {who}, which costs nothing and never fails."
-    onset = f"reached linearly {rule.build_up_s:g} s after the onset"
-    if rule.build_up_s == 0.0:
-        onset = "constant from the onset"
-    weathers = list(dict.fromkeys(run.weather for run in setting.runs))
-    dims = " It takes contrast from cameras and pulses from LiDARs."
-    terms = {
-        "Runs": f"{axis.n_runs} runs, {axis.n_frames} frames at {rule.frame_rate_hz:g} Hz. Every "
-        "run ends in an impact unless the car brakes. One frame falls on the moment of the impact.",
-        "Weights": _weights(setting),
-        "Detection": f"{setting.detector.description}{_figures(setting)} The car itself looks "
-        f"with: {' and '.join(setting.vut_sensors)}.{cars}",
-        "Confirmation": f"{rule.n_confirmations} detected frames in a row, "
-        f"{1.0 / rule.frame_rate_hz:g} s apart.",
-        "Tracks": _tracks(rule),
-        "Latency": _latency(rule, layouts),
-        "Braking": f"{rule.deceleration_mps2:g} m/s\N{SUPERSCRIPT TWO}, {onset}, along the car's "
-        "path. The road user keeps going.",
-        "Avoided": "The outlines of car and road user on the road never touch.",
-        "Weather": f"{', '.join(weathers)}.{'' if weathers == ['day'] else dims}",
-    }
-    if setting.radio != Radio():
-        terms["Radio"] = _radio(setting.radio)
-    sampled = None if isinstance(result, EvaluationResult) else result.sampled
-    if sampled is not None and sampled.moving:
-        terms["Traffic"] = f"{moving_sentence(sampled)}. {_MOVING}"
-    terms["Units together"] = _FUSIONS[result.fusion]
-    if isinstance(result, PlacementResult) and result.budget is not None:
-        terms["Budget"] = several(result.budget, "unit", "units") + "."
-    return [*terms.items()]
-
-
 def _figures(setting: Setting) -> str:
     """How many figures of response tables are measured; that of the table where it is another."""
     tables = {one.name: one for one in (setting.detector, setting.table_detector)}.values()
     return "".join(f" {one.figures_words}" for one in tables if isinstance(one, ResponseDetector))
 
 
-def _tracks(rule: AebRule) -> str:
-    """How long a confirmed road user stays known, and what the car brakes for."""
-    if math.isinf(rule.track_memory_s):
-        return (
-            "A road user who is confirmed once stays known for ever, however long nobody detects "
-            "them: the CarlaNCAP study's reading."
-        )
-    return (
-        f"A confirmed road user stays known for {rule.track_memory_s:g} s after each detection, "
-        "then must be confirmed anew. The car brakes only for one who is known at the last moment "
-        "to brake, less the latency. Time to spare counts from the confirmation of that track on."
-    )
-
-
-def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
+def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
     """The rule's latency, then the units that have another of their own, equal ones together."""
     own = []
     for name, layout in layouts.items():
@@ -144,27 +96,3 @@ def _latency(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
             own.append(f"{who}{of} {1000.0 * latency_s:g} ms")
     text = f"{1000.0 * rule.latency_s:g} ms for processing and communication"
     return f"{text}; units with a latency of their own: {'; '.join(own)}." if own else f"{text}."
-
-
-def _weights(setting: Setting) -> str:
-    axis = setting.axis
-    if not is_weighted(axis):
-        return "Every run counts the same."
-    counted = axis.weight[axis.weight > 0.0]
-    low, high = (percent(float(share)) for share in (counted.min(), counted.max()))
-    text = f"Runs count differently: from {low} to {high} of the whole each."
-    n_without = axis.n_runs - len(counted)
-    if n_without:
-        verb = "is" if n_without == 1 else "are"
-        text += f" {count_runs(n_without)} of weight 0 {verb} driven, but not counted."
-    return text
-
-
-def _radio(links: Radio) -> str:
-    lost = f"{percent(links.packet_loss)} of all messages are lost, frame by frame."
-    if links.vam_rate == 0.0:
-        return lost
-    return (
-        f"{lost} {percent(links.vam_rate)} of the road users announce themselves (VRU awareness "
-        "messages), and the car trusts the position that they send."
-    )

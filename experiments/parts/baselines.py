@@ -6,17 +6,10 @@ from typing import Annotated
 
 import numpy as np
 
+from placement import evaluation
 from placement.baselines import Proposals, RandomLayouts, judge_proposals, propose
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
-from placement.evaluation import (
-    Evaluation,
-    Verdict,
-    apr,
-    apr_by_case,
-    apr_by_position,
-    apr_one_failed,
-)
 from placement.layout import Layout
 from placement.optimiser import PlacementProblem
 from placement.optimiser import apr as table_apr
@@ -48,15 +41,15 @@ class Score:
     by_position: Annotated[dict[str, float | None], says("The same by position along the arms.")]
 
 
-def build_score(name: str, verdict: Verdict, axis: FrameAxis, *, n_units: int) -> Score:
+def build_score(name: str, verdict: evaluation.Verdict, axis: FrameAxis, *, n_units: int) -> Score:
     """APR and avoided runs of a sensing party."""
     return Score(
         name=name,
         units=n_units,
         runs_avoided=int(verdict.is_avoided.sum()),
-        all=apr(verdict, axis),
-        by_case={**apr_by_case(verdict, axis)},
-        by_position={**apr_by_position(verdict, axis)},
+        all=evaluation.apr(verdict, axis),
+        by_case={**evaluation.apr_by_case(verdict, axis)},
+        by_position={**evaluation.apr_by_position(verdict, axis)},
     )
 
 
@@ -159,7 +152,9 @@ def _judge(
     )
 
 
-def build_baselines(proposed: Proposed, expert: Evaluation | None, setting: Setting) -> Baselines:
+def build_baselines(
+    proposed: Proposed, expert: evaluation.Evaluation | None, setting: Setting
+) -> Baselines:
     """Their APR; `expert` is that layout by the evaluator."""
     random, of_expert = proposed.random, None
     if expert is not None:
@@ -175,7 +170,7 @@ def build_baselines(proposed: Proposed, expert: Evaluation | None, setting: Sett
             cost_eur=sum(unit.sensor.price_eur for unit in units),
             on_table=round(proposed.expert_on_table, 12),
             score=mixed(blind, seeing, expert.cars),
-            apr_without_worst_unit=apr_one_failed(expert, setting.rule),
+            apr_without_worst_unit=evaluation.apr_one_failed(expert, setting.rule),
         )
     return Baselines(random=None if random is None else _random(random), expert=of_expert)
 

@@ -43,8 +43,6 @@ _CAUSES = {
 }
 _MAX_REASONS = 2
 _MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
-
-
 _MAX_DIGITS = 6
 
 
@@ -123,9 +121,9 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     needed = [part for part in parts if part.only_runs]
     if all(part.without.apr + part.marginal_apr <= 0.0 for part in parts):
         return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
-    if len(parts) == 1 and parts[0].without.apr == 0.0:
-        return ["Everything that is avoided depends on this one unit."]
     if len(parts) == 1:
+        if parts[0].without.apr == 0.0:
+            return ["Everything that is avoided depends on this one unit."]
         saved = count_runs(len(parts[0].only_runs))
         return [f"This one unit saves {saved} that the car does not save by itself."]
     if not needed:
@@ -208,18 +206,16 @@ def missed_table(explained: ExplainedRecord) -> Table:
         explained.not_avoided,
         {
             "run": lambda entry: entry.run,
-            "outcome": _outcome,
+            "outcome": lambda entry: (
+                OUTCOMES[entry.outcome]
+                + (f", by {number(entry.late_s)} s" if entry.outcome == "too late" else "")
+            ),
             "why": _why,
             "nearest further unit that would save it": _rescue,
         },
         summary=f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}",
         is_open=n_runs <= _MAX_UNFOLDED,
     )
-
-
-def _outcome(entry: Unavoided) -> str:
-    late = f", by {number(entry.late_s)} s" if entry.outcome == "too late" else ""
-    return f"{OUTCOMES[entry.outcome]}{late}"
 
 
 def _why(entry: Unavoided) -> str:
@@ -322,12 +318,12 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
             f"Refinement tried {n_tried} poses between the {n_grid} candidates of the grid and "
             "found nothing better."
         ]
-    proven = (
-        f"No choice among the {n_grid} candidates of the grid is as good: that is proven."
-        if found.grid_is_proven
-        else f"It is better than the best choice among the {n_grid} candidates of the grid that "
-        "was found in the time given."
-    )
+    proven = f"No choice among the {n_grid} candidates of the grid is as good: that is proven."
+    if not found.grid_is_proven:
+        proven = (
+            f"It is better than the best choice among the {n_grid} candidates of the grid that "
+            "was found in the time given."
+        )
     return [
         f"Refinement {joined([_deed(move) for move in found.moves])}: {_changes(found)}.",
         f"{proven} The bounds of the refined layout hold for these and the {n_tried} poses tried "

@@ -23,17 +23,13 @@ def words(result: PlacementResult) -> str:
     within = ""
     if first.name in ("units", "cost_eur"):
         what = "units" if first.name == "units" else "EUR"
-        least = (
-            "the least"
-            if first.gap == 0.0
-            else f"no choice needs less than {or_nan(first.bound):,.0f}"
-        )
+        least = "the least"
+        if first.gap != 0.0:
+            least = f"no choice needs less than {or_nan(first.bound):,.0f}"
         within = f" With {first.objective:,.0f} {what} for what was asked, {least}:"
     if of_apr.gap == 0.0:
-        measure = measure_of(result)
-        return (
-            f"Proven on the detection table:{within} no choice among {among} has a higher {measure}"
-        )
+        proven = f"Proven on the detection table:{within} no choice among {among}"
+        return f"{proven} has a higher {measure_of(result)}"
     return (
         f"The best choice among {among} found in the time given:{within} on the detection table, "
         f"no other can exceed {'an' if result.score == AVOIDED else 'a'} {measure_of(result)} of "
@@ -55,13 +51,8 @@ def _with_highest(result: PlacementResult, highest: HighestRecord, among: str) -
             f"exceeds {percent(most.bound)}"
         )
     least = f"with at most {given_up} less"
-    if kept.gap == 0.0:
-        second = f"of those {least}, none keeps more when a {failing} fails"
-    else:
-        second = (
-            f"of those {least}, none keeps more than {percent(kept.bound)} when a {failing} fails"
-        )
-    return f"{begin} {first}; {second}"
+    more = "" if kept.gap == 0.0 else f" than {percent(kept.bound)}"
+    return f"{begin} {first}; of those {least}, none keeps more{more} when a {failing} fails"
 
 
 def measure_of(result: PlacementResult) -> str:

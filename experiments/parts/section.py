@@ -70,11 +70,12 @@ class Subheading:
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
-    """Terms, each with what there is to say of it."""
+class Filled:
+    """A template of the report, with the values that it shows."""
 
-    kind: ClassVar[str] = "terms"
-    terms: Sequence[tuple[str, str]]
+    kind: ClassVar[str] = "filled"
+    template: str
+    values: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,15 @@ class Sketch:
     paths: Sequence[tuple[str, str]]  # class of ``report.css``, and data of an SVG path
 
 
-Block = str | Table | Bullets | Subheading | Terms | Code | Box | Picture | Sketch
+@dataclass(frozen=True, slots=True)
+class Html:
+    """What a template has made, as it is."""
+
+    kind: ClassVar[str] = "html"
+    html: str
+
+
+Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Sketch | Html
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,26 +1,17 @@
 """The layouts on the study's cases, next to the question that was asked."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-import numpy as np
-
-from geometry.arrays import IntArray
-from geometry.catalogue import sensor_kind
 from placement.compute import Compute
-from placement.detectors.built_in import GeometricDetector
 from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layouts
-from placement.evaluator.evaluate import Judge, Seen, judge_layouts
 from placement.layout import find_baseline
 from placement.question import BLIND, Question
-from placement.setting import Radio, Setting
-from scenarios.cases import ALL_SPEEDS, select_cases
-from scenarios.positions import AT_ZERO, pick_positions
-from scenarios.runs import build_frame_axis
-from scenarios.weights import weight_per_run
+from placement.setting import Setting
+from scenarios.cases import select_cases
 
 from ..results.numbers import count_runs, percent
 from ..results.record import says
@@ -63,12 +54,15 @@ def study_question(question: Question) -> Question:
     return replace(
         question,
         cases="study",
+        case_range="standard",
         along_arms="",
         speeds="",
         approaches="",
         cars=BLIND,
         weather="day",
         weights="",
+        near="",
+        accidents_within_m=None,
         force=False,
         strict=False,
         track_memory_s=math.inf,
@@ -93,69 +87,12 @@ def on_study_cases(
     has_cases = {case.name for case in select_cases("study").cases} <= given
     if find_baseline(asked.scene) is None or not has_cases:
         return None
-    rows = study_rows(question, asked)
-    study = build(study_question(question)) if rows is None else _part(asked, rows)
+    study = build(study_question(question))
     if is_same_question(asked, study):
         return None
-    return score_on(study, asked, rows, evaluations, compute=compute)
-
-
-def score_on(
-    study: Setting,
-    asked: Setting,
-    rows: IntArray | None,
-    evaluations: Mapping[str, Evaluation],
-    *,
-    compute: Compute,
-) -> StudyCases:
-    """Score layouts in another setting; `rows` are its runs among those evaluated, if so."""
-    if rows is None or _depends_on_chance(asked, evaluations):
-        layouts = [item.layout for item in evaluations.values()]
-        found = evaluate_layouts(layouts, study, compute=compute.within(STAGE))
-    else:
-        judge = Judge(study.runs, study.axis, study.rule)
-        found = judge_again([*evaluations.values()], rows, study, judge)
+    layouts = [item.layout for item in evaluations.values()]
+    found = evaluate_layouts(layouts, study, compute=compute.within(STAGE))
     return build_study_cases(dict(zip(evaluations, found, strict=True)))
-
-
-def study_rows(question: Question, asked: Setting) -> IntArray | None:
-    """Rows of the study's runs among those asked about, in its order; None where some are not."""
-    wanted = {case.name: case for case in select_cases("study").cases}
-    given = {case.name: case for case in select_cases(question.cases, force=question.force).cases}
-    is_whole = (
-        question.speeds.strip() in ("", ALL_SPEEDS)
-        and not question.approaches
-        and "day" in [word.strip() for word in question.weather.split(",")]
-        and AT_ZERO in pick_positions(question.along_arms, question.cases)
-        and all(
-            name in given and set(case.vut_speeds_kmh) <= set(given[name].vut_speeds_kmh)
-            for name, case in wanted.items()
-        )
-    )
-    if not is_whole:
-        return None
-    rows = [
-        row
-        for name, case in wanted.items()
-        for row, run in enumerate(asked.runs)
-        if (run.case.name, run.position, run.weather) == (name, AT_ZERO.name, "day")
-        and run.vut_speed_kmh in case.vut_speeds_kmh
-    ]
-    return np.array(rows, dtype=np.int64) if rows else None
-
-
-def _part(asked: Setting, rows: IntArray) -> Setting:
-    """Some of the runs, each counting alike, with tracks that are never lost; cars are blind."""
-    runs = tuple(asked.runs[row] for row in rows)
-    return replace(
-        asked,
-        runs=runs,
-        axis=build_frame_axis(runs, weight_per_run(runs)),
-        rule=replace(asked.rule, track_memory_s=math.inf),
-        refusals=(),
-        cars=0.0,
-        seen_by_vut=None,
-    )
 
 
 def is_same_question(one: Setting, other: Setting) -> bool:
@@ -167,33 +104,6 @@ def is_same_question(one: Setting, other: Setting) -> bool:
         one.rule == other.rule
         and runs.keys() == others.keys()
         and all(math.isclose(runs[name], others[name], rel_tol=1.0e-9) for name in runs)
-    )
-
-
-def judge_again(
-    evaluations: Sequence[Evaluation], rows: IntArray, part: Setting, judge: Judge
-) -> list[Evaluation]:
-    """Evaluations on some of their runs, the `rows`, which are those of `part`, by its rule."""
-    axis, rule = evaluations[0].axis, part.rule
-    frames = np.concatenate([np.arange(axis.n_frames)[axis.frames_of(row)] for row in rows])
-
-    def seen(item: Evaluation) -> Seen:
-        detected = {unit.id: item.units[unit.id].detected[frames] for unit in item.layout.units}
-        units = {unit.id: (detected[unit.id], unit.latency(rule)) for unit in item.layout.units}
-        vut = (item.vut.detected[frames], rule.latency_s)
-        return Seen(layout=item.layout, units=units, vut=vut)
-
-    return judge_layouts(judge, [seen(item) for item in evaluations])
-
-
-def _depends_on_chance(setting: Setting, evaluations: Mapping[str, Evaluation]) -> bool:
-    """Detections in a frame depend on which other frames there are: on random draws."""
-    sensors = [unit.sensor for item in evaluations.values() for unit in item.layout.units]
-    return not (
-        isinstance(setting.detector, GeometricDetector)
-        and setting.radio == Radio()
-        and setting.vut_sensors == ("camera",)
-        and all(sensor_kind(sensor) == "camera" for sensor in sensors)
     )
 
 

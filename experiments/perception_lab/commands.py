@@ -8,24 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from placement.compute import Compute
-from placement.question import Question, question_fields
+from placement.question import question_fields
 
-from ..cli.options import (
-    PICTURED,
-    SectionedCommand,
-    compute_options,
-    folder_option,
-    is_given,
-    job_options,
-    json_option,
-    layout_option,
-    option,
-    option_of,
-    question_options,
-    quiet_option,
-    scene_option,
-)
-from ..cli.running import begin, command_line, load_one_layout, print_result, unwritable
+from ..cli import options
+from ..cli.running import Job, command_line, load_one_layout, unwritable
 from ..cli.terminal import sentences, table
 from ..progress import StageProgress, tell
 from ..results.numbers import percent
@@ -37,101 +23,23 @@ if TYPE_CHECKING:
     from .dataset import DatasetSummary
     from .fit import FitResult
 
-# ---------- dataset
 
-
-@click.command(
-    cls=SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus dataset --layout carlancap-12 --cases CPNC-50,CBNA \\
-      --out ncap_data
-  place-rsus dataset --layout results/latest/layout.json --every 10 \\
-      --weather day,night,rain --lidar none --format coco --out training
-  place-rsus evaluate --recording ncap_data      reads it back""",
-)
-@layout_option
-@option(
-    "--out",
-    required=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="FOLDER",
-    help="New folder, or one of the same dataset: what is there is not drawn again.",
-)
-@option(
-    "--format",
-    type=click.Choice(("carlancap", "coco")),
-    default="carlancap",
-    show_default=True,
-    help="carlancap: the study's folders; coco: pictures and coco.json.",
-)
-@option(
-    "--units",
-    default="",
-    metavar="NAMES",
-    help="Cameras of the layout, with commas between; VUT is the car's. Default: all.",
-)
-@option(
-    "--every",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    metavar="N",
-    expected="a number of frames, at least 1",
-    help="A picture of every Nth frame of a run; labels and motion are of all frames.",
-)
-@option(
-    "--lidar",
-    default="carla-ncap-lidar",
-    show_default=True,
-    metavar="MODEL",
-    help="Scans next to each camera; none for none.",
-)
-@option("--masks", is_flag=True, help="Also a picture of each frame's things, a colour each.")
-@option("--depth", is_flag=True, help="Also depths: 16 bits, centimetres, 0 where nothing is.")
-@option("--vehicles", is_flag=True, help="Also labels of vehicles, in frames with pictures.")
-@option(
-    "--vary",
-    is_flag=True,
-    help="Other clothes, paints and facades in each run, by seed; for training.",
-)
-@question_options(*PICTURED)
-@json_option
-@quiet_option
-@compute_options()
-@click.pass_obj
-def dataset(
-    progress: StageProgress,
-    /,
-    *,
-    layout_names: tuple[str, ...],
-    out: Path,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-    **wish: Any,
-) -> None:
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["dataset"])
+@options.layout_option
+@options.from_table("dataset")
+@options.asking(*options.PICTURED, has_cache=False)
+def dataset(job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any) -> None:
     """Write a dataset: what the cameras of a layout see of all runs, with labels."""
     layout = load_one_layout(layout_names)
-    progress.start(quiet=quiet)
+    job.start()
     from .dataset import run_dataset
     from .drawing import DatasetWish
 
-    def announce(sentence: str) -> None:
-        if not quiet:
-            tell(f"place-rsus: {sentence}", err=True)
-
+    drawn = DatasetWish(**wish)
     summary = run_dataset(
-        question,
-        layout=layout,
-        wish=DatasetWish(**wish),
-        out=out,
-        compute=compute,
-        progress=progress,
-        tell=announce,
+        job.question, layout=layout, wish=drawn, out=out, tell=job.announce, **job.means
     )
-    print_result(summary, progress, as_json, lambda: _dataset_text(summary, wish["format"]))
+    job.print(summary, lambda: _dataset_text(summary, drawn.format))
 
 
 def _dataset_text(summary: "DatasetSummary", form: str) -> str:
@@ -152,90 +60,17 @@ def _dataset_text(summary: "DatasetSummary", form: str) -> str:
     return "\n".join(line for text in lines for line in sentences(text))
 
 
-# ---------- detector fit
-
-
 @click.group()
 def detector() -> None:
     """Response tables of detectors: what a detector finds, by height, cover, class and light."""
 
 
-@detector.command(
-    cls=SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus detector fit --detector cnn --layout carlancap-12 --out cnn
-  place-rsus detector fit --detector net.onnx --layout carlancap-12 \\
-      --weather day,night,rain --out mine
-  place-rsus detector fit --recording ncap_data --out mine
-  place-rsus detector fit --labels coco.json --results found.json --out mine
-  place-rsus detector fit --labels gt.txt --results det.txt --frame-rate 7 \\
-      --out mine
-  place-rsus --budget 3 --detector mine/response.toml      plans with it""",
-)
-@layout_option
-@option(
-    "--pictures",
-    type=click.IntRange(min=50),
-    default=1000,
-    show_default=True,
-    metavar="N",
-    needs="layout_names",
-    expected="a number of pictures, at least 50",
-    help="With --detector: how many are rendered and looked at, about a second each.",
-)
-@option(
-    "--recording",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Fit to labels and detections: the study's folder, or one of MOT challenge.",
-)
-@option(
-    "--labels",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Fit to annotations: coco.json of place-rsus dataset, MOT challenge, KITTI, CVML ..",
-)
-@option(
-    "--results",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help=".. and to what a detector found: COCO's list of results; MOT challenge, KITTI.",
-)
-@option(
-    "--frame-rate",
-    "frame_rate_hz",
-    type=click.FloatRange(min=1.0, max=1000.0),
-    metavar="HZ",
-    needs="labels",
-    expected="frames per second, 1 to 1000",
-    help="With --labels: of the recording; default: 10. The table holds for 10 Hz.",
-)
-@option(
-    "--min-confidence",
-    type=click.FloatRange(min=0.0, max=1.0),
-    metavar="SHARE",
-    expected="a confidence, 0 to 1",
-    default=0.5,
-    show_default=True,
-    help="Detections below do not count.",
-)
-@folder_option("response.toml, fit.json and calibration.png")
-@question_options(*PICTURED)
-@job_options()
-@click.pass_obj
-def fit(
-    progress: StageProgress,
-    /,
-    *,
-    layout_names: tuple[str, ...],
-    out: Path | None,
-    question: Question,
-    as_json: bool,
-    quiet: bool,
-    compute: Compute,
-    **wish: Any,
-) -> None:
+@detector.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["fit"])
+@options.layout_option
+@options.from_table("fit")
+@options.folder_option("response.toml, fit.json and calibration.png")
+@options.asking(*options.PICTURED, has_cache=False)
+def fit(job: Job, /, *, layout_names: tuple[str, ...], out: Path | None, **wish: Any) -> None:
     """Fit a response table to what a detector really finds.
 
     The table is then what --detector mine/response.toml plans and judges with, in place of the
@@ -243,23 +78,19 @@ def fit(
     """
     _check_one_source(layout_names, wish["recording"], wish["labels"], wish["results"])
     layout = load_one_layout(layout_names) if layout_names else None
-    question = begin(progress, question, quiet=quiet)
-    from . import fit as job
+    job = job.begin()
+    from .fit import FitWish, run_detector_fit
 
-    result = job.run_detector_fit(
-        question,
-        wish=job.FitWish(layout=layout, **wish),
-        out=out,
-        command=command_line(),
-        compute=compute,
-        progress=progress,
+    asked = FitWish(layout=layout, **wish)
+    result = run_detector_fit(
+        job.question, wish=asked, out=out, command=command_line(), **job.means
     )
-    print_result(result, progress, as_json, lambda: fit_text(result, out))
+    job.print(result, lambda: fit_text(result, out))
 
 
-_OF_RULE = ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget") + (
-    "n_confirmations",
-    "track_memory_s",
+_OF_RULE = (
+    *("deceleration_mps2", "build_up_s", "latency_s", "latency_budget"),
+    *("n_confirmations", "track_memory_s"),
 )
 
 
@@ -285,9 +116,9 @@ def _check_one_source(
             f"detector fit: got {got}; expected one of --layout with --detector cnn or FILE.onnx, "
             "--recording, or --labels with --results"
         )
-    driven = [name for name in PICTURED if name not in _OF_RULE and is_given(name)]
+    driven = [name for name in options.PICTURED if name not in _OF_RULE and options.is_given(name)]
     if driven and not layout_names:
-        field = option_of(question_fields()[driven[0]])
+        field = options.option_of(question_fields()[driven[0]])
         raise click.UsageError(f"{field}: got it with {names[0]}; expected it with --layout alone")
 
 
@@ -349,56 +180,12 @@ def _rate(interval: "Interval") -> str:
     return f"{interval.value:.3g} (95 %: {interval.low:.3g} to {interval.high:.3g})"
 
 
-# ---------- render
-
-
-@click.command(
-    cls=SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus render --layout carlancap-12 --run CPNC-50/east/40 \\
-      --frame -13 --unit RSU3
-  place-rsus render --layout carlancap-12 --run CBNA/east/60/rain \\
-      --frame -1 --unit VUT
-  place-rsus render --layout results/latest/layout.json \\
-      --run CPNC-50/east/55/night --frame -20 --unit RSU1 --out night.jpg
-  place-rsus render --layout carlancap-12 --run CBLA/west/50 \\
-      --frame -11 --unit VUT-LIDAR""",
-)
-@layout_option
-@option(
-    "--run",
-    "run_id",
-    required=True,
-    metavar="RUN",
-    help="case/approach/speed or case/approach/speed/weather; away from the junction the position "
-    "stands behind the approach: CPLA-50/east-15/40.",
-)
-@option(
-    "--frame",
-    required=True,
-    type=click.IntRange(min=-(10**9), max=10**9),
-    metavar="N",
-    expected="a frame of the run, such as 40, or -1 for the last",
-    help="Of the run, from 0; negative: from the end, -1 is at the impact.",
-)
-@option(
-    "--unit",
-    "unit_id",
-    required=True,
-    metavar="UNIT",
-    help="One of the layout's, VUT or VUT-LIDAR.",
-)
-@option("--weather", metavar="WEATHER", help="day, night, rain or fog; default: that of the run.")
-@option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="File to write, .png or .jpg; -instances.png and -depth.png are written next to it; of a "
-    "LiDAR .ply, or .bin with float32 x, y, z, intensity; default: in results/renders.",
-)
-@scene_option
-@quiet_option
-@compute_options()
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["render"])
+@options.layout_option
+@options.from_table("render")
+@options.scene_option
+@options.quiet_option
+@options.compute_options()
 @click.pass_obj
 def render(
     progress: StageProgress,

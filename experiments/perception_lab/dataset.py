@@ -277,9 +277,6 @@ def _is_begun(out: Path, record: DatasetRecord) -> bool:
     return True
 
 
-# ---------- labels, motion, detections: text files
-
-
 def _write_texts(
     out: Path,
     setting: Setting,
@@ -439,9 +436,6 @@ def _add_vehicles(out: Path) -> None:
             coco["annotations"].append(_annotation(*numbers, label.box_px))
     coco["categories"].append({"id": number, "name": "vehicle"})
     write_atomically(path, json.dumps(coco))
-
-
-# ---------- what is to be drawn
 
 
 def _tasks(

@@ -220,9 +220,6 @@ def _png(pixels: NDArray[Any]) -> Content:
     return lambda file: Image.fromarray(pixels).save(file, format="PNG", compress_level=1)
 
 
-# ---------- workers
-
-
 def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
     """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
     n_all, n_drawn, n_bytes = sum(len(task.frames) for task in tasks), 0, 0
@@ -262,9 +259,6 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
                 future.cancel()
             executor.shutdown(wait=False)
     return n_bytes
-
-
-# ---------- files that show a frame
 
 
 COLOUR_SUFFIXES = (".png", ".jpg", ".jpeg")

@@ -6,14 +6,14 @@ what follows is the same.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import replace as replace_fields
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
@@ -52,10 +52,11 @@ from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
 
 from ..export.json import to_json_text
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.drives import versions
-from ..results.folders import check_folder, write_files
+from ..results.folders import expect_files, save_files
 from ..results.record import Record
+from ..results.tables import page_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,9 +135,7 @@ def run_detector_fit(
     Raises InputError if a source is not what it should be, there are too few frames, or `out`
     cannot be written.
     """
-    if out is not None:
-        check_folder(out)
-        progress.kept = f"nothing was written to {out}"
+    expect_files(out, progress)
     source = _open_source(question, wish, compute, progress)
     rule = build_rule(question)
     frame_rate_hz = wish.frame_rate_hz or rule.frame_rate_hz
@@ -164,25 +163,16 @@ def run_detector_fit(
         seconds={},
         versions=versions(),
     )
-    if out is not None:
+
+    def contents(done: FitResult) -> dict[str, str | bytes]:
         from ..figures.axes import to_png
 
-        progress(WRITING, 0, 0)
-        files = {
-            TABLE_NAME: table_text(
-                fit,
-                source=source.words,
-                command=command,
-                unknown=unknown,
-                false_tracks_per_hour=alarms.per_hour,
-            ).encode(),
-            PNG_NAME: to_png(plot_calibration(result)),
-        }
-        result = replace_fields(result, seconds=progress.finish())
-        write_files(out, {**files, JSON_NAME: to_json_text(result).encode()})
-        progress.kept = f"the results are in {out}"
-        return result
-    return replace_fields(result, seconds=progress.finish())
+        head, per_hour = {"source": source.words, "command": command}, alarms.per_hour
+        table = table_text(fit, unknown=unknown, false_tracks_per_hour=per_hour, **head)
+        png = to_png(plot_calibration(done))
+        return {TABLE_NAME: table, PNG_NAME: png, JSON_NAME: to_json_text(done)}
+
+    return save_files(result, out, progress, contents)
 
 
 def _open_source(
@@ -200,9 +190,6 @@ def _open_source(
         return read(wish.labels, wish.results, wish.min_confidence)
     assert wish.layout is not None
     return _from_network(question, wish.layout, wish, compute, progress)
-
-
-# ---------- a network, shown rendered pictures
 
 
 def _from_network(
@@ -320,9 +307,6 @@ def _pick_frames(
     return [chosen[row] for row in sorted(chosen)][:n_wanted]
 
 
-# ---------- recordings
-
-
 def _from_recording(recording: Recording, min_confidence: float) -> _Source:
     return _Source(
         words=f"the detections of {recording.folder}, {recording.n_frames} frames",
@@ -383,9 +367,6 @@ def _plain_picture(
     )
 
 
-# ---------- recordings in the formats of others
-
-
 _FOUND_CLASSES = ("pedestrian", "cyclist")
 
 
@@ -396,9 +377,6 @@ def _from_boxes(labels: Path, results: Path, min_score: float) -> _Source:
     left_out = "".join(f" without {n} {what}" for what, n in annotated.left_out.items())
     words = f"{results} on the {len(paired.pictures)} frames of {labels}{left_out}"
     return _Source(words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect"))
-
-
-# ---------- COCO's files
 
 
 class _Image(msgspec.Struct, frozen=True):
@@ -501,30 +479,16 @@ def _corners(bbox: _CornerAndSize) -> Box:
     return left, top, left + width, top + height
 
 
-# ---------- the table as a file
-
-
-_NOTES = {
-    "seen_share": "share of the road user that is seen, and recall; straight lines between",
-    "height_half_px": "factor 1 / (1 + (half / height)^steepness) of the visible box",
-    "min_box_height_px": "the lowest box that was found",
-    "pedestrian": "factor by class, relative to the class that is found best",
-    "assumed": "classes that nothing was measured of",
-    "assumed_figures": "other figures that were not measured",
-    "cyclist_end_on": "factor of a cyclist seen from straight behind or ahead; 1 from the side",
-    "contrast_half": "factor 1 / (1 + (half / contrast)^steepness), 1 at full contrast",
-    "box_noise_share": "standard deviation of the sides of boxes, by the median error",
-    "frame_correlation": "of what decides a frame, how much carries over from the frame before",
-    "plan_probability": "the detection table counts a frame from this probability on",
-}
-
-
 _KEYS_OF = {
     "aspect": ("cyclist_end_on",),
     "contrast": ("contrast_half", "contrast_steepness"),
     "frame_correlation": ("frame_correlation",),
 }
 """By what a source does not say, the keys whose figures are the built-in ones."""
+_FIGURES = (
+    *("height_half_px", "height_steepness", "min_box_height_px", "cyclist_end_on"),
+    *("contrast_half", "contrast_steepness", "box_noise_share", "frame_correlation"),
+)
 
 
 def table_text(
@@ -536,52 +500,35 @@ def table_text(
     false_tracks_per_hour: Interval | None,
 ) -> str:
     """The table as TOML, for ``--detector FILE``; each figure with its 95 % interval."""
-    detector, intervals = fit.detector, fit.intervals
-    lines = [
-        f"# Response table fitted to {source}:",
-        f"# {fit.frames} frames with a road user, {fit.found} found, "
-        f"{fit.tracks} cameras and runs.",
-        f"# {command}",
-    ]
-    if unknown:
-        lines.append(f"# Not known from them, and as built in: {', '.join(unknown)}.")
-    lines += ["", "[response]"]
+    table, intervals = fit.detector, fit.intervals
     figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
-    assumed = {*figures, *detector.assumed, "plan_probability"}
+    assumed = {*figures, *table.assumed}
 
-    def add(key: str, value: object, *names: str) -> None:
+    def said(key: str, *names: str) -> str:
         ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
         words = ", ".join(f"{one.low:.3g} to {one.high:.3g}" for one in ranges)
-        words = f"95 %: {words}" if ranges else "assumption" if key in assumed else ""
-        if key in _NOTES:
-            lines.append(f"# {_NOTES[key]}")
-        lines.append(f"{key} = {value}" + (f" # {words}" if words else ""))
+        return f"95 %: {words}" if ranges else "assumption" if key in assumed else ""
 
-    add("seen_share", [round(value, 6) for value in detector.seen_share.tolist()])
-    recalls = detector.recall.tolist()
-    names = [f"recall[{index}]" for index in range(len(recalls))]
-    add("recall", [round(value, 6) for value in recalls], *names)
-    for key in ("height_half_px", "height_steepness", "min_box_height_px"):
-        add(key, f"{getattr(detector, key):.6g}", key)
-    for kind, factor in zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True):
-        add(kind, f"{factor:.6g}", kind)
-    if detector.assumed:
-        add("assumed", msgspec.json.encode(detector.assumed).decode())
-    add("assumed_figures", msgspec.json.encode(figures).decode())
-    for key in ("cyclist_end_on", "contrast_half", "contrast_steepness", "box_noise_share"):
-        add(key, f"{getattr(detector, key):.6g}", key)
-    add("frame_correlation", f"{detector.frame_correlation:.6g}", "frame_correlation")
-    add("plan_probability", f"{detector.plan_probability:g}")
-    if false_tracks_per_hour is not None:
-        lines += [
-            "",
-            "[false_tracks_per_hour] # that one unit confirms, with the 95 % interval",
-            *(f"{key} = {value:.6g}" for key, value in asdict(false_tracks_per_hour).items()),
-        ]
-    return "\n".join(lines) + "\n"
-
-
-# ---------- figure
+    recall = [round(value, 6) for value in table.recall.tolist()]
+    return page_of(
+        files(__package__) / "response.toml.j2",
+        fit=fit,
+        table=table,
+        source=source,
+        command=command,
+        unknown=unknown,
+        seen_share=[round(value, 6) for value in table.seen_share.tolist()],
+        recall=recall,
+        classes=list(zip(VRU_CLASSES, table.class_factor.tolist(), strict=True)),
+        assumed=msgspec.json.encode(table.assumed).decode(),
+        assumed_figures=msgspec.json.encode(figures).decode(),
+        per_hour=false_tracks_per_hour,
+        words={
+            "recall": said("recall", *(f"recall[{index}]" for index in range(len(recall)))),
+            **{key: said(key, key) for key in (*_FIGURES, *VRU_CLASSES)},
+            "plan_probability": "assumption",
+        },
+    )
 
 
 def plot_calibration(result: FitResult) -> "Figure":

@@ -30,56 +30,9 @@ _ASKED = (
 _LOCAL = "127.0.0.1"
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus plan
-  place-rsus plan --layout carlancap-12 --cases study
-  place-rsus plan --scene scene --layout mine.json --save plan.json
-  place-rsus plan --scene city.osm --port 8042 --no-open""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["plan"])
 @options.layout_option
-@options.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=0,
-    metavar="N",
-    expected="a port, 0 to 65535",
-    help="Of the page; default: one that is free.",
-)
-@options.option(
-    "--open/--no-open",
-    "opens",
-    default=True,
-    show_default=True,
-    help="Open the page in the browser.",
-)
-@options.option(
-    "--keep-open",
-    is_flag=True,
-    help="Go on after the page is closed; else all ends some seconds later.",
-)
-@options.option(
-    "--save",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Keep the plan in this file, whenever it rests; opened again if it is there.",
-)
-@options.option(
-    "--host",
-    default=_LOCAL,
-    show_default=True,
-    is_common=False,
-    help="Address to listen at; another one lets others in, see --i-know.",
-)
-@options.option(
-    "--i-know",
-    is_flag=True,
-    needs="host",
-    is_common=False,
-    help="With --host: whoever has the page's address can change the plan and send files.",
-)
+@options.from_table("plan")
 @options.question_options(*_ASKED)
 @options.quiet_option
 @options.compute_options(has_cache=True)

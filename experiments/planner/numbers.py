@@ -40,9 +40,6 @@ def key_of(units: Sequence[CandidatePose]) -> tuple[object, ...]:
     )
 
 
-# ---------- the junction
-
-
 def scene_record(
     setting: Setting,
     *,
@@ -104,9 +101,6 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
 def centimetres(values_m: Any) -> Any:
     """Metres as lists of whole centimetres, as messages have them."""
     return np.rint(100.0 * np.asarray(values_m)).astype(int).tolist()
-
-
-# ---------- units and variants
 
 
 def state_record(history: History, scene: Scene) -> dict[str, Any]:
@@ -177,9 +171,6 @@ def plan_text(state: PlanState, scene: Scene, background: Background | None = No
     if background is not None:
         record["background"] = msgspec.to_builtins(background)
     return to_json_text(record)
-
-
-# ---------- numbers
 
 
 def table_numbers(

@@ -1,7 +1,7 @@
 """The plan as pure values: variants, every way to change them, undo and redo, and its file."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
@@ -233,7 +233,32 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
     Raises InputError: there is no such unit, site, sensor or variant; a site is full or forbidden;
     a number is not one that can be mounted.
     """
-    return _CHANGES[type(change)](state, change, stock)
+    units = state.variant.units
+    match change:
+        case AddUnit():
+            return _add_unit(state, change, stock)
+        case ChangeUnit():
+            return _change_unit(state, change, stock)
+        case RemoveUnit(unit=name):
+            index = _find(units, name)
+            return state.with_units([*units[:index], *units[index + 1 :]])
+        case AddVariant(name=name):
+            name = name or free_name({variant.name for variant in state.variants}, "Variant ")
+            return add_variant(state, Variant(name=name, units=units))
+        case SelectVariant(index=index):
+            if not 0 <= index < len(state.variants):
+                raise InputError("variant", index, f"0 to {len(state.variants) - 1}")
+            return replace(state, current=index)
+        case RenameVariant(name=name):
+            name = _printable(name)
+            if any(each.name == name for each in state.variants if each is not state.variant):
+                raise InputError("name", name, "a name that no other variant has")
+            return state.with_variant(replace(state.variant, name=name))
+        case RemoveVariant():
+            if len(state.variants) == 1:
+                raise InputError("variant", state.variant.name, "another one: the last one stays")
+            variants = tuple(each for each in state.variants if each is not state.variant)
+            return replace(state, variants=variants, current=min(state.current, len(variants) - 1))
 
 
 def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
@@ -317,14 +342,9 @@ def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> 
     return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
 
 
-def find_site(site_id: str, scene: Scene) -> Site | None:
-    """A site by its id; None: there is none."""
-    return next((site for site in scene.sites if site.id == site_id), None)
-
-
 def mount_range_m(pose: Pose, site_id: str, scene: Scene) -> tuple[float, float, float]:
     """Height of the foot of a pose's site, or of the ground below it, and heights above it."""
-    site = find_site(site_id, scene)
+    site = next((site for site in scene.sites if site.id == site_id), None)
     if site is None:
         return float(ground_height_m(scene, pose.position_m[:2])), 0.5, 50.0
     return float(site.position_m[2]), *site.height_range_m.tolist()
@@ -338,17 +358,6 @@ def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
         raise InputError("height", height_m, f"{low_m:g} .. {high_m:g} m, {at}")
     east, north = pose.position_m[:2]
     return replace(pose, position_m=np.array([east, north, foot_m + round(height_m, _DECIMALS)]))
-
-
-def _remove_unit(state: PlanState, change: RemoveUnit, stock: Stock) -> PlanState:
-    units = state.variant.units
-    _find(units, change.unit)
-    return state.with_units([unit for unit in units if unit.id != change.unit])
-
-
-def _add_variant(state: PlanState, change: AddVariant, stock: Stock) -> PlanState:
-    name = change.name or free_name({variant.name for variant in state.variants}, "Variant ")
-    return add_variant(state, Variant(name=name, units=state.variant.units))
 
 
 def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> PlanState:
@@ -368,37 +377,6 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     return replace(state, variants=variants, current=len(variants) - 1)
 
 
-def _select_variant(state: PlanState, change: SelectVariant, stock: Stock) -> PlanState:
-    if not 0 <= change.index < len(state.variants):
-        raise InputError("variant", change.index, f"0 to {len(state.variants) - 1}")
-    return replace(state, current=change.index)
-
-
-def _rename_variant(state: PlanState, change: RenameVariant, stock: Stock) -> PlanState:
-    name = _printable(change.name)
-    if any(each.name == name for each in state.variants if each is not state.variant):
-        raise InputError("name", name, "a name that no other variant has")
-    return state.with_variant(replace(state.variant, name=name))
-
-
-def _remove_variant(state: PlanState, change: RemoveVariant, stock: Stock) -> PlanState:
-    if len(state.variants) == 1:
-        raise InputError("variant", state.variant.name, "another one: the last one stays")
-    variants = tuple(each for each in state.variants if each is not state.variant)
-    return replace(state, variants=variants, current=min(state.current, len(variants) - 1))
-
-
-_CHANGES: Mapping[type, Callable[[PlanState, Any, Stock], PlanState]] = {
-    AddUnit: _add_unit,
-    ChangeUnit: _change_unit,
-    RemoveUnit: _remove_unit,
-    AddVariant: _add_variant,
-    SelectVariant: _select_variant,
-    RenameVariant: _rename_variant,
-    RemoveVariant: _remove_variant,
-}
-
-
 def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
     ids = [unit.id for unit in units]
     if unit_id not in ids:
@@ -408,7 +386,7 @@ def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
 
 def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:
     """A site that may carry one more unit."""
-    site = find_site(site_id, scene)
+    site = next((site for site in scene.sites if site.id == site_id), None)
     if site is None:
         raise InputError("site", site_id, f"a site of {scene.name}")
     if site.use == "forbidden":

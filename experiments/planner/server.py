@@ -68,8 +68,6 @@ _GUARDED = {
     "cache-control": "no-store",
 }
 
-# ---------- who may ask
-
 
 def allowed_hosts(host: str, port: int) -> frozenset[str] | None:
     """Values of the header Host that are answered; None: any, where all interfaces listen."""
@@ -107,9 +105,6 @@ class Guard:
         if not secrets.compare_digest(token.encode(), self._token.encode()):
             return "no such page; the address is the one that place-rsus plan has printed"
         return ""
-
-
-# ---------- what is answered
 
 
 @cache
@@ -189,8 +184,6 @@ class Pages:
             return Response("no such file\n", 404, media_type="text/plain")
         return Response(found[0], media_type=found[1])
 
-    # ---------- the line on which browsers and session talk
-
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept()
         waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue(_MAX_WAITING)
@@ -222,8 +215,6 @@ class Pages:
         finally:
             self._session.leave(listen, is_lost=code not in _CLOSED_CODES)
             sender.cancel()
-
-    # ---------- files out
 
     async def _layout(self, request: Request) -> Response:
         text = layout_text(self._session.history.state, self._session.setting.scene)
@@ -278,8 +269,6 @@ class Pages:
     async def _sheet(self, request: Request) -> Response:
         content = await self._session.call("sheet", self._session.layout(), is_long=True)
         return _download(content, "mounting.pdf", "application/pdf")
-
-    # ---------- files in
 
     async def _open(self, request: Request) -> Response:
         """Open a layout or a plan, or survey a map or a scene, by the suffix of its name."""
@@ -401,9 +390,6 @@ def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> 
 
     inner = Starlette(routes=[Mount(f"/{token}", routes=Pages(session).routes())], lifespan=life)
     return Guard(inner, token=token, hosts=hosts)
-
-
-# ---------- a server in a thread of its own
 
 
 class RunningServer:

@@ -74,8 +74,6 @@ class Tasks:
         """The setting itself, for the server."""
         return self.setting
 
-    # ---------- by the evaluator
-
     def evaluate(self, layout: Layout) -> dict[str, Any]:
         """Numbers of a layout, the same as ``evaluate`` gives."""
         return evaluated_numbers(self._evaluation(layout), self.setting)
@@ -151,8 +149,6 @@ class Tasks:
         Image.fromarray(seen.rgb).save(buffer, format="JPEG", quality=85)
         return buffer.getvalue()
 
-    # ---------- by the optimiser
-
     def choose_sensors(self, sensors: str) -> None:
         """Models that advice may mount, with commas between; none: the grid's own."""
         if sensors != self._sensors:
@@ -192,8 +188,6 @@ class Tasks:
             self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
 
-    # ---------- files
-
     def report(self, layout: Layout, command: str) -> bytes:
         """The folder that ``evaluate --out`` writes, as a ZIP file."""
         from ..jobs.placement import run_evaluation
@@ -202,7 +196,6 @@ class Tasks:
         run_evaluation(
             self._work.question,
             layout=layout,
-            no_look=self._work.question.no_look,
             out=folder,
             compute=self._of_units,
             command=command,
@@ -223,8 +216,6 @@ class Tasks:
         tolerances = find_tolerances(self.setting, layout.units, compute=self._of_units)
         self._progress("draw the sheet", 0, 0)
         return mounting_sheet(layout, self.setting, tolerances, compute=self._of_units)
-
-    # ---------- maps
 
     def survey(self, path: str) -> dict[str, Any]:
         """Contents of a file: junctions of a map to choose from; none in a scene."""
@@ -310,8 +301,6 @@ def _proof(advice: Advice) -> str:
         return f"proven: {best}; of those with the same {equal} not all were compared in time"
     return f"not proven in the time given: {limit} is possible there"
 
-
-# ---------- the process
 
 OnProgress = Callable[[str, int, int], None]
 

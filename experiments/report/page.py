@@ -15,7 +15,7 @@ from placement.setting import Setting
 
 from ..figures.axes import unit_labels
 from ..parts import added, answer, comparison, dangers, next_unit, proof, road_users, study_cases
-from ..parts.accidents import accidents_section, alone_section, cases_section, runs_section
+from ..parts.accidents import accidents_section, cases_section, runs_section, unit_apr_table
 from ..parts.alternatives import failures_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
@@ -52,6 +52,7 @@ def page_environment() -> Environment:
         loader=PackageLoader("experiments.report"),
         autoescape=True,
         undefined=StrictUndefined,
+        extensions=["jinja2.ext.do"],
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -113,7 +114,11 @@ def build_report(
         tasks.front.result(),
         study_cases.section(result.study_cases),
         failures_section(subject, setting.rule, labels),
-        alone_section(detailed),
+        Section(
+            "alone",
+            "What each unit achieves alone",
+            [unit_apr_table(name, item) for name, item in detailed.items()],
+        ),
         private_ground_section(result.private_ground, labels),
         bill_section(bill),
         assumptions_section(result, setting, layouts),

@@ -2,6 +2,7 @@
 
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources.abc import Traversable
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -160,6 +161,17 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list
     """Lines of a table in Markdown."""
     lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
     return [*lines, *("| " + " | ".join(row) + " |" for row in rows)]
+
+
+def page_of(template: Traversable, **values: Any) -> str:
+    """A text of a Jinja template; its filter `table` makes Markdown of rows, with their heads."""
+    from jinja2 import Environment, StrictUndefined
+
+    page = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    page.filters["table"] = lambda rows, *header: "\n".join(markdown_table(header, rows))
+    return page.from_string(template.read_text(encoding="utf-8")).render(values)
 
 
 def csv_text(table: "pd.DataFrame") -> str:

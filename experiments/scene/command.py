@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +11,9 @@ from msgspec import UNSET
 
 from placement.question import read_point
 
-from ..cli.options import json_option, option, quiet_option
-from ..cli.running import print_result
+from ..cli import options
+from ..cli.running import Call
 from ..cli.terminal import listing, sentences, table
-from ..progress import StageProgress
 
 if TYPE_CHECKING:
     from geometry.maps.importing import ReadingOptions
@@ -22,46 +21,6 @@ if TYPE_CHECKING:
     from .run import JunctionRecord, SceneCheckResult, SceneResult, SiteRecord
 
 _MAX_LISTED = 20
-# Where a command lists its options in sections, --help-all alone shows these.
-_fact = partial(option, is_common=False)
-_READING_OPTIONS = (
-    _fact(
-        "--unit",
-        type=click.Choice(("m", "km", "cm", "mm", "ft", "in")),
-        help="Of meshes whose format does not say (OBJ, PLY, STL).",
-    ),
-    _fact(
-        "--up",
-        type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
-        help="Axis of meshes that points up, where the format does not say.",
-    ),
-    _fact(
-        "--class",
-        "class_name",
-        type=click.Choice(("building", "wall", "vegetation")),
-        default="building",
-        show_default=True,
-        help="Of meshes, point clouds and footprints that do not say.",
-    ),
-    _fact(
-        "--driving-side",
-        type=click.Choice(("map", "left", "right")),
-        default="map",
-        show_default=True,
-        help="On which traffic keeps; map: as it says or shows.",
-    ),
-    _fact("--crs", default="", metavar="CRS", help="Of files that do not say: EPSG:25832."),
-    _fact("--layer", default="", metavar="NAME", help="Of a GeoPackage."),
-    _fact(
-        "--offset",
-        "offset_m",
-        type=lambda text: read_point(text, "--offset"),
-        metavar="X,Y",
-        expected="two numbers: X,Y",
-        help="Metres by which buildings, meshes and clouds are moved, into the coordinates "
-        "of the map with the roads.",
-    ),
-)
 
 
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -79,10 +38,8 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         )
         return command(*args, reading=reading, **values)
 
-    decorated: Callable[..., Any] = with_reading
-    for add in reversed(_READING_OPTIONS):
-        decorated = add(decorated)
-    return decorated
+    offset = {"type": lambda text: read_point(text, "--offset")}
+    return options.from_table("reading", offset_m=offset)(with_reading)
 
 
 @click.group()
@@ -94,79 +51,15 @@ def scene() -> None:
     """
 
 
-@scene.command(
-    "import",
-    epilog="""\b
-Examples:
-  place-rsus scene import city.osm -o scene
-  place-rsus scene import city.osm --junction "Mill Lane / High St" -o scene
-  place-rsus scene import town.xodr --junction 189 -o scene.zip
-  place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
-  place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene
-  place-rsus scene import roads.xodr scan.laz --class vegetation -o scene
-  place-rsus scene import town05 -o scene          the study's junction
-  place-rsus --scene scene --budget 3              and then""",
-)
+@scene.command("import", epilog=options.EXAMPLES["scene-import"])
 @click.argument("files", nargs=-1, metavar="FILE...")
-@option(
-    "--junction", default="", metavar="ID", help='Id, name ("A Street / B Street") or part of it.'
-)
-@option(
-    "--at",
-    type=lambda text: read_point(text, "--at"),
-    metavar="X,Y",
-    expected="two numbers: X,Y",
-    help="A point near the junction, in the file's own coordinates: longitude,latitude or metres.",
-)
-@option(
-    "--radius",
-    "radius_m",
-    type=click.FloatRange(min=0.0, min_open=True),
-    metavar="METRES",
-    expected="metres, more than 0",
-    default=80.0,
-    show_default=True,
-    help="Of what is kept around the junction.",
-)
-@option(
-    "--sites",
-    default="auto",
-    show_default=True,
-    metavar="WHERE",
-    help="map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a CSV or GeoJSON "
-    "file; auto: map, but for low sign posts and poles of other junctions, and kerb:15 where "
-    "none is within 25 m.",
-)
-@option("--ground", "ground_m", type=float, help="Height of the road in city models and meshes.")
-@option(
-    "--terrain",
-    type=click.Path(path_type=Path),
-    metavar="DEM",
-    help="Heights of the ground: a GeoTIFF (extra: terrain). By default those of the maps.",
-)
-@option("--name", default="", metavar="NAME", help="Of the scene.")
-@option(
-    "--bbox",
-    default="",
-    metavar="W,S,E,N",
-    help="Fetch OpenStreetMap there instead of a file (extra: online).",
-)
+@options.from_table("scene-import", at={"type": lambda text: read_point(text, "--at")})
 @reading_options
-@option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file.")
-@json_option
-@quiet_option
-@click.pass_obj
-def import_(
-    progress: StageProgress,
-    /,
-    *,
-    files: tuple[str, ...],
-    bbox: str,
-    out: Path,
-    as_json: bool,
-    quiet: bool,
-    **cut: Any,
-) -> None:
+@options.option(
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
+)
+@options.calling
+def import_(call: Call, /, *, files: tuple[str, ...], bbox: str, out: Path, **cut: Any) -> None:
     """Make a scene of map files, around one junction.
 
     Roads come from OpenDRIVE (.xodr), OpenStreetMap (.osm, .osm.pbf), Lanelet2 (.osm) or CommonRoad
@@ -175,78 +68,42 @@ def import_(
     point clouds (LAS, LAZ, PCD). Where several junctions are in the map and none is named, the one
     with the most arms is taken; `scene show FILE` lists them.
     """
-    progress.start(quiet=quiet)
+    call.start()
     from geometry.maps.importing import ImportOptions
 
     from . import run
 
-    summary = run.run_import(files, ImportOptions(**cut), bbox=bbox, out=out, progress=progress)
-    print_result(summary, progress, as_json, lambda: scene_text(summary))
+    cut_out = ImportOptions(**cut)
+    summary = run.run_import(files, cut_out, bbox=bbox, out=out, progress=call.progress)
+    call.print(summary, lambda: scene_text(summary))
 
 
-@scene.command(
-    epilog="""\b
-Examples:
-  place-rsus scene show                            the study's junction
-  place-rsus scene show scene --out pictures
-  place-rsus scene show city.osm --sort signals    all junctions of a map
-  place-rsus scene show city.osm --out pictures    .. drawn with their names
-  place-rsus scene show city.osm --json --quiet | jq .junctions"""
-)
+@scene.command(epilog=options.EXAMPLES["scene-show"])
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
-@option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder for plan.png and view.png; of a map for junctions.png; else none.",
-)
-@option(
-    "--sort",
-    type=click.Choice(("arms", "lanes", "signals", "crossings", "name")),
-    default="arms",
-    show_default=True,
-    help="Of the junctions of a map: the most first, or by name.",
-)
-@json_option
-@quiet_option
-@click.pass_obj
+@options.from_table("scene-show")
+@options.calling
 def show(
-    progress: StageProgress,
-    *,
-    paths: tuple[str, ...],
-    reading: "ReadingOptions",
-    out: Path | None,
-    sort: str,
-    as_json: bool,
-    quiet: bool,
+    call: Call, *, paths: tuple[str, ...], reading: "ReadingOptions", out: Path | None, sort: str
 ) -> None:
     """Show a scene or a map: arms, lanes, sites, things, and what was left out and why."""
-    progress.start(quiet=quiet)
+    call.start()
     from . import run
 
-    summary = run.run_show(paths, reading, out=out, progress=progress, sort=sort)
-    print_result(summary, progress, as_json, lambda: scene_text(summary))
+    summary = run.run_show(paths, reading, out=out, progress=call.progress, sort=sort)
+    call.print(summary, lambda: scene_text(summary))
 
 
-@scene.command(
-    epilog="""\b
-Examples:
-  place-rsus scene check scene
-  place-rsus scene check scene.zip --json --quiet | jq .findings
-
-Exit codes: 0 no errors (there may be warnings), 1 errors, 2 the input is wrong."""
-)
+@scene.command(epilog=options.EXAMPLES["scene-check"])
 @click.argument("path", metavar="[SCENE]", default="")
-@json_option
-@quiet_option
-@click.pass_obj
-def check(progress: StageProgress, *, path: str, as_json: bool, quiet: bool) -> None:
+@options.calling
+def check(call: Call, *, path: str) -> None:
     """Look for what may be wrong: holes, floating or overlapping buildings, sites inside walls."""
-    progress.start(quiet=quiet)
+    call.start()
     from . import run
 
-    summary = run.run_check(path, progress=progress)
-    print_result(summary, progress, as_json, lambda: findings_text(summary))
+    summary = run.run_check(path, progress=call.progress)
+    call.print(summary, lambda: findings_text(summary))
     if not summary.is_sound:
         sys.exit(1)
 

@@ -146,7 +146,6 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
     return np.asarray(np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3))
 
 
-# ---------- maps
 def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> Axes:
     """Streets and buildings of maps with all junctions of the first, numbered in their order."""
     places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)

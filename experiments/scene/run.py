@@ -53,7 +53,6 @@ IMPORT_VERSION = 2
 """Counts up when the same map gives another scene; older ones in the cache are not taken."""
 
 
-# ---------- summaries
 class ArmRecord(Record, frozen=True, kw_only=True):
     """An arm of a junction."""
 
@@ -190,7 +189,6 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
     )
 
 
-# ---------- import
 def run_import(
     files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
@@ -296,7 +294,6 @@ def import_into_cache(
     return str(folder), run_import([question.scene], wanted, bbox="", out=folder, progress=progress)
 
 
-# ---------- show and check
 def run_show(
     paths: Sequence[str],
     reading: ReadingOptions,

@@ -10,6 +10,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import click
@@ -34,7 +35,7 @@ from scenarios.paths import rotated
 from scenarios.runs import Run
 from scenarios.trajectories import VEHICLE, Track, load_trajectory_rules, read_tracks
 
-from ..results.tables import markdown_table
+from ..results.tables import page_of
 
 RATE_HZ = 23.98  # the dataset's README
 N_CAMERAS = 3
@@ -47,7 +48,6 @@ _NEAR_M = 30.0  # others than these hide nobody
 _FACTS = (1.0, 2.0, 3.0)
 
 
-# ---------- clips
 def lay_clips(folder: Path) -> dict[str, tuple[Track, ...]]:
     """Tracks of each clip, in the frame of the first one that shows the two parked cars.
 
@@ -105,7 +105,6 @@ def _aligned(
     )
 
 
-# ---------- scene
 def build_street(clips: Mapping[str, Sequence[Track]]) -> Scene:
     """A scene of what the tracks tell: lanes, kerbs with poles, parked cars, the crosswalk.
 
@@ -194,7 +193,6 @@ def _crosswalk_m(tracks: Sequence[Track], cars: Sequence[Track]) -> FloatArray:
     return line[None]
 
 
-# ---------- runs
 def with_crowd(
     setting: Setting, found: Mapping[str, FoundEncounter], clips: Mapping[str, Sequence[Track]]
 ) -> Setting:
@@ -231,16 +229,14 @@ def _with_others(run: Run, one: FoundEncounter, tracks: Sequence[Track]) -> Run:
     return replace(run, traffic=tuple(kept))
 
 
-# ---------- answer
 def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
     """The table of encounters as Markdown, and the scene."""
     clips = lay_clips(folder)
     found: dict[str, FoundEncounter] = {}
-    left_out, texts, n_pairs = Counter[str](), [], 0
+    left_out, texts = Counter[str](), []
     for clip, tracks in clips.items():
         pairs, why = find_encounters(tracks, ttc_s=ttc_s)
         left_out += why
-        n_pairs += len(pairs)
         found |= {f"dut{clip}-{one.vehicle.id}-{one.vru.id}": one for one in pairs}
         texts.append(cases_text(pairs, name=f"dut{clip}", source=f"DUT, clip {clip}"))
     scene = build_street(clips)
@@ -256,65 +252,54 @@ def study(folder: Path, *, ttc_s: float, compute: Compute) -> tuple[str, Scene]:
         evaluation = evaluate_layout(placed.layout, setting, compute=compute)
         verdicts[f"VUT {name}"] = evaluation.vut
         verdicts[f"cameras {name}"] = evaluation.rsu_all
-    at = [unit.site_id for unit in placed.layout.units]
-    n_bodies = sum(len(run.traffic) for run in settings["crowd"].runs)
-    ttc = [one.ttc_s for one in found.values()]
-    below = [f"{sum(one <= limit for one in ttc)} below {limit:g} s" for limit in _FACTS]
-    others = [f"{number} more are left out: {why}." for why, number in left_out.items()]
-    head = [
-        f"{len(found)} pairs of a moving car and a pedestrian come to a time to collision below "
-        f"{ttc_s:g} s in {len(clips)} clips of the DUT dataset: {', '.join(below)}.",
-        *others,
-        f"{sum(map(_meets_front, alone.runs))} would be met by the car's front; the others would "
-        "walk into its side, where its own camera does not look.",
-        f"{len(scene.sites)} poles along the kerbs; of at most {N_CAMERAS} cameras {len(at)} "
-        f"see all that any do, at {', '.join(at)}. They were chosen with everybody else of the "
-        f"clip in view: {n_bodies / len(alone.runs):.0f} bodies a run.",
-    ]
-    lines = [" ".join(head), "", *_table(alone, found, verdicts)]
-    return "\n".join(lines) + "\n", scene
+    text = page_of(
+        files(__package__) / "encounters.md.j2",
+        found=found,
+        ttc_s=ttc_s,
+        clips=clips,
+        below=[(limit, sum(one.ttc_s <= limit for one in found.values())) for limit in _FACTS],
+        left_out=left_out,
+        n_front=sum(map(_meets_front, alone.runs)),
+        n_poles=len(scene.sites),
+        n_cameras=N_CAMERAS,
+        at=[unit.site_id for unit in placed.layout.units],
+        per_run=sum(len(run.traffic) for run in settings["crowd"].runs) / len(alone.runs),
+        in_time=list(_in_time_rows(alone, found, verdicts)),
+        pairs=list(_pair_rows(alone, found, verdicts)),
+    )
+    return text, scene
 
 
-_COLUMNS = (
-    *("pair", "met by", "time to collision (s)", "car (km/h)", "pedestrian (km/h)"),
-    *("recorded for (s)", "last moment", "VUT confirms", "cameras confirm"),
-)
 _PARTIES = ("VUT crowd", "cameras crowd", "VUT alone", "cameras alone")
-_WORDS = ("VUT", "cameras", "VUT, nobody else there", "cameras, nobody else there")
 
 
-def _table(
+def _in_time_rows(
     setting: Setting, found: Mapping[str, FoundEncounter], verdicts: Mapping[str, Verdict]
-) -> Iterator[str]:
+) -> Iterator[list[str]]:
+    """Pairs by what they meet and time to collision, and how many each party confirms in time."""
     ttc_s = np.array([found[run.case.name].ttc_s for run in setting.runs])
     is_front = np.array([_meets_front(run) for run in setting.runs])
-    rows = []
     for met, is_met in (("front", is_front), ("side", ~is_front)):
         for limit in _FACTS:
             is_short: BoolArray = is_met & (ttc_s <= limit)
             counts = [int(verdicts[name].is_avoided[is_short].sum()) for name in _PARTIES]
             words = f"the car's {met}, time to collision below {limit:g} s"
-            rows.append([words, *map(str, (int(is_short.sum()), *counts))])
-    first, *others = _WORDS
-    yield from markdown_table(["met by", "pairs", f"in time by: {first}", *others], rows)
-    yield ""
-    yield (
-        'Times in seconds before the replayed impact; "-": never confirmed, "lost": out of sight '
-        'again at the last moment to brake, "late": too late.'
-    )
-    yield ""
-    rows = []
-    for index in np.argsort(ttc_s):
+            yield [words, *map(str, (int(is_short.sum()), *counts))]
+
+
+def _pair_rows(
+    setting: Setting, found: Mapping[str, FoundEncounter], verdicts: Mapping[str, Verdict]
+) -> Iterator[list[str]]:
+    """Each pair, the shortest time to collision first."""
+    ttc_s = np.array([found[run.case.name].ttc_s for run in setting.runs])
+    for index in np.argsort(ttc_s).tolist():
         run = setting.runs[index]
-        told = [_confirmed(verdicts[name], int(index)) for name in _PARTIES[:2]]
-        rows.append(
-            [
-                *(run.case.name.removeprefix("dut"), "front" if is_front[index] else "side"),
-                *(f"{ttc_s[index]:.2f}", f"{run.vut_speed_kmh:g}", f"{run.case.vru_speed_kmh:g}"),
-                *(f"{-run.time_s[0]:.1f}", f"{-run.last_brake_time_s:.2f}", *told),
-            ]
-        )
-    yield from markdown_table(_COLUMNS, rows)
+        yield [
+            *(run.case.name.removeprefix("dut"), "front" if _meets_front(run) else "side"),
+            *(f"{ttc_s[index]:.2f}", f"{run.vut_speed_kmh:g}", f"{run.case.vru_speed_kmh:g}"),
+            *(f"{-run.time_s[0]:.1f}", f"{-run.last_brake_time_s:.2f}"),
+            *(_confirmed(verdicts[name], index) for name in _PARTIES[:2]),
+        ]
 
 
 def _meets_front(run: Run) -> bool:

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -30,7 +31,7 @@ from scenarios.aeb import load_aeb_rule
 from scenarios.cases import load_cases
 from scenarios.runs import Run, build_runs
 
-from ..results.tables import markdown_table
+from ..results.tables import page_of
 
 APART = {
     "xosc": ("asam-qc-openscenarioxml==1.0.0", "lxml<6"),
@@ -65,17 +66,8 @@ def judge_apart(kind: str, folder: Path) -> Any:
         raise MissingExtraError(f"{APART[kind][0]} needs uv, which makes its environment")
     given = [part for package in APART[kind] for part in ("--with", package)]
     python = f"{sys.version_info.major}.{sys.version_info.minor}"
-    base = [
-        uv,
-        "run",
-        "--quiet",
-        "--isolated",
-        "--no-project",
-        "--python",
-        python,
-        *given,
-        "python",
-    ]
+    words = f"run --quiet --isolated --no-project --python {python}".split()
+    base = [uv, *words, *given, "python"]
     if subprocess.run([*base, "-c", ""], capture_output=True, check=False).returncode:
         raise MissingExtraError(f"uv cannot make an environment with {', '.join(APART[kind])}")
     script = Path(__file__).with_name("judging_apart.py")
@@ -395,22 +387,6 @@ def _join(
     return known
 
 
-def describe(rows: Sequence[Judgement]) -> str:
-    """``results/judges.md``."""
-    lines = [
-        "# Judged by others",
-        "",
-        "`uv run --group judges python -m experiments.study.judges` wrote this page: programs of",
-        "others, those of who wrote the standards among them, on what this project writes.",
-        "",
-        *markdown_table(
-            ("format", "judge", "what was checked", "result"),
-            ((row.what, row.judge, row.checked, row.result) for row in rows),
-        ),
-    ]
-    return "\n".join(lines) + "\n"
-
-
 @click.command()
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("results/judges.md"), show_default=True
@@ -435,7 +411,7 @@ def main(out: Path, folders: tuple[Path, ...]) -> None:
         judge_proof,
     ]
     rows = [ask() for ask in asked]
-    write_atomically(out, describe(rows))
+    write_atomically(out, page_of(files(__package__) / "judges.md.j2", rows=rows))
     if not all(row.is_passed for row in rows):
         raise click.ClickException(f"a judge found a fault: {out}")
 

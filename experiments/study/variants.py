@@ -21,9 +21,6 @@ from scenarios.positions import AT_ZERO, Position, is_bound, read_position
 from scenarios.runs import Run, build_frame_axis, build_runs
 from scenarios.weights import weight_per_run
 
-# ---------- the cases whose starts the study publishes: one thing of the reconstruction changed
-
-
 OWN_CASES = "CPNC-50,CBNA,CBLA"
 """The cases whose starts and figures the study publishes."""
 # At the junction alone, every run alike, a track for ever once confirmed.
@@ -115,9 +112,6 @@ def _detect_from(setting: Setting, height_px: float) -> Setting:
     assert isinstance(default, GeometricDetector)
     detector = replace(default, min_box_height_px=height_px)
     return replace(setting, detector=detector, table_detector=detector)
-
-
-# ---------- the additional cases: one thing changed that the study leaves open
 
 
 ADDITIONAL_CASES = ("CPNCO-50", "CPLA-50", "CBTAno-50", "CBTAfo-50")

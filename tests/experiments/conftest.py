@@ -14,7 +14,7 @@ from small_results import (
 )
 
 from experiments import main, side_process
-from experiments.jobs import placement, writing
+from experiments.jobs import placement
 from experiments.parts import baselines
 from geometry.poses import Pose
 from placement import candidates as poses
@@ -82,7 +82,7 @@ def own_cache(run, few_runs, tmp_path, monkeypatch):
 @pytest.fixture
 def without_figures(monkeypatch):
     """Leaves out what takes longest to write."""
-    monkeypatch.setattr(writing, "write_report", lambda *given, **options: None)
+    monkeypatch.setattr(placement, "write_report", lambda *given, **options: None)
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ from partial_pages import build_result
 
 from experiments.cli.answers import evaluation_parts
 from experiments.cli.terminal import answer_text
-from experiments.figures.evaluation import MAX_HEATMAP_UNITS, plot_heatmaps, units_in_heatmap
-from experiments.figures.plan import MAX_LABELLED_UNITS, plot_plan
+from experiments.figures.labels import MAX_LABELLED_UNITS
+from experiments.figures.plan import plot_plan
 from experiments.parts.accidents import MAX_UNIT_COLUMNS, unit_apr_table
 from experiments.results.numbers import percent
 from geometry.poses import Pose
@@ -30,24 +30,7 @@ def evaluation(small_setting):
 
 @pytest.fixture(scope="module")
 def few(small_setting):
-    return build_evaluation(small_setting, build_layout(MAX_HEATMAP_UNITS), share=0.3)
-
-
-def test_a_heatmap_of_many_units_has_those_that_confirm_first(evaluation, few):
-    for run_index in range(evaluation.axis.n_runs):
-        shown = units_in_heatmap(evaluation, [run_index])
-        times_s = {
-            key: unit.confirmation_time_s[run_index] for key, unit in evaluation.units.items()
-        }
-        assert len(shown) == len(set(shown)) == MAX_HEATMAP_UNITS
-        assert max(times_s[key] for key in shown) <= min(
-            time_s for key, time_s in times_s.items() if key not in shown
-        )
-        axes = plot_heatmaps(evaluation, [run_index])[0]
-        assert len(axes.get_yticklabels()) == MAX_HEATMAP_UNITS + 2
-        assert axes.get_ylabel() == f"{MAX_HEATMAP_UNITS} of {N} units: those that confirm first"
-    assert units_in_heatmap(few, [0]) == list(few.units)
-    assert plot_heatmaps(few, [0])[0].get_ylabel() == ""
+    return build_evaluation(small_setting, build_layout(24), share=0.3)
 
 
 def test_of_many_units_each_is_a_row_and_the_best_come_first(evaluation, few):

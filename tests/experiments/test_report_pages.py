@@ -47,9 +47,8 @@ def addresses(small_setting, whole_placement, tmp_path_factory):
         question = Question()
         with blank_pictures():
             placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
-            placement.run_comparison(
-                question, layouts=[few, away], samples=3, out=folder / "comparison", **common
-            )
+            asked, out = Question(samples=3), folder / "comparison"
+            placement.run_comparison(asked, layouts=[few, away], out=out, **common)
     name = EVIL.replace("\u2028", "")
     setting = with_evil_names(small_setting)
     layout = build_layout(200, name=name, ids=[f"{name}{index}" for index in range(200)])

@@ -35,7 +35,7 @@ EXCEPTIONS = {
     "experiments/study/judges.py": {"load", "read_text", "savez", "write_text"},
     "experiments/study/judging_apart.py": {"load", "read_text"},
     "experiments/export/parquet.py": {"to_parquet"},
-    "experiments/jobs/writing.py": {"to_parquet"},
+    "experiments/jobs/placement.py": {"to_parquet"},
     "experiments/city/answer.py": {"to_parquet"},
     "experiments/city/run.py": {"write_dataframe"},
     "experiments/figures/film.py": {"savefig"},

@@ -136,9 +136,6 @@ def _score(
     )
 
 
-# ---------- response table
-
-
 _LEAST_PX = 8.0
 _UNKNOWN = ("aspect", "frame_correlation")
 

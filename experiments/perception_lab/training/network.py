@@ -188,9 +188,6 @@ def export_onnx(network: VruNetwork, path: Path, *, side_px: int) -> None:
     onnx.save(model, str(path))
 
 
-# ---------- training
-
-
 _RATE = 3.0e-3  # highest rate of learning
 _DECAY = 1.0e-2
 _MEMORY = 0.998  # of the running mean of weights, which is exported
@@ -313,9 +310,6 @@ def _keep(checkpoint: Path | None, parts: dict[str, Any], rounds: int) -> None:
     new.replace(checkpoint)
 
 
-# ---------- labels
-
-
 def class_of(crops: Crops) -> NDArray[np.int64]:
     """Index into ``CLASSES`` (n,); a child is a pedestrian; -1 where there is nobody."""
     return np.where(crops.vru_class < 0, -1, (crops.vru_class == 2).astype(np.int64))
@@ -387,9 +381,6 @@ def _other_colours(images: NDArray[np.float32], rng: np.random.Generator) -> NDA
     pixels = images.reshape(len(images), -1, 3) @ (contrast * mixed * tint)
     pixels += (1.0 - contrast) * mean * tint + draw(-0.08, 0.08)
     return pixels.reshape(images.shape)
-
-
-# ---------- what a network finds
 
 
 @torch.no_grad()

@@ -177,9 +177,6 @@ def _stands_out(row: Mapping[str, Any]) -> bool:
     return float(row["rgb"][top:bottom, left:right].mean(axis=2).std()) >= _LEAST_SPREAD
 
 
-# ---------- a detector of others
-
-
 def load_people_detector() -> Judge:
     """OpenCV's detector of upright people.
 
@@ -296,9 +293,6 @@ def _line(name: str, found: BoolArray, alarms: str = "") -> str:
     return f"| {name} | {' | '.join(figures)}{percent(share.high)} | {alarms} |"
 
 
-# ---------- photographs, shown to a network
-
-
 _KITTI_OBJECT = ("type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom") + (
     *("height", "width", "length", "x", "y", "z", "yaw", "score"),
 )
@@ -365,9 +359,6 @@ def _photograph(folder: Path, stem: str) -> NDArray[np.uint8]:
             except (OSError, ValueError, Image.DecompressionBombError) as error:
                 raise InputError(str(path), Unquoted(error), "a picture") from None
     raise InputError(str(folder / stem), Unquoted("no picture"), f"{stem}.jpg or {stem}.png")
-
-
-# ---------- commands
 
 
 _MAPS = click.option(

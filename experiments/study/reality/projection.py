@@ -203,9 +203,6 @@ def nearest_pinhole(camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
     return pinhole, pose
 
 
-# ---------- KITTI: projections of boxes that were fitted to points
-
-
 # The camera frame (x right, y down, z ahead) of a body that stands upright and looks to the right.
 _R_CAMERA_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -230,9 +227,6 @@ def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> FloatArra
         rows = project_distorted(points.reshape(-1, 3), camera)[:, 1].reshape(len(labels), -1)
         ratios.append(box_height_px(labels.box_px) / np.ptp(rows, axis=1))
     return np.concatenate(ratios)
-
-
-# ---------- WILDTRACK: who is in whose view
 
 
 @dataclass(frozen=True, slots=True)

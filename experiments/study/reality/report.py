@@ -1,6 +1,6 @@
 """What recordings measured, in words and tables: ``reality.md``, and the tables fitted."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -22,7 +22,7 @@ from placement.detectors.fitting import ResponseFit, fit_lasting_share, fit_resp
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 from ...perception_lab.fit import table_text
 from ...results.numbers import number, percent
-from ...results.tables import markdown_table
+from ...results.tables import page_of
 from .projection import (
     BODY,
     Heights,
@@ -159,9 +159,6 @@ def measure(folder: Path) -> Measured:
     )
 
 
-# ---------- words
-
-
 def _share(interval: Interval) -> str:
     """A share with its interval, in per cent."""
     low, high = (f"{100.0 * one:.0f}" for one in (interval.low, interval.high))
@@ -170,10 +167,6 @@ def _share(interval: Interval) -> str:
 
 def _plain(interval: Interval) -> str:
     return f"{number(interval.value)} ({number(interval.low)} to {number(interval.high)})"
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    return [*markdown_table(header, rows), ""]
 
 
 def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
@@ -210,159 +203,84 @@ def _first_sentence(rows: list[tuple[str, Interval, float]]) -> str:
 
 def text(m: Measured) -> str:
     """The report, as Markdown."""
-    rows = comparisons(m)
-    lines = [
-        "# Real recordings against predictions",
-        "",
-        _first_sentence(rows),
-        "",
-        f"`{COMMAND}` reads recordings of others (`docs/how_to/recordings.md` says which; none of "
-        "their files is in this project) and wrote this page. Intervals are 95 % by tracks drawn "
-        "with repetition. Nothing of KITTI's odd sequences was read.",
-        "",
-        *_held_out_lines(m),
-        *_projection_lines(m),
-        *_response_lines(m),
-        *_lidar_lines(m),
-        *_first_look_lines(m),
-    ]
-    return "\n".join(lines)
+    table = load_toml(files("experiments") / "data" / "reality_first_look.toml")["figures"]
+    values = _values(m)
+    in_16, height_px = m.car.halves["sequence"], m.car.sightings.height_px
+    rows = (m.lidar.hidden_level == 0) & (m.lidar.distance_m < lidar_reach_m())
+    seen = m.lidar.sightings
+    fitted = {words: one for words, one in m.watched.items() if one.name in m.fits}
+    return page_of(
+        files(__package__) / "reality.md.j2",
+        m=m,
+        command=COMMAND,
+        first=_first_sentence(comparisons(m)),
+        percent=percent,
+        plain=_plain,
+        share=_share,
+        phi=phi,
+        in_16=float(in_16.mean()),
+        least_px=height_px[in_16].min(),
+        small=float((height_px < height_px[in_16].min())[~in_16].mean()),
+        held_out=_held_out_rows(m),
+        correlations=[
+            f"{words}: phi {phi(one.sightings).value:.2f} at {one.frame_rate_hz:g} Hz, "
+            f"frame_correlation {_plain(m.fits[one.name].intervals['frame_correlation'])}"
+            for words, one in fitted.items()
+        ],
+        lasting=[
+            f"{words}: {_plain(fit_lasting_share(one.sightings, m.probability(one)))}"
+            for words, one in fitted.items()
+        ],
+        n_people=len(np.unique(m.heights.track)),
+        height_m=pick_actor(BODY, "body").height_m,
+        ratios=_ratio_rows(m.heights),
+        labels=np.quantile(m.labels, _SPREAD),
+        agreed=float(np.mean([flag.agreed for flag in m.flags])),
+        flags=[
+            [f.view, str(f.people), *map(percent, (f.in_view, f.agreed, f.agreed_pinhole))]
+            for f in m.flags
+        ],
+        found=[
+            (one, words, side_errors(one.sightings), first_confirmed(one.sightings), rows)
+            for words, one in m.watched.items()
+            for rows in [_recall_rows(m, words, one)]
+        ],
+        reach_m=lidar_reach_m(),
+        in_reach=share_by_track(seen.is_found[rows], seen.track[rows]),
+        first_look=[[what, old, values[key], why] for key, (what, old, why) in table.items()],
+    )
 
 
-def _projection_lines(m: Measured) -> list[str]:
-    h, height_m = m.heights, pick_actor(BODY, "body").height_m
-    agreed = np.mean([flag.agreed for flag in m.flags])
-    rows = []
-    for name, ratio in (
-        ("lens as calibrated", h.ratio),
-        ("pinhole of this project", h.pinhole_ratio),
-    ):
-        near, far = ratio[h.distance_m < 20.0], ratio[h.distance_m >= 30.0]
-        figures = [*np.quantile(ratio, _SPREAD), np.median(near), np.median(far)]
-        rows.append([name, *(number(float(value), 3) for value in figures)])
-    labels = np.quantile(m.labels, _SPREAD)
+def _held_out_rows(m: Measured) -> list[list[str]]:
     return [
-        "## Who is where in the picture",
-        "",
-        f"PETS: {len(h.ratio)} boxes drawn by hand, {len(np.unique(h.track))} people, a camera "
-        f"{h.seen_from_m:.2f} m above the road. Drawn over predicted height, by this project's "
-        f"walking body of {height_m:g} m for all:",
-        "",
-        *_table(("camera", "10 %", "median", "90 %", "below 20 m", "beyond 30 m"), rows),
-        f"The tilt that fits best is {_plain(h.tilt_deg)} degrees off the calibration (+: down).",
-        "",
-        "![Drawn over predicted heights by distance](reality_heights.png)",
-        "",
-        f"KITTI: labelled over predicted heights of {len(m.labels)} pedestrians have a "
-        f"median of {labels[1]:.2f} ({labels[0]:.2f} to {labels[2]:.2f}). Labels are projections "
-        "of boxes that were fitted to points: their near upper edge is higher than a head.",
-        "",
-        f"WILDTRACK: {percent(float(agreed))} of the flags of view are reproduced (the body's "
-        "middle is in the picture):",
-        "",
-        *_table(
-            ("view", "people", "in view", "agreed", "without distortion"),
-            [
-                [f.view, str(f.people), *map(percent, (f.in_view, f.agreed, f.agreed_pinhole))]
-                for f in m.flags
-            ],
-        ),
-    ]
-
-
-def _held_out_lines(m: Measured) -> list[str]:
-    rows = [
         [
-            words,
-            one.words,
-            f"{one.frames} of {one.tracks}",
-            f"{one.error:.3f} ({one.chance_error:.3f})",
-            f"{one.distance:.3f}",
+            *(words, one.words, f"{one.frames} of {one.tracks}"),
+            *(f"{one.error:.3f} ({one.chance_error:.3f})", f"{one.distance:.3f}"),
             f"{np.abs(one.real - one.by_response).max():.3f}",
         ]
         for words, halves in m.held.items()
         for one in halves
     ]
-    in_16 = m.car.halves["sequence"]
-    small = m.car.sightings.height_px < m.car.sightings.height_px[in_16].min()
+
+
+def _ratio_rows(h: Heights) -> list[list[str]]:
+    rows = []
+    ratios = {"lens as calibrated": h.ratio, "pinhole of this project": h.pinhole_ratio}
+    for name, ratio in ratios.items():
+        near, far = ratio[h.distance_m < 20.0], ratio[h.distance_m >= 30.0]
+        figures = [*np.quantile(ratio, _SPREAD), np.median(near), np.median(far)]
+        rows.append([name, *(number(float(value), 3) for value in figures)])
+    return rows
+
+
+def _recall_rows(m: Measured, words: str, one: Watched) -> list[list[str]]:
+    distance = recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
+    groups = [recall_of(one.sightings, "all"), *m.by_hidden[words], *m.by_height[words], *distance]
     return [
-        "## A half that was held out",
-        "",
-        "The response table is fitted to one half and predicts the other one: the calibration "
-        "error of recall (in brackets: what a true table stays below in 97.5 % of draws), and how "
-        "far the distributions of frames to confirmation, from every frame on, lie apart at most "
-        f"(Kolmogorov-Smirnov). {percent(float(in_16.mean()))} of KITTI's pedestrians in the even "
-        "sequences are in sequence 16, which is the first half by sequence; nobody there is below "
-        f"{m.car.sightings.height_px[in_16].min():.0f} px, and of the others "
-        f"{percent(float((small & ~in_16).sum() / (~in_16).sum()))} are.",
-        "",
-        *_table(
-            ("watched", "divided by", "frames and tracks held out")
-            + ("calibration error", "distance", "by `response`"),
-            rows,
-        ),
-        "![Frames to confirmation](reality_confirmation.png)",
-        "",
-        "A table's frame_correlation is that of the normal numbers whose place decides a frame, "
-        "at 10 Hz; it is not phi, the correlation of found and missed. "
-        + "; ".join(
-            f"{words}: phi {phi(one.sightings).value:.2f} at {one.frame_rate_hz:g} Hz, "
-            f"frame_correlation {_plain(m.fits[one.name].intervals['frame_correlation'])}"
-            for words, one in m.watched.items()
-            if one.name in m.fits
-        )
-        + ". To compare a table's 0.98 with a phi of 0.6 says too much. Of that number's variance "
-        "so much is the same in all frames of a track, up to 55 frames apart: "
-        + "; ".join(
-            f"{words}: {_plain(fit_lasting_share(one.sightings, m.probability(one)))}"
-            for words, one in m.watched.items()
-            if one.name in m.fits
-        )
-        + ".",
-        "",
+        [g.words, str(g.frames), str(g.tracks), _share(g.measured)]
+        + [percent(g.predicted), "*" if g.is_off else ""]
+        for g in groups
     ]
-
-
-def _response_lines(m: Measured) -> list[str]:
-    lines = [
-        "## What is found",
-        "",
-        "![Recall by what is hidden and by height](reality_recall.png)",
-        "",
-        "A star: the table `response` lies outside of the interval.",
-        "",
-    ]
-    for words, one in m.watched.items():
-        seen = one.sightings
-        distance = recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
-        groups = [recall_of(seen, "all"), *m.by_hidden[words], *m.by_height[words], *distance]
-        left, top = side_errors(seen)
-        first, people = first_confirmed(seen)
-        per_hour = one.alarms.per_hour
-        lines += [
-            f"### {words}: {one.recording}",
-            "",
-            f"{one.detector}, {one.year} ({one.source}); {one.frame_rate_hz:g} Hz. Phi of "
-            f"consecutive frames {_plain(phi(seen))}. Sides are off by {left:.2f} of the width, "
-            f"top and bottom by {top:.2f} of the height. {first} of {people} people are confirmed "
-            f"by their first three frames. Boxes on nobody: {_plain(one.alarms.per_picture)} per "
-            "frame; of them stay for three frames and are confirmed: "
-            + (
-                f"{per_hour.value:.0f} ({per_hour.low:.0f} to {per_hour.high:.0f}) an hour."
-                if per_hour
-                else "unknown."
-            ),
-            "",
-            *_table(
-                ("group", "frames", "people", "found", "`response`", ""),
-                [
-                    [g.words, str(g.frames), str(g.tracks), _share(g.measured)]
-                    + [percent(g.predicted), "*" if g.is_off else ""]
-                    for g in groups
-                ],
-            ),
-        ]
-    return lines
 
 
 # KITTI's LiDAR, Velodyne HDL-64E: A. Geiger et al., "Vision meets robotics", 2013, sensor setup.
@@ -384,24 +302,6 @@ def lidar_reach_m() -> float:
     per_sr = columns / (2.0 * np.pi) * _HDL_LINES / np.radians(_HDL_FOV_DEG)
     n_points = load_lidar_detection().min_points["pedestrian"]
     return float(np.sqrt(np.mean(areas) * per_sr / n_points))
-
-
-def _lidar_lines(m: Measured) -> list[str]:
-    reach = lidar_reach_m()
-    seen, far = m.lidar.sightings, m.lidar.distance_m
-    rows = (m.lidar.hidden_level == 0) & (far < reach)
-    share = share_by_track(seen.is_found[rows], seen.track[rows])
-    return [
-        "## What the rule for LiDARs leaves out",
-        "",
-        f"By this project's rule KITTI's LiDAR finds every adult in view up to {reach:.0f} m "
-        f"(enough points, if all pulses come back). PointRCNN found {_share(share)} of them; the "
-        "table by distance is above. What a network makes of few points is not modelled.",
-        "",
-    ]
-
-
-# ---------- the first look
 
 
 def _mean(values: BoolArray | FloatArray) -> str:
@@ -454,24 +354,6 @@ def _values(m: Measured) -> dict[str, str]:
     }
 
 
-def _first_look_lines(m: Measured) -> list[str]:
-    table = load_toml(files("experiments") / "data" / "reality_first_look.toml")["figures"]
-    values = _values(m)
-    return [
-        "## Against a first look at the same recordings",
-        "",
-        "Speeds of road users (VRU) and encounters (DUT) are not measured by this command.",
-        "",
-        *_table(
-            ("figure", "first look", "here", "why it differs"),
-            [[what, before, values[key], why] for key, (what, before, why) in table.items()],
-        ),
-    ]
-
-
-# ---------- tables
-
-
 def tables(m: Measured) -> dict[str, str]:
     """Response tables of cameras, and the LiDAR's recalls, as TOML by the names of their files."""
     written = {}
@@ -484,44 +366,21 @@ def tables(m: Measured) -> dict[str, str]:
             unknown=_UNKNOWN,
             false_tracks_per_hour=one.alarms.per_hour,
         )
-    lines = [
-        f"# Recalls of {m.lidar.detector}, {m.lidar.year}, on KITTI tracking, even sequences "
-        f"({m.lidar.source}).",
-        f"# {COMMAND}",
-        "# Found: image boxes overlap by more than half. Whether somebody is hidden is not told "
-        "apart.",
-        "# Classes of which nothing was measured are found as others are: assumption.",
-        'stands_for = { child = "pedestrian", motorcyclist = "cyclist", car = "cyclist" }',
-        "plan_probability = 0.5 # assumption",
-        "# Recall by the middles of tens of metres, the last of 40 m and more; straight lines "
-        "between: assumption.",
-    ]
+    classes = []
     for name, one in (("pedestrian", m.lidar), ("cyclist", m.lidar_cyclists)):
         groups = recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
-        rows = np.array([(g.measured.value, g.measured.low, g.measured.high) for g in groups])
-        shares = {"recall": rows[:, 0], "recall_low": rows[:, 1], "recall_high": rows[:, 2]}
+        shares = [_three(group.measured) for group in groups]
         link = fit_response(one.sightings, name=name).intervals["frame_correlation"]
-        lines += [
-            "",
-            f"[{name}]",
-            f"distance_m = {[5.0 + float(g.words.split()[0]) for g in groups]}",
-            *(f"{key} = {[float(f'{v:.3g}') for v in of_all]}" for key, of_all in shares.items()),
-            f"frames = {[g.frames for g in groups]}",
-            f"tracks = {[g.tracks for g in groups]}",
-            "# as in response tables, and of found or not; value, 95 % interval; 10 Hz",
-            f"frame_correlation = {_three(link)}",
-            f"phi_of_frames = {_three(phi(one.sightings))}",
-            f"false_boxes_per_frame = {one.alarms.per_picture.value:.3g}",
-        ]
-    written["pointrcnn-2019.toml"] = "\n".join(lines) + "\n"
+        classes.append((name, one, groups, [*zip(*shares, strict=True)], _three(link)))
+    lidar = files(__package__) / "lidar.toml.j2"
+    written["pointrcnn-2019.toml"] = page_of(
+        lidar, one=m.lidar, command=COMMAND, classes=classes, phi=phi, three=_three
+    )
     return written
 
 
 def _three(figure: Interval) -> list[float]:
     return [float(f"{value:.3g}") for value in (figure.value, figure.low, figure.high)]
-
-
-# ---------- figures: they can be read without colours
 
 
 _BAND_M = 2.0  # of the distance

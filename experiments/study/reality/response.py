@@ -171,9 +171,6 @@ def _unmatched(paired: PairedBoxes, sightings: Sightings) -> float:
     return boxes / len(paired.pictures)
 
 
-# ---------- recall, by what it may depend on
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recall:
     """Share found among the rows of a group, and what a table predicts of it."""
@@ -243,9 +240,6 @@ def side_errors(sightings: Sightings) -> tuple[float, float]:
     error = sightings.box_error[sightings.is_found]
     spread = error.std(axis=0)
     return float(spread[[0, 2]].mean()), float(spread[[1, 3]].mean())
-
-
-# ---------- the half that was held out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,7 +1,7 @@
 import numpy as np
 from synthetic_instances import SyntheticSize, build_synthetic_instance
 
-from experiments.bench.speed import measure_budgets
+from experiments.bench.__main__ import measure_budgets
 from placement.optimiser import Limits, PlacementProblem
 from scenarios.aeb import load_aeb_rule
 

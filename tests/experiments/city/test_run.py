@@ -70,7 +70,7 @@ def tiny(tmp_path_factory):
 def no_pages(monkeypatch):
     """Draws nothing, and writes no tables."""
     monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
-    monkeypatch.setattr(job, "render_junction_page", lambda *args, **settings: "")
+    monkeypatch.setattr(job.pages, "render_junction_page", lambda *args, **settings: "")
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from small_results import lay_runs_of
 
-from experiments.jobs import placement, writing
+from experiments.jobs import placement
 from experiments.progress import StageProgress
 from placement.compute import Compute
 from placement.question import Question
@@ -24,7 +24,7 @@ def written(small_setting, tmp_path_factory):
     folder = tmp_path_factory.mktemp("placed") / "results"
     with pytest.MonkeyPatch.context() as patch:
         lay_runs_of(patch, small_setting)
-        patch.setattr(writing, "write_report", lambda *given, **options: None)
+        patch.setattr(placement, "write_report", lambda *given, **options: None)
         placement.run_placement(
             Question(budget=2, within="carlancap-12", give_up=0.0, time_limit_s=60.0),
             out=folder,

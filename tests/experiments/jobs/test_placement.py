@@ -46,15 +46,14 @@ def evaluate(layout, out=None):
     return json.loads(to_json_text(result))
 
 
-def compare(layouts, out, **options):
+def compare(layouts, out, **asked):
     result = placement.run_comparison(
-        Question(),
+        Question(**asked),
         layouts=layouts,
         out=out,
         compute=Compute(workers=2, cache_folder=cache_folder()),
         command="place-rsus",
         progress=StageProgress(),
-        **options,
     )
     return json.loads(to_json_text(result))
 

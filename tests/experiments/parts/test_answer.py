@@ -1,9 +1,8 @@
 from dataclasses import replace
 
 import pytest
-from partial_pages import build_result
 
-from experiments.parts.assumptions import assumptions
+from experiments.parts.assumptions import latency_words
 from placement.layout import Layout, load_carlancap_layout
 
 PLAIN = "25 ms for processing and communication"
@@ -40,4 +39,4 @@ def layout(*latencies_s):
     ],
 )
 def test_latency_names_the_units_that_have_another_of_their_own(small_setting, layouts, text):
-    assert dict(assumptions(build_result("any"), small_setting, layouts))["Latency"] == text
+    assert latency_words(small_setting.rule, layouts) == text

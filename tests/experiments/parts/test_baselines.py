@@ -35,15 +35,14 @@ def place(out, seed=0, **asked):
     return json.loads(to_json_text(result))
 
 
-def compare(layouts, **options):
+def compare(layouts, **asked):
     result = placement.run_comparison(
-        Question(),
+        Question(**asked),
         layouts=layouts,
         out=None,
         compute=Compute(workers=2, cache_folder=cache_folder()),
         command="place-rsus",
         progress=StageProgress(),
-        **options,
     )
     return json.loads(to_json_text(result))
 

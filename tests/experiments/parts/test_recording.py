@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from oracles import naive_confirmed
 
-from experiments.cli.recording import recorded_placement_table, recording_table
+from experiments.cli.recording import recording_text
 from experiments.jobs.verify import run_verification
 from experiments.parts.recording import RecordedResult, run_recorded_placement, run_recording
 from experiments.progress import StageProgress
@@ -224,7 +224,7 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
     summary = _evaluate(tmp_path / "data")
     assert summary["evaluation"]["vut"] is None
     assert summary["evaluation"]["vut_and_rsus"] is None
-    assert "car" not in recording_table(record_of(summary), None).split("Read:")[0]
+    assert "car" not in recording_text(record_of(summary), None).split("Read:")[0]
 
 
 def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypatch):
@@ -241,9 +241,7 @@ def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypat
         assert names == {"summary.json", "SHA256SUMS"} | proof
         assert json.loads(Path("out/summary.json").read_text()) == summary
         assert progress.kept == "the results are in out"
-    assert "Written to out: summary.json." in recorded_placement_table(
-        record_of(summary), Path("out")
-    )
+    assert "Written to out: summary.json." in recording_text(record_of(summary), Path("out"))
 
 
 def test_a_folder_with_other_things_is_not_replaced(tmp_path):
@@ -255,8 +253,8 @@ def test_a_folder_with_other_things_is_not_replaced(tmp_path):
 
 def test_tables_fit_80_columns_and_show_every_party(tmp_path):
     _write(tmp_path / "data", _random(1))
-    evaluation = recording_table(record_of(_evaluate(tmp_path / "data")), None)
-    placement = recorded_placement_table(record_of(_place(tmp_path / "data")), None)
+    evaluation = recording_text(record_of(_evaluate(tmp_path / "data")), None)
+    placement = recording_text(record_of(_place(tmp_path / "data")), None)
     for text in (evaluation, placement):
         assert max(map(len, text.splitlines()[1:])) <= 80
     names = [*(f"RSU{unit}" for unit in range(N_UNITS)), "RSU_all", "car", "car + RSU_all"]

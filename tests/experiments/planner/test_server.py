@@ -694,9 +694,9 @@ def test_report_and_sheet_are_those_of_the_command_line(open_client, few_runs, m
     client = open_client(load_carlancap_layout().units[:1])
     sheet = client.get(f"/{TOKEN}/sheet.pdf")
     assert sheet.content.startswith(b"%PDF")
-    from experiments.jobs import writing
+    from experiments.jobs import placement
 
-    monkeypatch.setattr(writing, "write_report", lambda *given, **options: None)
+    monkeypatch.setattr(placement, "write_report", lambda *given, **options: None)
     report = client.get(f"/{TOKEN}/report.zip")
     with zipfile.ZipFile(io.BytesIO(report.content)) as archive:
         summary = json.loads(archive.read("summary.json"))
