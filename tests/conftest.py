@@ -6,6 +6,14 @@ import os
 import sys
 from pathlib import Path
 
+# Workers run side by side: a second BLAS thread of each would only spin.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if sys.dont_write_bytecode:  # all workers and the commands they begin would compile SciPy anew
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+
 import numpy as np
 import pytest
 from _pytest.doctest import DoctestModule
@@ -18,12 +26,6 @@ from scenarios.aeb import load_aeb_rule
 from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
-
-if sys.dont_write_bytecode:  # all workers and the commands they begin would compile SciPy anew
-    sys.dont_write_bytecode = False
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
-    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 
 # How long an example takes is no test. Other examples are drawn each time, fewer where little hangs
 # on geometry and search. Continuous integration draws more: pytest --hypothesis-profile thorough
