@@ -232,9 +232,11 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
 def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import QhullError
+    from threadpoolctl import threadpool_limits
 
     try:
-        height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(nodes_m)
+        with threadpool_limits(1):  # of thousands of 2 x 2 systems: other BLAS threads only spin
+            height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(nodes_m)
     except (QhullError, ValueError):  # fewer than three points, or all on a line
         return np.full(nodes_m.shape[:-1], np.nan)
     return height

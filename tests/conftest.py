@@ -2,6 +2,17 @@
 
 import gc
 import logging
+import os
+import sys
+from pathlib import Path
+
+# Workers run side by side: a second BLAS thread of each would only spin.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if sys.dont_write_bytecode:  # all workers and the commands they begin would compile SciPy anew
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
 
 import numpy as np
 import pytest

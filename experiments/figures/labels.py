@@ -75,13 +75,10 @@ def draw_labels(
             continue
         half = 0.5 * label.size * np.array([_LETTER * len(label.text), _LINE]) + _APART
         most = np.maximum(frame - half, half)
-        middles = [  # moved into the frame
-            np.clip(point + _shift(label, half, more, turn_deg), half, most)
-            for more in _MORE_POINTS
-            for turn_deg in _TURNS_DEG
-        ]
-        boxes = [np.concatenate([middle - half, middle + half]) for middle in middles]
-        hidden = [sum(_overlap(one, other) for other in taken) for one in boxes]
+        shifts = [_shift(label, half, more, way) for more in _MORE_POINTS for way in _TURNS_DEG]
+        middles = np.clip(point + shifts, half, most)  # moved into the frame
+        boxes = np.hstack([middles - half, middles + half])
+        hidden = _overlaps(np.reshape(taken, (-1, 4)), boxes).sum(axis=0)
         best = int(np.argmin(hidden))
         if hidden[best] > 0.0 and not label.is_kept:
             continue
@@ -101,9 +98,12 @@ def _shift(label: Label, half: FloatArray, more: float, turn_deg: float) -> Floa
     return shift
 
 
-def _overlap(one: FloatArray, other: FloatArray) -> float:
-    sides = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
-    return float(np.prod(np.clip(sides, 0.0, None)))
+def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
+    """Areas that rectangles (n, 4) and (m, 4), lower and upper corners, have in common (n, m)."""
+    ones = ones[:, None]
+    sides = np.minimum(ones[..., 2:], others[:, 2:]) - np.maximum(ones[..., :2], others[:, :2])
+    areas: FloatArray = np.prod(np.clip(sides, 0.0, None), axis=2)
+    return areas
 
 
 def unit_names(layout: Layout, scene: Scene) -> list[Label]:

@@ -1,9 +1,11 @@
 """A small version of the study: the same steps in a second or two."""
 
+import json
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
+from interactive_pages import build_evaluation, build_layout
 from once import make_once
 from partial_pages import blank_pictures
 from small_results import (
@@ -16,6 +18,7 @@ from small_results import (
 from experiments import main, side_process
 from experiments.jobs import placement
 from experiments.parts import baselines
+from experiments.parts.player import interactive_part
 from geometry.poses import Pose
 from placement import candidates as poses
 from placement.candidates import CandidatePose
@@ -70,6 +73,19 @@ def whole_placement(small_setting, tmp_path_factory):
         assert ended.value.code == 0
 
     return make_once(tmp_path_factory, "whole-placement", place)
+
+
+@pytest.fixture(scope="session")
+def part_of_many(small_setting, tmp_path_factory):
+    """The report's interactive part with 200 units: what each sees of the ground takes long."""
+
+    def build(folder: Path) -> None:
+        evaluation = build_evaluation(small_setting, build_layout(200), with_vam=True)
+        part = interactive_part(small_setting, {"many": evaluation})
+        (folder / "part.json").write_text(json.dumps(part))
+
+    folder = make_once(tmp_path_factory, "part-of-many", build)
+    return json.loads((folder / "part.json").read_text())
 
 
 @pytest.fixture

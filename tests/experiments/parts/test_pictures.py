@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from experiments.figures.axes import new_axes, to_png
+from experiments.parts import section
 from experiments.parts.section import MAX_TRUE_COLOUR_BYTES, build_picture, with_palette
 
 
@@ -65,10 +66,12 @@ def test_a_large_picture_gets_a_palette_that_keeps_even_the_colour_of_a_small_ma
     assert np.abs(after[is_mark] - before[is_mark]).max() <= 16
 
 
-def test_what_a_palette_would_change_or_not_shrink_stays_as_it_is():
+def test_what_a_palette_would_change_or_not_shrink_stays_as_it_is(monkeypatch):
+    monkeypatch.setattr(section, "MAX_TRUE_COLOUR_BYTES", 3000)
     rng = np.random.default_rng(0)
-    noise = as_png(rng.integers(0, 256, (320, 320, 3), dtype=np.uint8))
-    assert len(noise) > MAX_TRUE_COLOUR_BYTES
+    noise = as_png(rng.integers(0, 256, (64, 64, 3), dtype=np.uint8))
+    assert len(noise) > 3000
     assert with_palette(noise) == noise
     small = as_png(rng.integers(0, 256, (20, 20, 3), dtype=np.uint8))
+    assert len(small) < 3000
     assert with_palette(small) == small

@@ -173,10 +173,8 @@ def test_a_page_stays_whole_whatever_things_are_called(small_setting):
     assert "https://" not in page
 
 
-def test_two_hundred_units_fit_into_the_page(small_setting):
-    evaluation = build_evaluation(small_setting, build_layout(200), with_vam=True)
-    part = interactive_part(small_setting, {"many": evaluation})
-    assert len(part["player_json"]) < 0.5e6
-    names = [party["name"] for party in read(part)["parties"]]
+def test_two_hundred_units_fit_into_the_page(part_of_many):
+    assert len(part_of_many["player_json"]) < 0.5e6
+    names = [party["name"] for party in read(part_of_many)["parties"]]
     assert names[-2:] == ["VAM", "all sources"]
     assert len(names) == 205

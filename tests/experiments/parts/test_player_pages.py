@@ -212,9 +212,8 @@ def test_names_are_shown_and_never_run(browser, small_setting, tmp_path):
         assert name in page.inner_text("#player-table")
 
 
-def test_many_units_are_drawn(browser, small_setting, tmp_path):
-    evaluation = build_evaluation(small_setting, build_layout(200))
-    page_address = write_page(interactive_part(small_setting, {"many": evaluation}), tmp_path)
+def test_many_units_are_drawn(browser, part_of_many, tmp_path):
+    page_address = write_page(part_of_many, tmp_path)
     with open_page(browser, page_address, width=360) as page:
         assert page.locator(".unit").count() == 200
         assert " of 200 units detect" in page.inner_text("#player-status")

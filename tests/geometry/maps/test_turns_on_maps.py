@@ -1,5 +1,7 @@
 """Cars that turn at junctions of files that others have made."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from oracles import distance_to_chain_m
@@ -27,12 +29,12 @@ def scene_of(path):
 def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(real_input, actors, name):
     scene = scene_of(real_input(f"opendrive/{name}.xodr"))
     junction = build_junction(scene)
-    cases = [load_cases()[case] for case in ("CPTAfs-50", "CPTAns-50")]
+    cases = [  # at higher speeds some ways are too tight
+        replace(load_cases()[case], vut_speeds_kmh=(10.0,)) for case in ("CPTAfs-50", "CPTAns-50")
+    ]
     runs, _ = build_runs(scene, cases, vut=actors["vut"], rule=build_rule(Question()))
     followed = set()
     for run in runs:
-        if run.vut_speed_kmh > 10.0:  # too fast for some
-            continue
         path = run.encounter.vut_motion.path
         assert isinstance(path, TowedPath), run.id
         front, _ = path.course.at(np.linspace(0.0, 60.0, 600))
