@@ -21,9 +21,8 @@ N_RANDOM = 100
 _MAX_TRIES = 20  # for each random layout: limits may leave some draws no way to be completed
 _MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
 
+
 # ---------- random layouts
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RandomLayouts:
     """Worth of layouts of poses drawn at random, on the detection table."""
@@ -82,8 +81,6 @@ def random_sets(
 
 
 # ---------- an expert's rule of thumb
-
-
 def find_corners(junction: Junction) -> dict[str, FloatArray]:
     """Corners between neighbouring arms, clockwise from the first one behind north.
 
@@ -142,10 +139,7 @@ def off_axis_deg(poses: Sequence[CandidatePose], point_m: FloatArray) -> FloatAr
 
 
 def corner_poses(
-    limits: Limits,
-    candidates: Sequence[CandidatePose],
-    junction: Junction,
-    looked_at_m: FloatArray,
+    limits: Limits, candidates: Sequence[CandidatePose], junction: Junction, looked_at_m: FloatArray
 ) -> dict[str, int]:
     """The pose at each corner of a junction that looks at a point (3,) the most directly.
 
@@ -178,8 +172,6 @@ def _most_direct(
 
 
 # ---------- both
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
     """Layouts to compare with, before their detections are known: rows of candidates."""
@@ -265,9 +257,7 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
             for world in range(len(measure.sample_weight))
         ]
         random = RandomLayouts(
-            n_units=proposals.n_units,
-            apr=measure.of(is_avoided),
-            mean_by_world=np.array(by_world),
+            n_units=proposals.n_units, apr=measure.of(is_avoided), mean_by_world=np.array(by_world)
         )
     corner_names = tuple(name for name in first if corners[name] in expert)
     return Baselines(random=random, expert=expert, corners=corner_names)

@@ -51,9 +51,8 @@ from .memory import check_fits
 from .optimiser.model import Answer, run_solver, solver_text
 from .optimiser.steering import COST_TOLERANCE_EUR, common_step, settle
 
+
 # ---------- instances and solutions
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveringInstance:
     """A covering problem without its question; made by :func:`build_covering_instance`."""
@@ -88,8 +87,6 @@ def build_covering_instance(
 
     Raises InputError: `cost` has another shape, or is negative or not finite.
 
-    Examples
-    --------
     >>> build_covering_instance([[1, 1, 0], [0, 1, 1]])
     CoveringInstance(2 columns, 3 rows)
     """
@@ -216,8 +213,6 @@ def _check(
 
 
 # ---------- files of numbers
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Format:
     """The numbers of a file: two sizes, perhaps all costs, then lists of members."""

@@ -143,10 +143,7 @@ def mean_impact_speed_kmh(
 
 
 def score(
-    verdict: Verdict,
-    axis: FrameAxis,
-    levels: Levels | None,
-    run_mask: BoolArray | None = None,
+    verdict: Verdict, axis: FrameAxis, levels: Levels | None, run_mask: BoolArray | None = None
 ) -> float:
     """Weight of runs by the speeds at contact / weight of all, 0 .. 1.
 

@@ -117,8 +117,6 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
 
 
 # ---------- private ground
-
-
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 
 

@@ -22,8 +22,6 @@ from .compute import check_distinct
 from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
-
-
 DEFAULT_LATENCY_BUDGET = "study"
 MAX_LATENCY_S = 10.0
 """Longer than any run: a larger number is probably in milliseconds."""
@@ -180,8 +178,6 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
 
 
 # ---------- APR against the total latency
-
-
 def apr_by_latency(
     evaluation: Evaluation,
     rule: AebRule,

@@ -327,11 +327,7 @@ class QuestionField:
     description: str  # other fields stand in it between backticks
 
 
-_KEYS = {
-    "n_confirmations": "confirmations",
-    "build_up_s": "brake_build_up",
-    "case_range": "range",
-}
+_KEYS = {"n_confirmations": "confirmations", "build_up_s": "brake_build_up", "case_range": "range"}
 _UNIT = re.compile("_(eur|m|deg|s|mps2)$")  # a key has none
 
 

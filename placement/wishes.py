@@ -24,8 +24,6 @@ from .question import Question, read_number, split_names
 from .setting import Setting
 
 # ---------- prices of sites that have none of their own: assumptions, each with its source
-
-
 _FILE = "prices.toml"
 _OTHERWISE = "pole"
 
@@ -66,8 +64,6 @@ class SitePrices:
 def load_prices() -> SitePrices:
     """Read ``data/prices.toml``.
 
-    Examples
-    --------
     >>> load_prices().of_kind("lamp post")
     {'mounting': 900.0, 'power-at-hand': 400.0, 'data-link': 2260.0}
     """
@@ -94,8 +90,6 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
 
 
 # ---------- demands
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
     """Demands on a layout."""
@@ -298,8 +292,6 @@ def _too_near(
 
 
 # ---------- from the words of a question
-
-
 def read_wishes(
     question: Question, *, existing: Sequence[CandidatePose] = (), counts_money: bool = False
 ) -> Wishes:

@@ -174,8 +174,6 @@ def _read(form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ..
 
 
 # ---------- the German accident atlas
-
-
 _UNFALLATLAS_USERS = {"istfuss": "on foot", "istrad": "bicycle", "istkrad": "motorcycle"}
 
 
@@ -212,8 +210,6 @@ def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accid
 
 
 # ---------- STATS19 of Great Britain
-
-
 def _beside(path: Path) -> tuple[Path, Path]:
     """The files of vehicles and casualties that belong to one of collisions."""
     for word in ("collision", "accident"):
@@ -321,8 +317,6 @@ def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) 
 
 
 # ---------- CSV as it is published
-
-
 def _rows(
     path: Path, columns: _Columns, *, optional: _Columns | None = None
 ) -> Iterator[dict[str, str]]:

@@ -98,8 +98,6 @@ def braking_distance_m(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
     With deceleration a and build-up b it is v t - a t^3 / (6 b) during the build-up and, r after
     its end, v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill.
 
-    Examples
-    --------
     >>> from dataclasses import replace
     >>> rule = replace(load_aeb_rule(), deceleration_mps2=8.0)
     >>> float(braking_distance_m(10.0, speed_mps=20.0, rule=rule))
@@ -388,8 +386,6 @@ def _separation_m(
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
     """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
 
-    Examples
-    --------
     >>> confirmation_mask([0, 1, 1, 1, 1, 0], n_confirmations=3).astype(int)
     array([0, 0, 0, 1, 1, 0])
     """
@@ -422,8 +418,6 @@ def held_frames(
     (n_frames,): ascending within a run. `until_s`: when the track must be alive; the same in all
     frames of a run. `last_frame` (n_frames,): of each frame's run; by default there is one run.
 
-    Examples
-    --------
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=2.0).astype(int)
     array([1, 1, 0, 1, 0, 1])
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=1.0).astype(int)

@@ -205,8 +205,6 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 
     Titles are those of traffic that keeps right; where it keeps left, left and right are exchanged.
 
-    Examples
-    --------
     >>> worded_for(pick_cases("CPTAfs-50", "cases")[0], keeps_left=True).title
     'VUT turns right, adult crosses from the far side, walking as the VUT drove'
     """
@@ -558,8 +556,6 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
     adds cases and speeds of Euro NCAP's extended range, 2026; one that belongs to that range alone,
     and is named in full, is picked anyway.
 
-    Examples
-    --------
     >>> [case.name for case in pick_cases("CBLA-50, CPNA", "cases")]
     ['CBLA-50', 'CPNA-25', 'CPNA-75']
     """
@@ -663,8 +659,6 @@ def select_cases(
     is "vru" or "all", see ``PROTECTED``. Raises InputError: a name or a speed cannot be read, a
     speed lies outside of every case, or nobody is left to be protected.
 
-    Examples
-    --------
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """

@@ -50,8 +50,6 @@ def time_to_collision_s(
     the sides' four normals they overlap from one time to another, and they touch while they overlap
     along all of them.
 
-    Examples
-    --------
     >>> sizes = FootprintSizes(length_a_m=4.0, width_a_m=2.0, length_b_m=1.0, width_b_m=1.0)
     >>> float(time_to_collision_s([12.5, 0.0], [-5.0, 0.0], 0.0, 90.0, sizes=sizes).round(9))
     2.0

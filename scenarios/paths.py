@@ -311,8 +311,6 @@ def travel_time_s(
     With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per metre. Raises
     InputError: the speed is not positive, or a distance is negative.
 
-    Examples
-    --------
     >>> travel_time_s(10.0, speed_mps=2.0, acceleration_distance_m=1.0)
     5.5
     """

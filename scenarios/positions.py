@@ -76,8 +76,6 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     Raises InputError: a word is no distance, or one is given twice; there is none, or there are too
     many.
 
-    Examples
-    --------
     >>> read_along_arms("0, 15,30", "along_arms")
     (0.0, 15.0, 30.0)
     """
@@ -108,8 +106,6 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
     Each distance is a position before the place of the protocol and one behind the junction; 0 is
     that place, and where other distances are asked for, the crosswalk of the arm ahead, too.
 
-    Examples
-    --------
     >>> [position.name for position in build_positions([0.0])]
     ['0']
     >>> [position.name for position in build_positions([0.0, 15.0])]
@@ -130,8 +126,6 @@ def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
 def read_position(text: str, where: str) -> Position:
     """A single position by its name; raises InputError if it is none.
 
-    Examples
-    --------
     >>> read_position("-15", "position")
     Position(is_behind=False, distance_m=15.0)
     """
@@ -152,8 +146,6 @@ def read_position(text: str, where: str) -> Position:
 def sort_positions(names: Iterable[str]) -> list[str]:
     """Names of positions, each once, as the VUT passes them.
 
-    Examples
-    --------
     >>> sort_positions(["0", "+15", "-15", "+0", "-30", "0"])
     ['-30', '-15', '0', '+0', '+15']
     """
@@ -193,8 +185,6 @@ def spread_speeds(
     `speeds_kmh`: of the case. `position`: where. `turn`: number of the approach plus number of the
     position. `impact_turn`: number of the case's impact point, and how many take turns.
 
-    Examples
-    --------
     >>> spread_speeds((20.0, 25.0, 30.0, 35.0), Position(distance_m=15.0), turn=0)
     (20.0, 35.0)
     >>> spread_speeds((20.0, 25.0, 30.0, 35.0), AT_ZERO, turn=1, impact_turn=(0, 2))

@@ -69,8 +69,6 @@ def bands_kmh(
     the closing speed of the impact without braking, by default the VUT's speed: where what braking
     has taken counts, it is taken from that.
 
-    Examples
-    --------
     >>> bands_kmh("rating-2026", "CPNA-25", 45.0)
     ((0.0, 1.0), (10.0, 0.5), (20.0, 0.25))
     """

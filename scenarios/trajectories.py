@@ -260,10 +260,7 @@ _LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
 
 
 # ---------- XML
-_COMMONROAD_STATE = (
-    *("time/exact", "position/point/x", "position/point/y"),
-    "orientation/exact",
-)
+_COMMONROAD_STATE = (*("time/exact", "position/point/x", "position/point/y"), "orientation/exact")
 
 
 def _xml_samples(path: Path) -> Iterator[_Sample]:

@@ -188,11 +188,7 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
 
 
 def way_across(
-    entry: Lane,
-    leaving: Lane,
-    connection: Lane | None,
-    *,
-    free_m: float | None = None,
+    entry: Lane, leaving: Lane, connection: Lane | None, *, free_m: float | None = None
 ) -> tuple[Way, float]:
     """The way from a lane into the junction straight on into a lane out of it, and its begin.
 

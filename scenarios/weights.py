@@ -264,8 +264,6 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
 
 
 # ---------- weights by accidents around a place
-
-
 def weight_by_accidents(
     runs: Sequence[Run], accidents: Accidents, *, near: tuple[float, float], within_m: float
 ) -> FloatArray:
@@ -459,8 +457,6 @@ def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:
 
     It is exactly 1 where all runs with weight count.
 
-    Examples
-    --------
     >>> weight_share([True] * 49, [1.0 / 49.0] * 49)
     1.0
     """

@@ -104,8 +104,6 @@ def _lanelet(name: str, left_m: FloatArray, right_m: FloatArray, **known: Any) -
 
 
 # ---------- from lanelets to lanes and junctions
-
-
 def _build(
     lanelets: Sequence[Lanelet], omissions: Omissions
 ) -> tuple[list[MapLane], list[MapLane], list[MapJunction]]:
@@ -344,8 +342,6 @@ def _source_map(
 
 
 # ---------- Lanelet2
-
-
 def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a Lanelet2 map: OpenStreetMap XML with relations of type lanelet.
 
@@ -479,8 +475,6 @@ def _buildings(
 
 
 # ---------- CommonRoad
-
-
 def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read the lanelets of a CommonRoad scenario, XML of version 2018b or 2020a, in its own metres.
 

@@ -206,7 +206,6 @@ def _one_line(error: BaseException) -> str:
 
 
 # ---------- PCD files
-
 _PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
 _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 

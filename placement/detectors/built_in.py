@@ -28,9 +28,8 @@ from .evidence import (
     load_min_iou,
 )
 
+
 # ---------- by boxes alone
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeometricDetector:
     """Detects by boxes alone: the same evidence always gives the same answer."""
@@ -90,8 +89,6 @@ class GeometricDetector:
 
 
 # ---------- by probability
-
-
 _POSITIVES = (
     "height_half_px",
     "height_steepness",
@@ -328,8 +325,6 @@ def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
 
 
 # ---------- by name or file
-
-
 DETECTOR_NAMES = ("geometric", "response", "pole-2015", "car-2019", "cnn-table", "cnn")
 """Of cameras; ``LIDAR_NAMES`` may follow any of them, or a file, behind a plus sign."""
 LIDAR_NAMES = ("pointrcnn-2019",)
@@ -384,8 +379,6 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
 def is_drawn(name: str) -> bool:
     """True if a detector of this name finds people with a probability, not by a rule.
 
-    Examples
-    --------
     >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
     (True, True, False)
     """

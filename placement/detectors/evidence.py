@@ -32,8 +32,6 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
 
     0 from behind or ahead, 90 from the side.
 
-    Examples
-    --------
     >>> aspects_deg(np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([180.0, 80.0])).round(9)
     array([ 0., 80.])
     """

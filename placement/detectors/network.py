@@ -25,8 +25,6 @@ from geometry.image_boxes import clip_boxes, iou
 from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image, LidarTable, load_min_iou
 
 # ---------- outputs of exported detectors, recognised by their names, shapes and types
-
-
 Array = NDArray[Any]
 Outputs = Mapping[str, Array]
 Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,)
@@ -232,8 +230,6 @@ def kind_of_name() -> dict[str, str]:
 
 
 # ---------- images in, boxes out
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Letterbox:
     """An image scaled without distortion and padded with grey around."""
@@ -500,7 +496,6 @@ def _first_line(error: Exception) -> Unquoted:
 
 
 # ---------- the detector
-
 _SCALES = (1, 2, 4, 8)
 _CHOSEN_BY = {"geometric": "by boxes alone", "cnn-table": "by the response table fitted to it"}
 

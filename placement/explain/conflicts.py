@@ -24,8 +24,6 @@ from ..wishes import Wishes, build_limits
 from .feasible_sets import Answer, Oracle
 
 # ---------- demands
-
-
 Kind = Literal[
     "budget_units",
     "budget_eur",
@@ -176,8 +174,6 @@ def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> 
 
 
 # ---------- relaxations
-
-
 _MAX_TRIALS = 40
 
 
@@ -363,8 +359,6 @@ class _Trial:
 
 
 # ---------- conflicts
-
-
 _MAX_SETS = 20_000
 
 
@@ -463,8 +457,6 @@ def _relaxations(
 
 
 # ---------- messages
-
-
 _MAX_NAMES = 4
 
 
@@ -504,9 +496,7 @@ def build_separation(
         return None
     limits = problem.limits
     free = build_limits(
-        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity),
-        scene,
-        candidates,
+        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity), scene, candidates
     )
     position_m = np.array([candidate.pose.position_m[:2] for candidate in candidates])
     where_m = np.array(

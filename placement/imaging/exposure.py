@@ -127,8 +127,6 @@ def _expose(
 
 
 # ---------- rain and glare
-
-
 _DROP_RANGE_M = (0.8, 6.0)  # nearer ones the housing keeps off, farther ones are too thin to see
 _LEAST_DROP_M = 1.0e-3
 _MARSHALL_PALMER_PER_M4 = 8.0e6

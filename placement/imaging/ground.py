@@ -18,8 +18,6 @@ from geometry.scene import Lane, Scene
 from .mesh import Thing
 
 # ---------- lanes and markings
-
-
 _NEIGHBOUR_M = 0.4  # so far beyond a lane's edge lies its neighbour
 _MOUTH_M = 2.5  # a lane that ends so near the junction's outline ends at a stop line
 _OVERLAP_M = 0.06
@@ -155,8 +153,6 @@ def _strip(
 
 
 # ---------- the map
-
-
 ROAD, PAINT, SKY = 0, 1, 2  # layers of a map
 
 _STEP_M = 0.1
@@ -356,13 +352,9 @@ def _window(
 
 
 # ---------- distances on the road plane
-
-
 def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArray:
     """Distance of points (..., 2) from the edge of a rectangle (5,), in metres, negative inside.
 
-    Examples
-    --------
     >>> rectangle_distance(np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
     array([-1.,  5.])
     """

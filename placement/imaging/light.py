@@ -176,8 +176,6 @@ def _colour(table: Mapping[str, object], key: str, where: str) -> FloatArray:
 
 
 # ---------- the sky and the air
-
-
 _EXPONENT = 0.6  # of the sine of the elevation, from horizon to zenith
 _SKY = f"{_FILE}: sky"
 _FOG_VISIBILITY_M = 1000.0  # below it is fog (WMO-No. 407)
@@ -254,8 +252,6 @@ def build_sky(weather: Weather) -> Sky:
 
 
 # ---------- light on surfaces
-
-
 _OFF_SURFACE_M = 4.0e-3  # where rays towards the light start
 _SUN_WAY_M = 500.0  # what is farther away throws no shadow here
 _SHADOW_SHARE = 0.08  # lamps that give less than this of a point's light throw no shadow there

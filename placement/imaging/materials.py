@@ -191,8 +191,6 @@ def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
 
 
 # ---------- ground, houses, walls and posts: patterns by position in the world
-
-
 _GRAIN_PER_M = (48.0, 384.0)  # texels of the grain, coarsest and finest
 _PATCH_M = 0.06  # size of the patches' texels
 _TEXELS = np.float32(2.7)  # of noise per window
@@ -327,8 +325,6 @@ def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
 
 
 # ---------- vehicles and people: colours by position in their own frames
-
-
 _WHEEL_M = 0.335  # radius of ordinary tyres
 _RIM_SHARE = 0.60
 

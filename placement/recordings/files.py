@@ -100,8 +100,6 @@ class World(NamedTuple):
 
 
 # ---------- folders, JSON, lines of text
-
-
 def entries_of(folder: Path, expected: str) -> list[Path]:
     """What is in a folder; InputError, with what is expected, where it cannot be read."""
     try:
@@ -260,8 +258,6 @@ def _box(row: Fields) -> Box:
 
 
 # ---------- writing
-
-
 _BICYCLE = "bycicle"  # as the study's paper spells it
 CONFIDENCE = 1.0
 """Of every detection that is written."""

@@ -134,8 +134,6 @@ def frames_to_confirm(
     So many consecutive frames in which it is found confirm a track; 0: that never happens. Rows
     of a track are in the order of their frames.
 
-    Examples
-    --------
     >>> found = np.array([True, False, True, True, True])
     >>> frames_to_confirm(found, np.zeros(5, int), np.arange(5), n_confirmations=3)
     array([5, 4, 3, 0, 0])

@@ -52,8 +52,6 @@ _OF_FRAMES = (".png", ".bin")  # images and points of the frames
 
 
 # ---------- drives: frames of a scenario up to the impact
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
     """Frames of one scenario at one speed, up to the impact."""
@@ -196,8 +194,6 @@ def _laid_out(
 def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
     """How fast a distance falls, by least squares: minus the slope of the line through it.
 
-    Examples
-    --------
     >>> round(closing_speed_mps(np.array([-0.2, -0.1]), np.array([6.0, 5.5])), 9)
     5.0
     """
@@ -206,8 +202,6 @@ def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
 
 
 # ---------- the folder
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
     """Contents of a folder in the study's format."""

@@ -208,8 +208,6 @@ def scene_hash(scene: Scene) -> str:
 
 
 # ---------- as arrays of a file
-
-
 def _mounts_to_arrays(mounts: Mounts) -> Arrays:
     """The arrays of :data:`_MOUNT_FIELDS`."""
     values = {name: getattr(mounts, attribute) for name, attribute in _ATTRIBUTES.items()}
@@ -231,8 +229,6 @@ def _read_sensor(text: str) -> Sensor:
 
 
 # ---------- placement problems
-
-
 INSTANCE_FILE = "instance.npz"
 KIND = "place-rsus/placement-problem/1"
 """Kind of a file with a problem alone; raise the number whenever the fields change."""

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 
 # ---------- values
-
-
 EPSILON = 1.0e-9
 """Shares and times that differ by no more are equal: they carry rounding noise."""
 EPSILON_EUR = 1.0e-6
@@ -281,8 +279,6 @@ def _of_blocks(
 
 
 # ---------- simple limits
-
-
 def usable_poses(problem: "PlacementProblem") -> IntArray:
     """Poses that some layout can contain."""
     limits = problem.limits
@@ -350,8 +346,6 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
 
 
 # ---------- other sets
-
-
 class BestOther(NamedTuple):
     """The best of the sets that are as good as the layout in all stages before; NaN if none is."""
 
