@@ -16,6 +16,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
@@ -101,9 +102,8 @@ def reading(path: Path, expected: str = "", *damage: type[BaseException]) -> Ite
 
 def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """Text of a UTF-8 file that holds a `kind` of text, "JSON"; raises InputError as above."""
-    data = read_bytes(path, max_bytes=max_bytes)
     try:
-        return data.decode("utf-8-sig")
+        return read_bytes(path, max_bytes=max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(str(path), Unquoted(error), f"{kind} in UTF-8") from None
 
@@ -178,6 +178,16 @@ def load_toml(source: Path | Traversable) -> dict[str, Any]:
     else:
         text = source.read_text(encoding="utf-8")
     return parse_toml(text, str(source))
+
+
+def load_data(package: str, name: str) -> dict[str, Any]:
+    """Tables of ``data/NAME`` in a package of this program."""
+    return load_toml(files(package) / "data" / name)
+
+
+def read_data(package: str, name: str, kind: type[_T]) -> _T:
+    """Value of ``data/NAME`` in a package of this program, see :func:`read_table`."""
+    return read_table(load_data(package, name), kind, name)
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
@@ -363,7 +373,10 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
             return "one of " + ", ".join(str(member.value) for member in kind)
         case msgspec.inspect.FloatType() | msgspec.inspect.IntType() as number:
             is_whole = isinstance(number, msgspec.inspect.IntType)
-            limits = "" if is_other_type else _limits(number)
+            signs = {" > ": number.gt, " < ": number.lt}
+            signs |= {", at least ": number.ge, ", at most ": number.le}
+            known = [f"{sign}{most:g}" for sign, most in signs.items() if most is not None]
+            limits = "" if is_other_type else "".join(known)
             plain = "a number" if limits else "a finite number"
             return ("a whole number" if is_whole else plain) + limits
         case msgspec.inspect.StrType():
@@ -378,40 +391,26 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
             return "a table"
 
 
-def _limits(node: msgspec.inspect.FloatType | msgspec.inspect.IntType) -> str:
-    signs = ((" > ", node.gt), (" < ", node.lt), (", at least ", node.ge), (", at most ", node.le))
-    return "".join(f"{sign}{limit:g}" for sign, limit in signs if limit is not None)
-
-
-def take(table: Table, key: str, where: str) -> Any:
-    """Value of a key that must be there."""
+def take(table: Table, key: str, where: str, kind: Any = None) -> Any:
+    """Value of a key that must be there; of a kind, see :func:`read_table`."""
     if key not in table:
         refuse(f"{where}.{key}", "nothing", "a value")
-    return table[key]
+    return table[key] if kind is None else read_table(table[key], kind, f"{where}.{key}")
 
 
 def take_number(table: Table, key: str, where: str) -> float:
     """Finite number of a key that must be there."""
-    value = take(table, key, where)
-    if isinstance(value, bool) or not (isinstance(value, int | float) and _is_finite(value)):
-        raise InputError(f"{where}.{key}", value, "a finite number")
-    return float(value)
+    return float(take(table, key, where, float))
 
 
 def take_text(table: Table, key: str, where: str) -> str:
     """Text of a key that must be there."""
-    value = take(table, key, where)
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{where}.{key}", value, "text")
-    return value
+    return str(take(table, key, where, Text))
 
 
 def take_list(table: Table, key: str, where: str) -> list[Any]:
     """List of a key that must be there."""
-    value = take(table, key, where)
-    if not isinstance(value, list):
-        raise InputError(f"{where}.{key}", value, "a list")
-    return value
+    return list(take(table, key, where, list))
 
 
 def pick(known: Mapping[str, _T], name: str, where: str) -> _T:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_toml, read_table, take_text
+from geometry.files import Table, Text, load_data, load_toml, read_table, take_text
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
@@ -110,7 +109,7 @@ def load_latency_budget(
 @cache
 def load_latency_budgets() -> Mapping[str, LatencyBudget]:
     """Budgets by name, from ``data/latency.toml``."""
-    return _read_budgets(load_toml(files(__package__) / "data" / _FILE), _FILE)
+    return _read_budgets(load_data(__package__, _FILE), _FILE)
 
 
 def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:

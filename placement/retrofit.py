@@ -7,13 +7,12 @@ the units already in place. All values are those of the detection table.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cmp_to_key
-from importlib.resources import files
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import load_data, read_table
 from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
@@ -122,7 +121,7 @@ def load_labour() -> Labour:
     >>> load_labour().re_aim_eur
     505.0
     """
-    table = load_toml(files(__package__) / "data" / "labour.toml")["default"]
+    table = load_data(__package__, "labour.toml")["default"]
     return read_table(table, Labour, "labour.toml: default")
 
 

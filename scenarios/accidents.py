@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +18,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import Text, load_toml, read_bytes, read_table
+from geometry.files import Text, read_bytes, read_data
 
 UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
@@ -72,8 +71,7 @@ class AccidentRules(Struct, frozen=True, kw_only=True):
 @cache
 def load_accident_rules() -> AccidentRules:
     """Codes and types of accidents, from ``data/accidents.toml``."""
-    where = "accidents.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), AccidentRules, where)
+    return read_data(__package__, "accidents.toml", AccidentRules)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,14 +4,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
-from geometry.files import Table, load_toml, read_table
+from geometry.files import Table, load_data, read_table
 
 from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
 
@@ -68,7 +67,7 @@ def _load_limits() -> dict[str, tuple[float, float]]:
 
 
 def _load_tables() -> Table:
-    return load_toml(files(__package__) / "data" / "aeb.toml")
+    return load_data(__package__, "aeb.toml")
 
 
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:

@@ -5,7 +5,6 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,7 +13,7 @@ from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_toml, pick, read_table, read_tables
+from geometry.files import Table, Text, load_data, load_toml, pick, read_table, read_tables
 
 from .encounters import RecordedEncounter, RecordedWay
 
@@ -340,7 +339,7 @@ class _UnlaidEntry(Struct, frozen=True, kw_only=True):
 def load_unlaid_cases() -> dict[str, Case]:
     """Cases of the protocols that cannot be laid, by name, from ``data/unlaid_cases.toml``."""
     where = "unlaid_cases.toml"
-    entries = read_tables(load_toml(files(__package__) / "data" / where), _UnlaidEntry, where)
+    entries = read_tables(load_data(__package__, where), _UnlaidEntry, where)
     return {
         name: Case(
             name=name,
@@ -386,7 +385,7 @@ def load_own_cases(path: str | Path) -> dict[str, Case]:
 
 
 def _load_tables() -> Table:
-    return load_toml(files(__package__) / "data" / "cases.toml")
+    return load_data(__package__, "cases.toml")
 
 
 def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Case]:
@@ -423,7 +422,7 @@ _ANY_CASE: Any = _Crossing | _Longitudinal | _Turning | _Recorded
 @cache
 def load_case_sets() -> dict[str, tuple[Case, ...]]:
     """Sets of cases, by name, with the speeds of the set if it has any; "all" is every case."""
-    table = load_toml(files(__package__) / "data" / "case_sets.toml")
+    table = load_data(__package__, "case_sets.toml")
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
     for set_name in [name for name in table if name not in alike]:

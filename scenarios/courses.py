@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
-from importlib.resources import files
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, check_field, check_one_of
-from geometry.files import load_toml, read_tables
+from geometry.files import load_data, read_tables
 from geometry.junction import Line
 
 _SAMPLE_M = 0.5  # between the points of a lane that are smoothed
@@ -420,7 +419,7 @@ class TurnAtSpeed(Struct, frozen=True, kw_only=True):
 @cache
 def load_turns() -> dict[str, TurnAtSpeed]:
     """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
-    table = load_toml(files(__package__) / "data" / "turning_paths.toml")
+    table = load_data(__package__, "turning_paths.toml")
     return read_tables(table, TurnAtSpeed, "turning_paths.toml")
 
 

@@ -4,13 +4,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Annotated
 
 from msgspec import Meta, Struct
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import read_data
 
 from .cases import Case
 
@@ -59,8 +58,7 @@ class PositionRules(Struct, frozen=True, kw_only=True):
 @cache
 def load_position_rules() -> PositionRules:
     """Rules of positions."""
-    where = "positions.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), PositionRules, where)
+    return read_data(__package__, "positions.toml", PositionRules)
 
 
 def is_study_set(cases: str) -> bool:

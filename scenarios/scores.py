@@ -9,7 +9,6 @@ is a run of its own with a later deadline; what it weighs is what it adds to the
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -18,7 +17,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError
-from geometry.files import Text, load_toml, read_table
+from geometry.files import Text, load_data, read_table
 
 from .aeb import AebRule, find_contacts, last_onsets_s
 from .paths import MPS_PER_KMH
@@ -54,7 +53,7 @@ def load_criteria(score: str) -> tuple[Criterion, ...]:
     """Criteria of a score from ``data/scores.toml``, none of "avoided"; or InputError."""
     if score == AVOIDED:
         return ()
-    tables = load_toml(files(__package__) / "data" / "scores.toml")
+    tables = load_data(__package__, "scores.toml")
     if score not in tables:
         raise InputError("score", score, "one of " + ", ".join(SCORES))
     return read_table(tables[score], tuple[Criterion, ...], f"scores.toml: {score}")

@@ -3,14 +3,13 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
-from geometry.files import Table, load_toml, read_table
+from geometry.files import Table, load_data, read_table
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
 from geometry.poses import Pose
@@ -376,5 +375,5 @@ def load_obstruction_rules() -> ObstructionRules:
 
 
 def _load_table(name: str) -> Table:
-    table: Table = load_toml(files(__package__) / "data" / "laying.toml")[name]
+    table: Table = load_data(__package__, "laying.toml")[name]
     return table

@@ -5,7 +5,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from msgspec import Struct
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import load_toml, parse_number, read_table, read_text
+from geometry.files import parse_number, read_data, read_text
 from geometry.untrusted_files import read_xml
 
 VEHICLE = "vehicle"
@@ -53,8 +52,7 @@ class TrajectoryRules(Struct, frozen=True, kw_only=True):
 @cache
 def load_trajectory_rules() -> TrajectoryRules:
     """How trajectories are read, from ``data/trajectories.toml``."""
-    where = "trajectories.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), TrajectoryRules, where)
+    return read_data(__package__, "trajectories.toml", TrajectoryRules)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import Text, load_toml, read_table, read_text
+from geometry.files import Text, load_data, read_data, read_table, read_text
 
 from .accidents import (
     DAY,
@@ -195,7 +194,7 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
             f"`weights` {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
     where = "rating_2026.toml"
-    tables = load_toml(files(__package__) / "data" / where)["scores"]
+    tables = load_data(__package__, where)["scores"]
     points = {}
     for index, score in enumerate(read_table(tables, tuple[_Score, ...], where)):
         if score.name not in TOTAL_SCORES:
@@ -232,8 +231,7 @@ class CrashTypes(Struct, frozen=True, kw_only=True):
 @cache
 def load_crash_types() -> CrashTypes:
     """Types of accidents and what is known of them."""
-    where = "crash_types.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), CrashTypes, where)
+    return read_data(__package__, "crash_types.toml", CrashTypes)
 
 
 def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:

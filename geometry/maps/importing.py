@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from functools import cache
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ import shapely
 
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
-from ..files import check_file, load_toml, open_file, read_text
+from ..files import check_file, load_data, open_file, read_text
 from ..frames import parse_crs
 from ..junction import build_junction
 from ..notes import Note
@@ -205,7 +204,7 @@ def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset
 @cache
 def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
     """Words of street names, and their endings, to how they are shortened."""
-    table = load_toml(files(__package__) / "data" / "streets.toml")
+    table = load_data(__package__, "streets.toml")
     words, endings = (
         {long: short for short, longs in table[key].items() for long in longs}
         for key in ("words", "endings")

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.resources import files
 from typing import Any, Literal
 
 import mapbox_earcut
@@ -17,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, float_array, freeze, set_arrays
 from ..errors import InputError, check_one_of, refuse
-from ..files import load_toml, pick
+from ..files import load_data, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
 
@@ -384,7 +383,7 @@ class ThingDefaults:
 @cache
 def thing_defaults() -> ThingDefaults:
     """Read ``data/things.toml``."""
-    return msgspec.convert(load_toml(files(__package__) / "data" / "things.toml"), ThingDefaults)
+    return msgspec.convert(load_data(__package__, "things.toml"), ThingDefaults)
 
 
 def kind_from_name(name: str) -> ThingKind | None:
@@ -433,13 +432,13 @@ class AutoSites:
 @cache
 def load_auto_sites() -> AutoSites:
     """Read ``[auto]`` of ``data/sites.toml``."""
-    return msgspec.convert(load_toml(files(__package__) / "data" / "sites.toml")["auto"], AutoSites)
+    return msgspec.convert(load_data(__package__, "sites.toml")["auto"], AutoSites)
 
 
 @cache
 def load_pole_kinds() -> dict[str, PoleKind]:
     """All kinds of poles by name, from ``data/sites.toml``."""
-    table = load_toml(files(__package__) / "data" / "sites.toml")
+    table = load_data(__package__, "sites.toml")
     return {one.kind: one for one in msgspec.convert(table["kinds"], list[PoleKind])}
 
 

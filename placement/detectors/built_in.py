@@ -13,7 +13,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError, Unquoted, check_field, check_one_of
-from geometry.files import Table, load_toml, read_table, take, take_list, take_number
+from geometry.files import Table, load_data, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px, iou
 
 from .evidence import (
@@ -389,7 +389,7 @@ def is_drawn(name: str) -> bool:
 @cache
 def _load_lidar_table(name: str) -> LidarTable:
     """A built-in table of what LiDARs find."""
-    document = load_toml(files(__package__) / "data" / f"{name}.toml")
+    document = load_data(__package__, f"{name}.toml")
     of_class = [document[document["stands_for"].get(one, one)] for one in VRU_CLASSES]
     return LidarTable(
         name=name,
@@ -446,7 +446,7 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
 
 @cache
 def _defaults() -> dict[str, Any]:
-    return load_toml(files(__package__) / "data" / _FILE)
+    return load_data(__package__, _FILE)
 
 
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from PIL import Image as PilImage
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import check_file, load_toml, take
+from geometry.files import check_file, load_data, take
 from geometry.image_boxes import clip_boxes, iou
 
 from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image, LidarTable, load_min_iou
@@ -101,7 +100,7 @@ def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Expo
 @cache
 def onnx_setting(key: str) -> Any:
     """Value in ``data/onnx.toml``."""
-    return take(load_toml(files(__package__) / "data" / "onnx.toml"), key, "onnx.toml")
+    return take(load_data(__package__, "onnx.toml"), key, "onnx.toml")
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:

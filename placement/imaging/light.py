@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
-from geometry.files import load_toml, read_table, take, take_number
+from geometry.files import load_data, read_table, take, take_number
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster
 from geometry.scene import Scene
@@ -148,7 +147,7 @@ def build_headlights(vut: Actor, pose: Pose, *, keeps_left: bool) -> tuple[HeadL
 @cache
 def load_lamp_table() -> dict[str, Any]:
     """``data/lamps.toml``."""
-    return load_toml(files(__package__) / "data" / _FILE)
+    return load_data(__package__, _FILE)
 
 
 def _points_along(line: FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from statistics import NormalDist
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, float_array
 from geometry.errors import InputError
-from geometry.files import load_toml, read_table
+from geometry.files import load_data, read_table
 from geometry.raycast import FloatRays
 
 from .ground import PAINT, ROAD, SKY, GroundMap, grain_at, soft_noise_at
@@ -127,7 +126,7 @@ def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
 @cache
 def load_materials() -> Materials:
     """All materials, from ``data/materials.toml``."""
-    table = load_toml(files(__package__) / "data" / _WHERE)
+    table = load_data(__package__, _WHERE)
     pattern = dict(table["pattern"])
     colour = pattern.pop("lit_window_colour")
     return Materials(

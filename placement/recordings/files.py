@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
@@ -18,7 +17,7 @@ import msgspec
 
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import load_toml, parse_number, read_bytes, read_table, read_text, write_new
+from geometry.files import load_data, parse_number, read_bytes, read_table, read_text, write_new
 
 VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
 _MOST_FRAMES = 100_000_000
@@ -69,7 +68,7 @@ class RecordingFormat:
 def load_format() -> RecordingFormat:
     """The layout, from ``data/carla_ncap_format.toml``."""
     file = "carla_ncap_format.toml"
-    table = load_toml(files(__package__) / "data" / file)
+    table = load_data(__package__, file)
     return read_table({**table, **table["motion"]}, RecordingFormat, file)
 
 
