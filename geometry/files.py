@@ -1,8 +1,10 @@
 """Files: TOML into checked values, results whole or not at all, folders that are believed."""
 
 import atexit
+import csv
 import errno
 import glob
+import io
 import json
 import math
 import os
@@ -106,6 +108,30 @@ def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
         return read_bytes(path, max_bytes=max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(str(path), Unquoted(error), f"{kind} in UTF-8") from None
+
+
+def read_csv(
+    text: str, where: str, *, separators: str = ",", noun: str = "fields"
+) -> Iterator[tuple[str, list[str]]]:
+    """Rows of CSV but empty ones, the header first: file and line, and the cells without spaces.
+
+    The first line says which of the separators it is. Raises InputError: it is no CSV, or a row has
+    other numbers of cells than the header; `noun` is what the message calls these.
+    """
+    separator = max(separators, key=text.partition("\n")[0].count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    n_cells = 0
+    try:
+        for row in reader:
+            here, cells = f"{where}: line {reader.line_num}", [cell.strip() for cell in row]
+            if not any(cells):
+                continue
+            n_cells = n_cells or len(cells)
+            if len(cells) != n_cells:
+                refuse(here, f"{len(cells)} {noun}", f"{n_cells}")
+            yield here, cells
+    except csv.Error as error:
+        raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "a CSV file") from None
 
 
 def open_new(path: Path) -> BinaryIO:

@@ -4,8 +4,6 @@ Each becomes a road user, an event and a light, in words of ``data/accidents.tom
 the files' codes mean and which cases stand for which event. What cannot be used has a reason.
 """
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,8 +15,8 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
-from geometry.errors import InputError, Unquoted
-from geometry.files import Text, read_bytes, read_data
+from geometry.errors import InputError, Unquoted, refuse
+from geometry.files import Text, read_bytes, read_csv, read_data
 
 UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
@@ -324,35 +322,23 @@ def _rows(
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
-    head = text.partition("\n")[0]
-    separator = max(";,\t", key=head.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    try:
-        header = [name.strip().lower() for name in next(reader, [])]
-        at: dict[str, int] = {}
-        for name, known in {**columns, **(optional or {})}.items():
-            found = [header.index(one) for one in known if one in header]
-            if found:
-                at[name] = found[0]
-            elif name in columns:
-                got = Unquoted(f"no column {known[0]}")
-                expected = "columns " + ", ".join(one[0] for one in columns.values())
-                raise InputError(str(path), got, expected)
-        missing = dict.fromkeys((name for name in optional or {} if name not in at), "")
-        n_rows = 0
-        for cells in reader:
-            if not any(cells):
-                continue
-            if len(cells) != len(header):
-                where = f"{path}: line {reader.line_num}"
-                raise InputError(where, Unquoted(f"{len(cells)} fields"), f"{len(header)}")
-            n_rows += 1
-            yield missing | {name: cells[index].strip() for name, index in at.items()}
-    except csv.Error as error:
-        where = f"{path}: line {reader.line_num}"
-        raise InputError(where, Unquoted(error), "a CSV file") from None
+    rows = read_csv(text, str(path), separators=";,\t")
+    header = [name.lower() for name in next(rows, ("", []))[1]]
+    at: dict[str, int] = {}
+    for name, known in {**columns, **(optional or {})}.items():
+        found = [header.index(one) for one in known if one in header]
+        if found:
+            at[name] = found[0]
+        elif name in columns:
+            expected = "columns " + ", ".join(one[0] for one in columns.values())
+            refuse(str(path), f"no column {known[0]}", expected)
+    missing = dict.fromkeys((name for name in optional or {} if name not in at), "")
+    n_rows = 0
+    for _, cells in rows:
+        n_rows += 1
+        yield missing | {name: cells[index] for name, index in at.items()}
     if not n_rows:
-        raise InputError(str(path), Unquoted("no rows"), "a row for each accident")
+        refuse(str(path), "no rows", "a row for each accident")
 
 
 def _degrees(text: str) -> float:

@@ -1,6 +1,5 @@
 """Recorded trajectories of road users: CSV, CommonRoad XML, and SUMO's floating car data."""
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,8 +12,8 @@ from msgspec import Struct
 
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import parse_number, read_data, read_text
+from geometry.errors import InputError, Unquoted, check_one_of, refuse
+from geometry.files import parse_number, read_csv, read_data, read_text
 from geometry.untrusted_files import read_xml
 
 VEHICLE = "vehicle"
@@ -182,37 +181,27 @@ def _check(own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: f
 def _csv_samples(
     path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
 ) -> Iterator[_Sample]:
-    lines = read_text(path, "a CSV file").splitlines()
-    try:
-        rows = csv.reader(lines, strict=True)
-        header = [cell.strip() for cell in next(rows, [])]
-        at = _find_columns(path, header, columns, frame_rate_hz)
-        if "class" not in at and not class_name:
-            expected = "a column with the class, or `class`: what all in the file are"
-            raise InputError(f"{path}: line 1", Unquoted(", ".join(header)), expected)
-        for row in rows:
-            if not any(cell.strip() for cell in row):
-                continue
-            place = f"{path}: line {rows.line_num}"
-            if len(row) != len(header):
-                raise InputError(place, Unquoted(f"{len(row)} columns"), f"{len(header)}")
-            value = {
-                name: _number(row[index], f"{place}: {header[index]}")
-                for name, index in at.items()
-                if name not in ("id", "class")
-            }
-            yaw_deg = math.degrees(value.get("heading_rad", math.nan))
-            yield _Sample(
-                place,
-                row[at["id"]].strip(),
-                row[at["class"]].strip() if "class" in at else class_name,
-                value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0),
-                value["x"],
-                value["y"],
-                value.get("heading", yaw_deg),
-            )
-    except csv.Error as error:
-        raise InputError(str(path), Unquoted(error), "a CSV file") from None
+    rows = read_csv(read_text(path, "a CSV file"), str(path), noun="columns")
+    _, header = next(rows, ("", []))
+    at = _find_columns(path, header, columns, frame_rate_hz)
+    if "class" not in at and not class_name:
+        expected = "a column with the class, or `class`: what all in the file are"
+        refuse(f"{path}: line 1", ", ".join(header), expected)
+    for place, row in rows:
+        value = {
+            name: _number(row[index], f"{place}: {header[index]}")
+            for name, index in at.items()
+            if name not in ("id", "class")
+        }
+        yield _Sample(
+            place,
+            row[at["id"]],
+            row[at["class"]] if "class" in at else class_name,
+            value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0),
+            value["x"],
+            value["y"],
+            value.get("heading", math.degrees(value.get("heading_rad", math.nan))),
+        )
 
 
 def _find_columns(

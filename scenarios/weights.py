@@ -4,7 +4,6 @@ The statistics (``data/crash_types.toml``) know types of accidents and how near 
 happen; a table of one's own, by case, approach, position and weather, may know better.
 """
 
-import csv
 import logging
 import math
 from collections import Counter
@@ -18,8 +17,8 @@ from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import Text, load_data, read_data, read_table, read_text
+from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
+from geometry.files import Text, load_data, read_csv, read_data, read_table, read_text
 
 from .accidents import (
     DAY,
@@ -54,9 +53,8 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     again, or its weight is not a number >= 0; all weights are 0.
     """
     weight = np.zeros(len(runs))
-    named = np.zeros(len(runs), dtype=np.int64)  # by which line
-    for line, row in _read_rows(path):
-        where = f"{path}: line {line}"
+    named: dict[int, str] = {}  # by which line
+    for where, row in _read_rows(path):
         amount = _read_weight(row["weight"], where)
         row["position"] = _read_position(row["position"], where)
         members = [
@@ -69,11 +67,10 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
         ]
         if not members:
             raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
-        again = named[members][named[members] > 0]
-        if len(again):
-            got = Unquoted(_words(row))
-            raise InputError(where, got, f"runs that line {again[0]} does not name already")
-        named[members] = line
+        if again := [named[index] for index in members if index in named]:
+            line = again[0].rpartition(": ")[2]
+            refuse(where, _words(row), f"runs that {line} does not name already")
+        named |= dict.fromkeys(members, where)
         weight[members] = amount / len(members)
     if not weight.any():
         raise InputError(f"{path}: weight", Unquoted("0 in all rows"), "one weight more than 0")
@@ -86,32 +83,20 @@ def _shares(weight: FloatArray) -> FloatArray:
     return shares
 
 
-def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    lines = read_text(path, "a CSV file").splitlines()
-    separator = ";" if lines and ";" in lines[0] else ","
-    try:
-        reader = csv.reader(lines, delimiter=separator, strict=True)
-        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except csv.Error as error:
-        raise InputError(str(path), Unquoted(error), "a CSV file") from None
-    rows = [(line, row) for line, row in rows if any(row)]
+def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
+    text = read_text(path, "a CSV file")
+    rows = [*read_csv(text, str(path), separators=",;", noun="columns")]
     expected = ", ".join(_COLUMNS) + f", and {' and '.join(_OPTIONAL)} if wanted"
     if not rows:
-        raise InputError(str(path), Unquoted("an empty file"), f"columns {expected}")
+        refuse(str(path), "an empty file", f"columns {expected}")
     header = [name.lower() for name in rows[0][1]]
     unknown = [name for name in header if name not in (*_COLUMNS, *_OPTIONAL)]
     if unknown or len(set(header)) < len(header) or not set(_COLUMNS) <= set(header):
-        raise InputError(f"{path}: line {rows[0][0]}", Unquoted(", ".join(header)), expected)
-    for line, row in rows[1:]:
-        if len(row) != len(header):
-            got = Unquoted(f"{len(row)} columns")
-            raise InputError(f"{path}: line {line}", got, f"{len(header)}")
+        refuse(rows[0][0], ", ".join(header), expected)
     if len(rows) == 1:
-        raise InputError(str(path), Unquoted("no rows"), "one row per case and approach")
-    return [
-        (line, {**dict.fromkeys(_OPTIONAL, ""), **dict(zip(header, row, strict=True))})
-        for line, row in rows[1:]
-    ]
+        refuse(str(path), "no rows", "one row per case and approach")
+    none = dict.fromkeys(_OPTIONAL, "")
+    return [(here, {**none, **dict(zip(header, row, strict=True))}) for here, row in rows[1:]]
 
 
 def _read_weight(text: str, where: str) -> float:
@@ -379,9 +364,7 @@ def check_weights(how: str) -> None:
     if source := split_source(how):
         read_accidents(*source)
         return
-    path = _weights_file(how)
-    for line, row in _read_rows(path):
-        where = f"{path}: line {line}"
+    for where, row in _read_rows(_weights_file(how)):
         _read_weight(row["weight"], where)
         _read_position(row["position"], where)
 
