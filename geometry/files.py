@@ -131,7 +131,9 @@ def read_csv(
                 refuse(here, f"{len(cells)} {noun}", f"{n_cells}")
             yield here, cells
     except csv.Error as error:
-        raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "a CSV file") from None
+        raise InputError(
+            f"{where}: line {reader.line_num}", Unquoted(error), "a CSV file"
+        ) from None
 
 
 def open_new(path: Path) -> BinaryIO:

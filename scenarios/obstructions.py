@@ -13,7 +13,7 @@ from geometry.footprints import footprint_corners
 from geometry.junction import CONNECTING
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Scene, strips_of
+from geometry.scene import Scene, area_of, strips_of
 from geometry.terrain import GROUND, houses_of, on_ground, terrain_of
 
 from .cases import Obstruction
@@ -198,7 +198,7 @@ def _areas(scene: Scene) -> _Areas:
 
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
-    inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
+    inside = area_of(scene.outline_m).buffer(-_INSIDE_OUTLINE_M)
     parking = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
     # Some maps mark parking spaces on a lane that is wide enough for both.
     driven = shapely.difference(shapely.union_all(strips), parking)
