@@ -238,15 +238,20 @@ def parse_json(text: str | bytes, where: str, what: str) -> Any:
         raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
 
 
+def float_of(value: Any) -> float:
+    """The number that a value or a word is; NaN if it is none."""
+    try:
+        return math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 def parse_number(
     word: str, where: str, *, least: float = -math.inf, most: float = math.inf
 ) -> float:
     """The finite number that a word of a file is; `where` is its file, line and field."""
-    try:
-        # float() would also take 1_0 and other scripts' digits.
-        value = float(word) if word.isascii() and "_" not in word else math.nan
-    except ValueError:
-        value = math.nan
+    # float() would also take 1_0 and other scripts' digits.
+    value = float_of(word) if word.isascii() and "_" not in word else math.nan
     if not (math.isfinite(value) and least <= value <= most):
         limits = "" if least == -math.inf else f", at least {least:g}"
         limits = limits if most == math.inf else f", {least:g} .. {most:g}"

@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray, float_array
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, write_atomically
+from geometry.files import float_of, read_bytes, write_atomically
 
 from .layout import relative_gap
 from .memory import check_fits
@@ -337,19 +337,12 @@ def _to_numbers(tokens: list[bytes], data: bytes, where: str) -> FloatArray:
     try:
         values = np.array(tokens).astype(np.float64)
     except ValueError:
-        values = np.array([_to_number(token) for token in tokens])
+        values = np.array([float_of(token) for token in tokens])
     if not np.isfinite(values).all():
         index = int((~np.isfinite(values)).argmax())
         expected = f"a number (format {', '.join(FORMATS[:-1])} or {FORMATS[-1]})"
         raise InputError(f"{where}: {_place(data, index)}", _shown(tokens[index]), expected)
     return values
-
-
-def _to_number(token: bytes) -> float:
-    try:
-        return float(token)
-    except ValueError:
-        return math.nan
 
 
 def _shown(token: bytes) -> str:

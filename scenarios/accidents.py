@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import Text, read_bytes, read_csv, read_data
+from geometry.files import Text, float_of, read_bytes, read_csv, read_data
 
 UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
@@ -173,7 +173,7 @@ def _read(form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ..
 _UNFALLATLAS_USERS = {"istfuss": "on foot", "istrad": "bicycle", "istkrad": "motorcycle"}
 
 
-def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accident]]:
+def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().unfallatlas
     columns = {name: (name,) for name in ("utyp1", *_UNFALLATLAS_USERS, "istpkw")} | {
         "light": ("ulichtverh", "licht"),
@@ -182,7 +182,7 @@ def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accid
     }
     places, what = [], []
     for row in _rows(path, columns, optional={"uart": ("uart",)}):
-        places.append((_degrees(row["y"]), _degrees(row["x"])))
+        places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         users = [user for column, user in _UNFALLATLAS_USERS.items() if row[column] == "1"]
         code = row["utyp1"]
         event, unused = rules.events.get(code, ""), ""
@@ -220,7 +220,7 @@ _INDEX: _Columns = {"index": ("collision_index", "accident_index")}
 
 def _read_stats19(
     collisions: Path, vehicles: Path, casualties: Path
-) -> tuple[list[tuple[float, float]], list[Accident]]:
+) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().stats19
     of_vehicles = {
         "reference": ("vehicle_reference",),
@@ -243,7 +243,7 @@ def _read_stats19(
     places, what = [], []
     of_collisions = {"x": ("longitude",), "y": ("latitude",), "light": ("light_conditions",)}
     for row in _rows(collisions, {**_INDEX, **of_collisions}):
-        places.append((_degrees(row["y"]), _degrees(row["x"])))
+        places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         index, light = row["index"], rules.light.get(row["light"], "")
         road_user, event, unused = _collision(drivers.get(index, {}), walkers.get(index, []), rules)
         what.append(Accident(road_user=road_user, event=event, light=light, unused=unused))
@@ -339,11 +339,3 @@ def _rows(
         yield missing | {name: cells[index] for name, index in at.items()}
     if not n_rows:
         refuse(str(path), "no rows", "a row for each accident")
-
-
-def _degrees(text: str) -> float:
-    """A number with a decimal comma or point; not a number for anything else."""
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        return float("nan")

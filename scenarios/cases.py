@@ -13,7 +13,16 @@ from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_data, load_toml, pick, read_table, read_tables
+from geometry.files import (
+    Table,
+    Text,
+    float_of,
+    load_data,
+    load_toml,
+    pick,
+    read_table,
+    read_tables,
+)
 
 from .encounters import RecordedEncounter, RecordedWay
 
@@ -723,11 +732,8 @@ def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
     pairs: _Pairs = []
     for word in (part.strip() for part in text.split(",")):
         separator = "x" if "x" in word else "-"
-        try:
-            found = [float(part) for part in word.split(separator, 1)]
-        except ValueError:
-            found = []
-        if not found or not all(0.0 < speed <= _HIGHEST_KMH for speed in found):
+        found = [float_of(part) for part in word.split(separator, 1)]
+        if not all(0.0 < speed <= _HIGHEST_KMH for speed in found):
             known = "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both"
             raise InputError("speeds", word, f"{known}, up to {_HIGHEST_KMH:g}")
         if len(found) == 1:

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.actors import Actor, pick_actor
+from geometry.actors import Actor, footprint_sizes, pick_actor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.footprints import FootprintSizes, gaps_between
+from geometry.lines import along_m
 
-from .courses import along_m
 from .encounters import RecordedEncounter, RecordedWay, first_contact_s
 from .paths import MPS_PER_KMH
 from .trajectories import VEHICLE, Track, load_trajectory_rules
@@ -127,12 +127,7 @@ def _replay(
     time = vehicle.time_s[is_common]
     if len(time) == 0:
         return ""
-    sizes = FootprintSizes(
-        length_a_m=vut.length_m,
-        width_a_m=vut.width_m,
-        length_b_m=actor.length_m,
-        width_b_m=actor.width_m,
-    )
+    sizes = footprint_sizes(vut, actor)
     offset = vru.at(time) - vehicle.at(time)
     speeds = [np.hypot(*track.velocity_mps(time).T) for track in (vehicle, vru)]
     yaws = [_yaw_deg(track, time) for track in (vehicle, vru)]

@@ -9,7 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_data
+from geometry.files import float_of, read_data
 
 from .cases import Case
 
@@ -86,10 +86,7 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
         raise InputError(where, Unquoted(f"{len(words)} distances"), f"at most {most}")
     distances: list[float] = []
     for word in words:
-        try:
-            distance_m = float(word)
-        except ValueError:
-            distance_m = math.nan
+        distance_m = float_of(word)
         if not 0.0 <= distance_m <= rules.max_distance_m or word.startswith("-"):
             raise InputError(where, word, expected)
         if f"{distance_m:g}" in {f"{other_m:g}" for other_m in distances}:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.files import Text, load_data, read_csv, read_data, read_table, read_text
+from geometry.files import Text, float_of, load_data, read_csv, read_data, read_table, read_text
 
 from .accidents import (
     DAY,
@@ -100,10 +100,7 @@ def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
 
 
 def _read_weight(text: str, where: str) -> float:
-    try:
-        amount = float(text)
-    except ValueError:
-        amount = math.nan
+    amount = float_of(text)
     if not 0.0 <= amount < math.inf:
         raise InputError(f"{where}: weight", text, "a number, at least 0")
     return amount

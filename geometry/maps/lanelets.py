@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted
+from ..files import float_of
 from ..lines import along_m, apart, length_m
 from ..notes import Note
 from ..untrusted_files import local_name, read_xml
@@ -404,9 +405,9 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
     tags = [elements.node_tags.get(row, {}) for row in range(len(elements.node_ids))]
     if not tags:
         raise InputError(str(path), Unquoted("no nodes"), "a map with lanelets")
-    heights = np.array([_number(some.get("ele", "")) for some in tags])
+    heights = np.array([float_of(some.get("ele", "")) for some in tags])
     height_m = np.nan_to_num(heights)
-    local = np.array([[_number(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags])
+    local = np.array([[float_of(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags])
     if np.isfinite(local).all():
         return np.column_stack([local, height_m]), "", bool(np.isfinite(heights).any())
     middle_deg = np.median(elements.lon_lat_deg, axis=0)
@@ -415,13 +416,6 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
     is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
     found = np.column_stack([plane_m, height_m])
     return found, "" if is_nowhere else crs, bool(np.isfinite(heights).any())
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
 
 
 def _speed_kmh(text: str) -> float | None:
@@ -538,7 +532,7 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
 def _points(element: Element | None) -> FloatArray:
     """Points under an element, (n, 3)."""
     found = [
-        [_number(point.findtext(axis) or ("0" if axis == "z" else "")) for axis in "xyz"]
+        [float_of(point.findtext(axis) or ("0" if axis == "z" else "")) for axis in "xyz"]
         for point in ([] if element is None else element.iter("point"))
     ]
     points = np.array(found).reshape(-1, 3)

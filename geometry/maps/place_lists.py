@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, refuse
-from ..files import read_csv, read_text
+from ..files import float_of, read_csv, read_text
 from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import Feature, Features, read_features
@@ -282,10 +282,7 @@ def read_number(
     if isinstance(value, str) and "," in value:
         thousands = "." if value.rfind(",") > value.rfind(".") else ","
         value = value.replace(thousands, "").replace(",", ".")
-    try:
-        number = np.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = np.nan
+    number = float_of(value)
     if not np.isfinite(number) or (least is not None and number < least):
         expected = "a finite number" + ("" if least is None else f", at least {least:g}")
         raise InputError(f"{where}: {field}", value, expected)
@@ -390,10 +387,7 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
 
 def _count(row: Mapping[str, Any], column: str, where: str) -> float:
     value = row.get(column) if column else 1.0
-    try:
-        number = np.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = np.nan
+    number = float_of(value)
     if not (np.isfinite(number) and number >= 0.0):
         raise InputError(f"{where}: {column}", value, "a number, at least 0")
     return number

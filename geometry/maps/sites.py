@@ -13,6 +13,7 @@ from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
+from ..files import float_of
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
 from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
@@ -364,10 +365,7 @@ def _listed(
 
 def _spacing_m(where: str) -> float:
     low, high = _SPACINGS_M
-    try:
-        spacing_m = float(where.removeprefix(KERB))
-    except ValueError:
-        spacing_m = np.nan
+    spacing_m = float_of(where.removeprefix(KERB))
     if not low <= spacing_m <= high:
         raise InputError("sites", where, f"kerb:SPACING in metres, {low:g} to {high:g}")
     return spacing_m

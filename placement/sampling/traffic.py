@@ -95,19 +95,9 @@ def build_ways(runs: Sequence[Run], rule: AebRule) -> dict[GroupKey, Ways]:
     return {key: _build(members, rule) for key, members in groups.items()}
 
 
-def footprint_of(placed: PlacedActor) -> FloatArray:
-    """Corners of a body that stands somewhere, (4, 2), in metres."""
-    return footprint_corners(
-        placed.pose.position_m[:2],
-        placed.pose.yaw_deg,
-        length_m=placed.actor.length_m,
-        width_m=placed.actor.width_m,
-    )
-
-
 def _footprints_of(bodies: Iterable[PlacedActor]) -> Footprints:
     """Footprints of bodies that stand somewhere; maybe none."""
-    return _footprints(np.array([footprint_of(placed) for placed in bodies]).reshape(-1, 4, 2))
+    return _footprints(np.array([placed.footprint_m for placed in bodies]).reshape(-1, 4, 2))
 
 
 def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
@@ -209,7 +199,7 @@ class Street:
             for placed in fill(side, self.traffic, rng(name, side.is_in, side.lane.id))
         ]
         for placed in drawn:
-            corners = footprint_of(placed)
+            corners = placed.footprint_m
             if not touches_any(corners, taken) and self._is_free(corners, placed.actor.height_m):
                 kept.append(placed)
                 taken.append(corners)
