@@ -60,9 +60,7 @@ def _kind(mode: int) -> str:
     return "a " + (kinds | {stat.S_IFSOCK: "socket"}).get(stat.S_IFMT(mode), "device")
 
 
-def open_file(
-    path: Path, *, max_bytes: int | None = None, expected: str = "a readable file"
-) -> BinaryIO:
+def open_file(path: Path, *, max_bytes: int | None = None) -> BinaryIO:
     """Open a regular file for reading; InputError: it is none, too large, or cannot be opened."""
     check_file(path, max_bytes=max_bytes)  # to open a device may already do something
 
@@ -73,7 +71,7 @@ def open_file(
         file = open(path, "rb", opener=at_once)  # noqa: SIM115 - Path has no opener
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(str(path), Unquoted(reason), expected) from None
+        raise InputError(str(path), Unquoted(reason), "a readable file") from None
     try:
         _check_found(os.fstat(file.fileno()), str(path), max_bytes)
     except InputError:
@@ -89,7 +87,7 @@ def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
 
 
 @contextmanager
-def reading(path: Path, expected: str = "", *damage: type[BaseException]) -> Iterator[None]:
+def reading(path: Path | str, expected: str = "", *damage: type[BaseException]) -> Iterator[None]:
     """Raise InputError in place of what the system raises, and what readers do about `damage`."""
     try:
         yield

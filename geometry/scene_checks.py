@@ -11,6 +11,7 @@ import shapely
 from .arrays import FloatArray
 from .errors import InputError
 from .junction import ASSUMED, Junction, arm_of_road, build_junction, compass_point, lane_length_m
+from .lines import unit
 from .scene import (
     HANGING_KINDS,
     LeadingRoad,
@@ -97,8 +98,7 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
 def _direction(line: Any, point: Any) -> FloatArray:
     at_m = line.project(point)
     begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
-    step = np.array([end.x - begin.x, end.y - begin.y])
-    return step / max(float(np.hypot(*step)), 1e-9)
+    return unit(np.array([end.x - begin.x, end.y - begin.y]))
 
 
 def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:

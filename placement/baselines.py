@@ -134,8 +134,7 @@ def off_axis_deg(poses: Sequence[CandidatePose], point_m: FloatArray) -> FloatAr
     ahead = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
     to_point = point_m - position
     beside = np.linalg.norm(np.cross(ahead, to_point), axis=1)
-    angle_deg: FloatArray = np.degrees(np.arctan2(beside, (ahead * to_point).sum(axis=1)))
-    return angle_deg
+    return np.asarray(np.degrees(np.arctan2(beside, (ahead * to_point).sum(axis=1))))
 
 
 def corner_poses(

@@ -43,7 +43,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import float_of, read_bytes, write_atomically
 
 from .layout import relative_gap
@@ -288,12 +288,9 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
     Raises InputError if the file cannot be read, or holds no instance.
     """
     where = str(path)
-    if format_name is not None and format_name not in FORMATS:
-        raise InputError("format_name", format_name, "one of " + ", ".join(FORMATS))
-    try:
-        data = read_bytes(path, max_bytes=_MAX_BYTES)
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+    if format_name is not None:
+        check_one_of("format_name", format_name, FORMATS)
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
     check_fits(where, f"{len(data):,} bytes of text", _TEXT_BYTES * len(data), "fewer rows")
     tokens = data.split()
     if not tokens:

@@ -150,19 +150,17 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
         raise InputError(f"{where}.name", name, "printable text")
     where = f"{where}.{name}"
     part = read_table(entry, _PartTable, where)
+    given = [key for key in _RANGE if key in entry]
+    if part.fixed_s is not None and given:
+        raise InputError(f"{where}.{given[0]}", Unquoted("it beside fixed_s"), "one of them")
+    if part.fixed_s is None and not given:
+        raise InputError(where, Unquoted("no time"), "fixed_s, or low_s and high_s")
     low_s, high_s = part.low_s, part.high_s
     if part.fixed_s is not None:
-        given = [key for key in _RANGE if key in entry]
-        if given:
-            raise InputError(f"{where}.{given[0]}", Unquoted("it beside fixed_s"), "one of them")
         low_s = high_s = part.fixed_s
-    elif low_s is None and high_s is None:
-        raise InputError(where, Unquoted("no time"), "fixed_s, or low_s and high_s")
-    for key, value in zip(_RANGE, (low_s, high_s), strict=True):
-        if value is None:
-            raise InputError(f"{where}.{key}", Unquoted("nothing"), "a value")
-    assert low_s is not None
-    assert high_s is not None
+    if low_s is None or high_s is None:
+        missing = "low_s" if low_s is None else "high_s"
+        raise InputError(f"{where}.{missing}", Unquoted("nothing"), "a value")
     if low_s > high_s:
         raise InputError(f"{where}.high_s", high_s, f"at least low_s, {low_s}")
     reasons = [key for key in ("source", "assumption") if key in entry]

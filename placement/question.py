@@ -444,14 +444,10 @@ def question_text(question: Question) -> str:
 
 def save_question(path: str | Path, question: Question) -> None:
     """Write a question file, see :func:`question_text`."""
-    from geometry.errors import InputError, Unquoted
-    from geometry.files import write_atomically
+    from geometry.files import reading, write_atomically
 
-    try:
+    with reading(path, "a file that can be written", OSError):
         write_atomically(Path(path), question_text(question))
-    except OSError as error:
-        expected = "a file that can be written"
-        raise InputError(str(path), Unquoted(error.strerror or error), expected) from None
 
 
 Question.__signature__ = Signature(  # type: ignore[attr-defined]  # without limits, to be read

@@ -114,8 +114,7 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
         np.sin(0.5 * (latitude - here_latitude)) ** 2
         + np.cos(latitude) * np.cos(here_latitude) * np.sin(0.5 * (longitude - here_longitude)) ** 2
     )
-    distance: FloatArray = 2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0)))
-    return distance
+    return np.asarray(2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0))))
 
 
 def reasons(unused: Mapping[str, int]) -> str:

@@ -252,8 +252,7 @@ def _target_ahead_mps(
     # By the speed along its path: what stands in a table of points is a little longer or shorter.
     speed = target.distance_m(time_s + _SHORT_S) - target.distance_m(time_s - _SHORT_S)
     turned = target.path.at(target.distance_m(time_s))[1] - vut.path.at(driven)[1]
-    ahead: FloatArray = speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned))
-    return ahead
+    return np.asarray(speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned)))
 
 
 _LEVEL_STEP_S = 0.025  # from one onset to the next in the search for the last one of a speed

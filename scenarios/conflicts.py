@@ -71,8 +71,7 @@ def time_to_collision_s(
         first = np.maximum(first, np.where(speed == 0.0, -still, ends.min(axis=0)))
         last = np.minimum(last, np.where(speed == 0.0, still, ends.max(axis=0)))
     meets = (first <= last) & (last >= 0.0)
-    ttc: FloatArray = np.where(meets, np.maximum(first, 0.0), np.inf)
-    return ttc
+    return np.asarray(np.where(meets, np.maximum(first, 0.0), np.inf))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -195,8 +194,7 @@ def _yaw_deg(track: Track, time_s: FloatArray) -> FloatArray:
     if not moves.any():
         return np.zeros(len(time_s))
     last = np.maximum.accumulate(np.where(moves, np.arange(len(yaw)), -1))
-    held: FloatArray = yaw[np.where(last < 0, int(moves.argmax()), last)]
-    return held
+    return np.asarray(yaw[np.where(last < 0, int(moves.argmax()), last)])
 
 
 def _is_forward(vehicle: Track, time_s: FloatArray, yaw_deg: FloatArray) -> BoolArray:

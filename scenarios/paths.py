@@ -371,8 +371,7 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
         atol=_ODE_TOLERANCE,
         max_step=0.25 * turn.clothoid_length_m,  # or it might step over where the arc begins
     )
-    lag: FloatArray = solution.y[0]
-    return lag
+    return np.asarray(solution.y[0])
 
 
 @lru_cache(maxsize=64)  # the same few courses are driven again and again

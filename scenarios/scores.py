@@ -112,8 +112,7 @@ class Levels:
     @property
     def first(self) -> IntArray:
         """The first level of each run, (n_runs,)."""
-        starts: IntArray = np.flatnonzero(np.diff(self.run_index, prepend=-1))
-        return starts
+        return np.asarray(np.flatnonzero(np.diff(self.run_index, prepend=-1)))
 
     def of_speeds(self, closing_kmh: FloatArray, is_avoided: BoolArray) -> FloatArray:
         """What runs count by their closing speeds at contact: (..., n_runs) -> (..., n_runs)."""

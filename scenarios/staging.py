@@ -131,8 +131,7 @@ def find_crossing(
 
 def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:
     middle, yaw_deg = path.at(distance_m)
-    front: FloatArray = middle + vut.front_axle_ahead_m * _axes(yaw_deg)[0]
-    return front
+    return np.asarray(middle + vut.front_axle_ahead_m * _axes(yaw_deg)[0])
 
 
 def _axes(yaw_deg: FloatArray) -> tuple[FloatArray, FloatArray]:

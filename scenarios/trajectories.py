@@ -77,8 +77,7 @@ class Track:
         reach_s = load_trajectory_rules().tracks.velocity_s
         before = np.maximum(time_s - reach_s, self.time_s[0])
         after = np.minimum(time_s + reach_s, self.time_s[-1])
-        moved: FloatArray = (self.at(after) - self.at(before)) / (after - before)[..., None]
-        return moved
+        return np.asarray((self.at(after) - self.at(before)) / (after - before)[..., None])
 
 
 class _Sample(NamedTuple):

@@ -79,8 +79,7 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
 
 def _shares(weight: FloatArray) -> FloatArray:
     """Weights that sum to 1."""
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return np.asarray(weight / weight.sum())
 
 
 def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:

@@ -124,7 +124,8 @@ def _build(
     label = connected_components(links, directed=False)[1]
     members = [np.flatnonzero(inside & (label == at)).tolist() for at in np.unique(label[inside])]
     junction_of = {one: f"j{number}" for number, some in enumerate(members, 1) for one in some}
-    lanes = [*_lanes(roads, follows, junction_of), *_paths(lanelets)]
+    paths = [_map_lane([one], one.id) for one in lanelets if one.kind in ("walking", "cycling")]
+    lanes = [*_lanes(roads, follows, junction_of), *paths]
     junctions, connections = [], []
     for group in members:
         name = junction_of[group[0]]
@@ -246,12 +247,6 @@ def _lanes(
             from_junction=ends[0],
             to_junction=ends[1],
         )
-
-
-def _paths(lanelets: Sequence[Lanelet]) -> Iterator[MapLane]:
-    for one in lanelets:
-        if one.kind in ("walking", "cycling"):
-            yield _map_lane([one], one.id)
 
 
 def _connections(
@@ -536,5 +531,4 @@ def _points(element: Element | None) -> FloatArray:
         for point in ([] if element is None else element.iter("point"))
     ]
     points = np.array(found).reshape(-1, 3)
-    known: FloatArray = points[np.isfinite(points).all(axis=1)]
-    return known
+    return np.asarray(points[np.isfinite(points).all(axis=1)])

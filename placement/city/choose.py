@@ -49,8 +49,7 @@ class Knapsack:
     @property
     def starts(self) -> IntArray:
         """First option of each group."""
-        starts: IntArray = np.flatnonzero(np.diff(self.group, prepend=-1))
-        return starts
+        return np.asarray(np.flatnonzero(np.diff(self.group, prepend=-1)))
 
     def is_within(self, chosen: IntArray) -> bool:
         """True if a choice, one option per group, keeps the limits but for rounding."""
@@ -171,8 +170,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
             if (prices < most - 1.0e-9).all() or most > 1.0e9:
                 break
             most *= 100.0  # a limit that is hard to keep
-    at_best: FloatArray = best * scale
-    return at_best
+    return np.asarray(best * scale)
 
 
 def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, float]:
@@ -246,8 +244,7 @@ def _solve_core(
 
 
 def _first(position: IntArray) -> IntArray:
-    first: IntArray = np.flatnonzero(np.diff(position, prepend=-1))
-    return first
+    return np.asarray(np.flatnonzero(np.diff(position, prepend=-1)))
 
 
 # ---------- the choice

@@ -277,8 +277,7 @@ class ResponseDetector:
         run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
         own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
         own_part = np.sqrt(lasting.unit_person_share) * own
-        noise: FloatArray = own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws]
-        return noise
+        return np.asarray(own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws])
 
     def _most(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection of a box of any height, (n,)."""

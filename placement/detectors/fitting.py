@@ -646,8 +646,7 @@ def joint_normal(
     sine = np.sin(0.5 * angle[:, None] * (nodes + 1.0))
     a, b = first[:, None], second[:, None]
     density = np.exp(-0.5 * (a**2 - 2.0 * sine * a * b + b**2) / (1.0 - sine**2))
-    joint: FloatArray = ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi)
-    return joint
+    return np.asarray(ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi))
 
 
 def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float:

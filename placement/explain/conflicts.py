@@ -277,18 +277,14 @@ def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
     return [tuple(forbidden[sites == site].tolist()) for site in np.unique(sites)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
     """Relaxations of one demand that are tried one after the other."""
 
-    def __init__(
-        self,
-        demand: Demand,
-        problem: PlacementProblem,
-        oracle: Oracle,
-        separation: Separation | None,
-    ) -> None:
-        self.demand, self.problem, self.oracle = demand, problem, oracle
-        self.separation = separation
+    demand: Demand
+    problem: PlacementProblem
+    oracle: Oracle
+    separation: Separation | None
 
     def first(self, values: Sequence[float]) -> Relaxation | None:
         """The first of some values, each looser than the one before, that can be met."""

@@ -203,8 +203,7 @@ class Sky:
         horizon, air = self.horizon_cdpm2.astype(np.float32), self.air_cdpm2.astype(np.float32)
         bright = horizon + share * (self.zenith_cdpm2 - self.horizon_cdpm2).astype(np.float32)
         left = np.exp(np.float32(-self.extinction_per_m * self.haze_height_m) / sine)[:, None]
-        seen: FloatRays = air + left * (bright - air)
-        return seen
+        return np.asarray(air + left * (bright - air))
 
     def fade(self, luminance: FloatRays, distance_m: FloatRays) -> None:
         """Take from luminances (n, 3) what the air takes over distances (n,), in place.

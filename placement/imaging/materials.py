@@ -66,8 +66,7 @@ def blank_coat(n_hits: int) -> Coat:
 
 def cover(distance_m: FloatRays, pixel_m: FloatRays) -> FloatRays:
     """Share (n,) of each pixel inside an edge, by its distance (negative inside) and size."""
-    share: FloatRays = np.clip(np.float32(0.5) - distance_m / pixel_m, 0.0, 1.0)
-    return share
+    return np.asarray(np.clip(np.float32(0.5) - distance_m / pixel_m, 0.0, 1.0))
 
 
 def blend(under: FloatRays, over: FloatRays, share: FloatRays) -> None:
@@ -177,8 +176,7 @@ def _any_colours(n_colours: int, rng: np.random.Generator) -> FloatRays:
     hue = rng.uniform(0.0, 2.0 * np.pi, (n_colours, 1)) + np.array([0.0, 2.1, 4.2])
     colour = 1.0 + rng.beta(0.7, 1.0, (n_colours, 1)) * np.cos(hue)
     light = np.exp(rng.uniform(np.log(0.02), np.log(0.7), (n_colours, 1)))
-    albedos: FloatRays = np.clip(light * colour, 0.01, 0.85).astype(np.float32)
-    return albedos
+    return np.asarray(np.clip(light * colour, 0.01, 0.85).astype(np.float32))
 
 
 def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:

@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import parse_number, read_table, read_text
+from geometry.files import parse_number, read_table, read_text, reading
 from geometry.untrusted_files import read_xml
 
 from .files import Box, Fields, entries_of, json_of, load_format, read_lines
@@ -361,11 +361,9 @@ def find_format(path: Path) -> str:
 
     Raises InputError, with the formats that are known, if it is in none of them.
     """
-    try:
+    with reading(path, "a recording", OSError):
         is_folder = stat.S_ISDIR(path.stat().st_mode)
         name = _of_folder(path) if is_folder else None
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a recording") from None
     if is_folder and name is None:
         raise _unknown(str(path), "a folder without their files")
     if name is not None:

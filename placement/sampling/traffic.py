@@ -10,6 +10,7 @@ from geometry.actors import Actor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Arm, build_junction, lane_length_m, lane_line
+from geometry.lines import points_at
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Lane, Scene
@@ -166,8 +167,7 @@ class Kerbside:
 
     def _point(self, from_mouth_m: float) -> FloatArray:
         points = self.lane.centreline_m[::-1] if self.is_in else self.lane.centreline_m
-        covered = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-        return np.array([np.interp(from_mouth_m, covered, points[:, axis]) for axis in (0, 1)])
+        return points_at(points, np.array(from_mouth_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
