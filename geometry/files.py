@@ -108,7 +108,7 @@ def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
         raise InputError(str(path), Unquoted(error), f"{kind} in UTF-8") from None
 
 
-def read_csv(
+def csv_rows(
     text: str, where: str, *, separators: str = ",", noun: str = "fields"
 ) -> Iterator[tuple[str, list[str]]]:
     """Rows of CSV but empty ones, the header first: file and line, and the cells without spaces.

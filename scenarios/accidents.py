@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import Text, float_of, read_bytes, read_csv, read_data
+from geometry.files import Text, csv_rows, float_of, read_bytes, read_data
 
 UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
@@ -321,7 +321,7 @@ def _rows(
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
-    rows = read_csv(text, str(path), separators=";,\t")
+    rows = csv_rows(text, str(path), separators=";,\t")
     header = [name.lower() for name in next(rows, ("", []))[1]]
     at: dict[str, int] = {}
     for name, known in {**columns, **(optional or {})}.items():

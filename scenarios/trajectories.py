@@ -13,7 +13,7 @@ from msgspec import Struct
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, check_one_of, refuse
-from geometry.files import parse_number, read_csv, read_data, read_text
+from geometry.files import csv_rows, parse_number, read_data, read_text
 from geometry.untrusted_files import read_xml
 
 VEHICLE = "vehicle"
@@ -180,7 +180,7 @@ def _check(own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: f
 def _csv_samples(
     path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
 ) -> Iterator[_Sample]:
-    rows = read_csv(read_text(path, "a CSV file"), str(path), noun="columns")
+    rows = csv_rows(read_text(path, "a CSV file"), str(path), noun="columns")
     _, header = next(rows, ("", []))
     at = _find_columns(path, header, columns, frame_rate_hz)
     if "class" not in at and not class_name:

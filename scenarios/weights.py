@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.files import Text, float_of, load_data, read_csv, read_data, read_table, read_text
+from geometry.files import Text, csv_rows, float_of, load_data, read_data, read_table, read_text
 
 from .accidents import (
     DAY,
@@ -84,7 +84,7 @@ def _shares(weight: FloatArray) -> FloatArray:
 
 def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
     text = read_text(path, "a CSV file")
-    rows = [*read_csv(text, str(path), separators=",;", noun="columns")]
+    rows = [*csv_rows(text, str(path), separators=",;", noun="columns")]
     expected = ", ".join(_COLUMNS) + f", and {' and '.join(_OPTIONAL)} if wanted"
     if not rows:
         refuse(str(path), "an empty file", f"columns {expected}")

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, refuse
-from ..files import float_of, read_csv, read_text
+from ..files import csv_rows, float_of, read_text
 from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import Feature, Features, read_features
@@ -148,7 +148,7 @@ def known_columns(
 
 def read_csv_rows(path: Path) -> Iterator[_Row]:
     """Rows of a CSV file (comma, semicolon or tab): where each is, and its cells by column."""
-    rows = read_csv(read_text(path, "CSV"), str(path), separators=";\t,")
+    rows = csv_rows(read_text(path, "CSV"), str(path), separators=";\t,")
     _, names = next(rows, ("", []))
     for number, (here, cells) in enumerate(rows, start=2):
         if number > _MAX_SITES:
