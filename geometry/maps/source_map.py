@@ -32,6 +32,7 @@ MAX_TRIANGLES = 5_000_000  # of the things of a file
 _MAX_ID = 120  # characters
 _MAX_SKIPPED = 100  # entries
 _MAX_NAME = 200  # characters of a name that are looked at
+_MAX_NESTED = 50  # collections within collections
 _SECTIONS = 10  # of a pole's cylinder
 MIN_POLE_M = 2.5
 """A lower pole is a bollard: sensors on it could be reached from the pavement."""
@@ -157,12 +158,17 @@ def extrude_polygon(
     return extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=where)
 
 
+def parts_of(shape: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
+    """Points, lines and polygons of a geometry, or of collections of such."""
+    pieces = getattr(shape, "geoms", None)
+    if pieces is None or depth > _MAX_NESTED:
+        return [shape]
+    return [part for piece in pieces for part in parts_of(piece, depth + 1)]
+
+
 def polygons_of(shape: BaseGeometry, *, above_m2: float = 0.0) -> list[Polygon]:
     """Polygons of a geometry, or of a collection of such, that have more than an area."""
-    pieces = getattr(shape, "geoms", None)
-    if pieces is not None:
-        return [part for piece in pieces for part in polygons_of(piece, above_m2=above_m2)]
-    return [shape] if shape.geom_type == "Polygon" and shape.area > above_m2 else []
+    return [p for p in parts_of(shape) if p.geom_type == "Polygon" and p.area > above_m2]
 
 
 @cache
