@@ -207,12 +207,12 @@ def load_toml(source: Path | Traversable) -> dict[str, Any]:
 
 
 def load_data(package: str, name: str) -> dict[str, Any]:
-    """Tables of ``data/NAME`` in a package of this program."""
+    """Tables of a file in the folder ``data`` of one of this program's packages."""
     return load_toml(files(package) / "data" / name)
 
 
 def read_data(package: str, name: str, kind: type[_T]) -> _T:
-    """Value of ``data/NAME`` in a package of this program, see :func:`read_table`."""
+    """Value of such a file, see :func:`load_data` and :func:`read_table`."""
     return read_table(load_data(package, name), kind, name)
 
 
