@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
 from .errors import InputError, Unquoted, refuse
 from .files import Table, Text, load_toml, pick, read_tables
+from .footprints import FootprintSizes, footprint_corners
 from .poses import Pose
 
 _SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
@@ -89,6 +90,12 @@ class PlacedActor:
         """Equal for the same body at the same pose, whoever placed it."""
         return (self.actor, *self.pose.position_m.tolist(), self.pose.yaw_deg, self.pose.pitch_deg)
 
+    @property
+    def footprint_m(self) -> FloatArray:
+        """Corners on the road, (4, 2)."""
+        size = {"length_m": self.actor.length_m, "width_m": self.actor.width_m}
+        return footprint_corners(self.pose.position_m[:2], self.pose.yaw_deg, **size)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingActor:
@@ -153,6 +160,16 @@ def fingerprint(table: Table) -> str:
     """Hash of a catalogue's content, whatever its layout and comments."""
     text = json.dumps(table, sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def footprint_sizes(one: Actor, other: Actor) -> FootprintSizes:
+    """Footprints of two bodies, a and b."""
+    return FootprintSizes(
+        length_a_m=one.length_m,
+        width_a_m=one.width_m,
+        length_b_m=other.length_m,
+        width_b_m=other.width_m,
+    )
 
 
 def pick_actor(name: str, where: str) -> Actor:

@@ -1,8 +1,10 @@
 """Files: TOML into checked values, results whole or not at all, folders that are believed."""
 
 import atexit
+import csv
 import errno
 import glob
+import io
 import json
 import math
 import os
@@ -16,6 +18,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
@@ -57,9 +60,7 @@ def _kind(mode: int) -> str:
     return "a " + (kinds | {stat.S_IFSOCK: "socket"}).get(stat.S_IFMT(mode), "device")
 
 
-def open_file(
-    path: Path, *, max_bytes: int | None = None, expected: str = "a readable file"
-) -> BinaryIO:
+def open_file(path: Path, *, max_bytes: int | None = None) -> BinaryIO:
     """Open a regular file for reading; InputError: it is none, too large, or cannot be opened."""
     check_file(path, max_bytes=max_bytes)  # to open a device may already do something
 
@@ -70,7 +71,7 @@ def open_file(
         file = open(path, "rb", opener=at_once)  # noqa: SIM115 - Path has no opener
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(str(path), Unquoted(reason), expected) from None
+        raise InputError(str(path), Unquoted(reason), "a readable file") from None
     try:
         _check_found(os.fstat(file.fileno()), str(path), max_bytes)
     except InputError:
@@ -86,7 +87,7 @@ def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
 
 
 @contextmanager
-def reading(path: Path, expected: str = "", *damage: type[BaseException]) -> Iterator[None]:
+def reading(path: Path | str, expected: str = "", *damage: type[BaseException]) -> Iterator[None]:
     """Raise InputError in place of what the system raises, and what readers do about `damage`."""
     try:
         yield
@@ -101,11 +102,36 @@ def reading(path: Path, expected: str = "", *damage: type[BaseException]) -> Ite
 
 def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """Text of a UTF-8 file that holds a `kind` of text, "JSON"; raises InputError as above."""
-    data = read_bytes(path, max_bytes=max_bytes)
     try:
-        return data.decode("utf-8-sig")
+        return read_bytes(path, max_bytes=max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(str(path), Unquoted(error), f"{kind} in UTF-8") from None
+
+
+def csv_rows(
+    text: str, where: str, *, separators: str = ",", noun: str = "fields"
+) -> Iterator[tuple[str, list[str]]]:
+    """Rows of CSV but empty ones, the header first: file and line, and the cells without spaces.
+
+    The first line says which of the separators it is. Raises InputError: it is no CSV, or a row has
+    other numbers of cells than the header; `noun` is what the message calls these.
+    """
+    separator = max(separators, key=text.partition("\n")[0].count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    n_cells = 0
+    try:
+        for row in reader:
+            here, cells = f"{where}: line {reader.line_num}", [cell.strip() for cell in row]
+            if not any(cells):
+                continue
+            n_cells = n_cells or len(cells)
+            if len(cells) != n_cells:
+                refuse(here, f"{len(cells)} {noun}", f"{n_cells}")
+            yield here, cells
+    except csv.Error as error:
+        raise InputError(
+            f"{where}: line {reader.line_num}", Unquoted(error), "a CSV file"
+        ) from None
 
 
 def open_new(path: Path) -> BinaryIO:
@@ -180,6 +206,16 @@ def load_toml(source: Path | Traversable) -> dict[str, Any]:
     return parse_toml(text, str(source))
 
 
+def load_data(package: str, name: str) -> dict[str, Any]:
+    """Tables of a file in the folder ``data`` of one of this program's packages."""
+    return load_toml(files(package) / "data" / name)
+
+
+def read_data(package: str, name: str, kind: type[_T]) -> _T:
+    """Value of such a file, see :func:`load_data` and :func:`read_table`."""
+    return read_table(load_data(package, name), kind, name)
+
+
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Read TOML from a text; raises InputError, which names `where`, if it is not valid."""
     try:
@@ -200,15 +236,20 @@ def parse_json(text: str | bytes, where: str, what: str) -> Any:
         raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
 
 
+def float_of(value: Any) -> float:
+    """The number that a value or a word is; NaN if it is none."""
+    try:
+        return math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 def parse_number(
     word: str, where: str, *, least: float = -math.inf, most: float = math.inf
 ) -> float:
     """The finite number that a word of a file is; `where` is its file, line and field."""
-    try:
-        # float() would also take 1_0 and other scripts' digits.
-        value = float(word) if word.isascii() and "_" not in word else math.nan
-    except ValueError:
-        value = math.nan
+    # float() would also take 1_0 and other scripts' digits.
+    value = float_of(word) if word.isascii() and "_" not in word else math.nan
     if not (math.isfinite(value) and least <= value <= most):
         limits = "" if least == -math.inf else f", at least {least:g}"
         limits = limits if most == math.inf else f", {least:g} .. {most:g}"
@@ -363,7 +404,10 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
             return "one of " + ", ".join(str(member.value) for member in kind)
         case msgspec.inspect.FloatType() | msgspec.inspect.IntType() as number:
             is_whole = isinstance(number, msgspec.inspect.IntType)
-            limits = "" if is_other_type else _limits(number)
+            signs = {" > ": number.gt, " < ": number.lt}
+            signs |= {", at least ": number.ge, ", at most ": number.le}
+            known = [f"{sign}{most:g}" for sign, most in signs.items() if most is not None]
+            limits = "" if is_other_type else "".join(known)
             plain = "a number" if limits else "a finite number"
             return ("a whole number" if is_whole else plain) + limits
         case msgspec.inspect.StrType():
@@ -378,40 +422,26 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
             return "a table"
 
 
-def _limits(node: msgspec.inspect.FloatType | msgspec.inspect.IntType) -> str:
-    signs = ((" > ", node.gt), (" < ", node.lt), (", at least ", node.ge), (", at most ", node.le))
-    return "".join(f"{sign}{limit:g}" for sign, limit in signs if limit is not None)
-
-
-def take(table: Table, key: str, where: str) -> Any:
-    """Value of a key that must be there."""
+def take(table: Table, key: str, where: str, kind: Any = None) -> Any:
+    """Value of a key that must be there; of a kind, see :func:`read_table`."""
     if key not in table:
         refuse(f"{where}.{key}", "nothing", "a value")
-    return table[key]
+    return table[key] if kind is None else read_table(table[key], kind, f"{where}.{key}")
 
 
 def take_number(table: Table, key: str, where: str) -> float:
     """Finite number of a key that must be there."""
-    value = take(table, key, where)
-    if isinstance(value, bool) or not (isinstance(value, int | float) and _is_finite(value)):
-        raise InputError(f"{where}.{key}", value, "a finite number")
-    return float(value)
+    return float(take(table, key, where, float))
 
 
 def take_text(table: Table, key: str, where: str) -> str:
     """Text of a key that must be there."""
-    value = take(table, key, where)
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{where}.{key}", value, "text")
-    return value
+    return str(take(table, key, where, Text))
 
 
 def take_list(table: Table, key: str, where: str) -> list[Any]:
     """List of a key that must be there."""
-    value = take(table, key, where)
-    if not isinstance(value, list):
-        raise InputError(f"{where}.{key}", value, "a list")
-    return value
+    return list(take(table, key, where, list))
 
 
 def pick(known: Mapping[str, _T], name: str, where: str) -> _T:

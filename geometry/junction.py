@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, float_array, freeze, set_arrays
 from .errors import InputError
+from .lines import apart, length_m
 from .scene import Lane, LeadingRoad, Scene, Turn
 
 ARM_NAMES = (
@@ -246,7 +247,7 @@ def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]
 
 def lane_length_m(lane: Lane) -> float:
     """Length of a lane's centreline, in metres."""
-    return float(np.hypot(*np.diff(lane.centreline_m, axis=0).T).sum())
+    return length_m(lane.centreline_m)
 
 
 def curve_between(before: Line, after: Line) -> FloatArray:
@@ -361,8 +362,7 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
     if pieces[0 if is_in else -1].kind == CONNECTING:
         del pieces[0 if is_in else -1]  # no lane of the map begins behind it
     points = np.concatenate([piece.centreline_m for piece in pieces])
-    is_new = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1.0e-6)
-    return replace(lane, centreline_m=points[is_new])
+    return replace(lane, centreline_m=apart(points, 1.0e-6))
 
 
 def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib.resources import files
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, IntArray
 from .errors import check_field
-from .files import Table, load_toml, read_table, read_tables
+from .files import Table, load_data, read_table, read_tables
 from .sensors import load_limits
 
 _INDEX_SLACK = 1.0e-9
@@ -183,7 +182,7 @@ class _DetectionEntry:
 
 @cache
 def _load_file() -> Table:
-    return load_toml(files(__package__) / "data" / _FILE)
+    return load_data(__package__, _FILE)
 
 
 @cache

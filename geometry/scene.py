@@ -226,7 +226,12 @@ def road_area(scene: Scene) -> Any:
 
 def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
     """Area of lanes and of a junction's outline (n, 2): a shapely geometry in metres."""
-    return shapely.union_all([shapely.make_valid(shapely.Polygon(outline_m)), *strips_of(lanes)])
+    return shapely.union_all([area_of(outline_m), *strips_of(lanes)])
+
+
+def area_of(outline_m: FloatArray) -> Any:
+    """Area within an outline (n, 2), which may cross itself: a shapely geometry in metres."""
+    return shapely.make_valid(shapely.Polygon(outline_m))
 
 
 def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:

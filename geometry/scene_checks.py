@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -10,11 +11,13 @@ import shapely
 from .arrays import FloatArray
 from .errors import InputError
 from .junction import ASSUMED, Junction, arm_of_road, build_junction, compass_point, lane_length_m
+from .lines import unit
 from .scene import (
     HANGING_KINDS,
     LeadingRoad,
     Scene,
     Site,
+    area_of,
     containing_instance,
     road_area,
     strips_of,
@@ -34,7 +37,7 @@ _OPPOSITE = -0.8  # cosine of the angle between lanes of one road; roads that cr
 _BESIDE_M = 0.5  # along a lane, to tell its direction
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Finding:
     """What may be wrong, and why: an error makes results wrong, a warning may be as it is."""
 
@@ -43,12 +46,7 @@ class Finding:
     why: str
 
 
-def _error(what: str, why: str) -> Finding:
-    return Finding(level="error", what=what, why=why)
-
-
-def _warning(what: str, why: str) -> Finding:
-    return Finding(level="warning", what=what, why=why)
+_error, _warning = partial(Finding, "error"), partial(Finding, "warning")
 
 
 def check_scene(scene: Scene) -> list[Finding]:
@@ -100,8 +98,7 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
 def _direction(line: Any, point: Any) -> FloatArray:
     at_m = line.project(point)
     begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
-    step = np.array([end.x - begin.x, end.y - begin.y])
-    return step / max(float(np.hypot(*step)), 1e-9)
+    return unit(np.array([end.x - begin.x, end.y - begin.y]))
 
 
 def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
@@ -164,7 +161,7 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
     feet = np.array([site.position_m[:2] for site in sites])
-    junction = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_AT_KERB_M)
+    junction = area_of(scene.outline_m).buffer(-_AT_KERB_M)
     mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED and len(lane.centreline_m) > 1]
     lanes = strips_of(mapped, less_m=_AT_KERB_M)
     hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
@@ -227,8 +224,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     one, other = tree.query(areas, predicate="intersects")
     one, other = one[one < other], other[one < other]
     overlaps = shapely.area(shapely.intersection(areas[one], areas[other]))
-    twice: list[str] = []
-    partly: list[str] = []
+    twice, partly = list[str](), list[str]()
     for a, b, area in zip(one.tolist(), other.tolist(), overlaps.tolist(), strict=True):
         if area > _OVERLAP_M2:
             smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))

@@ -1,24 +1,25 @@
 """Open untrusted files safely: archives, XML, JSON, glTF, PBF."""
 
-import json
 import os
 import stat
 import struct
 import sys
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from .errors import InputError, Unquoted, refuse
-from .files import open_file, open_new, parse_json, read_bytes, reading
+from .files import open_file, open_new, parse_json, read_bytes, read_table, reading
 
 MAX_MEMBERS = 10_000
 MAX_UNPACKED_BYTES = 2_000_000_000  # out of one file, whatever it is packed with
@@ -235,25 +236,50 @@ def parse_object(text: str, where: str, expected: str) -> Mapping[str, Any]:
 
 
 # ---------- glTF
+_Size = Annotated[int, Meta(ge=0)]
+
+
+class _Accessor(Struct, frozen=True):
+    count: Annotated[int, Meta(ge=0, le=_MAX_COUNT)]
+
+
+class _View(Struct, frozen=True):
+    byteOffset: _Size = 0
+    byteLength: _Size = 0
+    byteStride: _Size = 0
+
+
+class _Node(Struct, frozen=True):
+    children: tuple[_Size, ...] = ()
+
+
+class _Gltf(Struct, frozen=True):
+    accessors: tuple[_Accessor, ...] = ()
+    bufferViews: tuple[_View, ...] = ()
+    nodes: Annotated[tuple[_Node, ...], Meta(max_length=_MAX_NODES)] = ()
+    extensionsRequired: tuple[str, ...] = ()
+
+
 def check_gltf(path: Path) -> None:
     """Raise InputError for claims of a glTF 2 file before memory is given to them."""
     where = str(path)
     text = _binary_header(path) if path.suffix.lower() == ".glb" else read_bytes(path)
     if len(text) > _MAX_JSON_BYTES:
         refuse(where, f"{len(text):,} bytes of JSON", f"{_MAX_JSON_BYTES:,}")
-    header = parse_object(text.decode("utf-8", "replace"), where, "glTF")
-    for accessor in _entries(header, "accessors", where):
-        count = accessor.get("count")
-        if not isinstance(count, int) or not 0 <= count <= _MAX_COUNT:
-            raise InputError(f"{where}: accessors.count", count, f"0 to {_MAX_COUNT:,}")
-    for view in _entries(header, "bufferViews", where):
-        for key in ("byteOffset", "byteLength", "byteStride"):
-            value = view.get(key, 0)
-            if not isinstance(value, int) or value < 0:
-                raise InputError(f"{where}: bufferViews.{key}", value, "a number of bytes")
-    _check_tree(_entries(header, "nodes", where), where)
-    required = header.get("extensionsRequired")
-    for name in map(str, required if isinstance(required, list) else ()):
+    document = parse_object(text.decode("utf-8", "replace"), where, "glTF")
+    known = {key: document[key] for key in _Gltf.__struct_fields__ if key in document}
+    header = read_table(known, _Gltf, where)
+    children = [child for node in header.nodes for child in node.children]
+    if max(children, default=-1) >= len(header.nodes):
+        raise InputError(f"{where}: nodes.children", max(children), "indices of nodes")
+    if again := [child for child, number in Counter(children).items() if number > 1]:
+        refuse(f"{where}: nodes[{again[0]}]", "two parents", "one")
+    reached = sorted({*range(len(header.nodes))} - {*children})
+    for index in reached:  # grows while it is walked through
+        reached += header.nodes[index].children
+    if len(reached) < len(header.nodes):
+        refuse(f"{where}: nodes", "a node that is its own ancestor", "a tree")
+    for name in header.extensionsRequired:
         if "compression" in name.lower():
             refuse(where, f"compression {name}", "a plain glTF")
 
@@ -267,34 +293,6 @@ def _binary_header(path: Path) -> bytes:
         if version != 2 or kind != 0x4E4F534A:
             raise InputError(f"{path}: version", version, "2, with JSON first")
         return file.read(min(length, _MAX_JSON_BYTES + 1))
-
-
-def _entries(header: Mapping[str, Any], key: str, where: str) -> list[Mapping[str, Any]]:
-    entries = header.get(key, [])
-    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
-        raise InputError(f"{where}: {key}", json.dumps(entries)[:80], "a list of tables")
-    return entries
-
-
-def _check_tree(nodes: list[Mapping[str, Any]], where: str) -> None:
-    if len(nodes) > _MAX_NODES:
-        raise InputError(f"{where}: nodes", len(nodes), f"at most {_MAX_NODES:,}")
-    parent: dict[int, int] = {}
-    for index, node in enumerate(nodes):
-        children = node.get("children", [])
-        if not isinstance(children, list):
-            raise InputError(f"{where}: nodes[{index}].children", children, "a list")
-        for child in children:
-            if not isinstance(child, int) or not 0 <= child < len(nodes):
-                raise InputError(f"{where}: nodes[{index}].children", child, "indices of nodes")
-            if child in parent:
-                refuse(f"{where}: nodes[{child}]", "two parents", "one")
-            parent[child] = index
-    reached = [index for index in range(len(nodes)) if index not in parent]
-    for index in reached:  # grows while it is walked through
-        reached += nodes[index].get("children", [])
-    if len(reached) < len(nodes):
-        refuse(f"{where}: nodes", "a node that is its own ancestor", "a tree")
 
 
 # ---------- PBF of OpenStreetMap

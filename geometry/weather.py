@@ -3,14 +3,13 @@
 import math
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import check_field
-from .files import load_toml, pick, read_tables
+from .files import load_data, pick, read_tables
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Contrast that remains at the visibility (meteorological optical range, WMO-No. 8)."""
@@ -97,7 +96,7 @@ def _kim_exponent(visibility_m: float) -> float:
 @cache
 def load_weathers() -> dict[str, Weather]:
     """All weathers, by name, from ``data/weather.toml``."""
-    table = load_toml(files(__package__) / "data" / "weather.toml")
+    table = load_data(__package__, "weather.toml")
     return read_tables(table, Weather, "weather.toml")
 
 

@@ -21,9 +21,8 @@ N_RANDOM = 100
 _MAX_TRIES = 20  # for each random layout: limits may leave some draws no way to be completed
 _MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
 
+
 # ---------- random layouts
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RandomLayouts:
     """Worth of layouts of poses drawn at random, on the detection table."""
@@ -82,8 +81,6 @@ def random_sets(
 
 
 # ---------- an expert's rule of thumb
-
-
 def find_corners(junction: Junction) -> dict[str, FloatArray]:
     """Corners between neighbouring arms, clockwise from the first one behind north.
 
@@ -137,15 +134,11 @@ def off_axis_deg(poses: Sequence[CandidatePose], point_m: FloatArray) -> FloatAr
     ahead = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
     to_point = point_m - position
     beside = np.linalg.norm(np.cross(ahead, to_point), axis=1)
-    angle_deg: FloatArray = np.degrees(np.arctan2(beside, (ahead * to_point).sum(axis=1)))
-    return angle_deg
+    return np.asarray(np.degrees(np.arctan2(beside, (ahead * to_point).sum(axis=1))))
 
 
 def corner_poses(
-    limits: Limits,
-    candidates: Sequence[CandidatePose],
-    junction: Junction,
-    looked_at_m: FloatArray,
+    limits: Limits, candidates: Sequence[CandidatePose], junction: Junction, looked_at_m: FloatArray
 ) -> dict[str, int]:
     """The pose at each corner of a junction that looks at a point (3,) the most directly.
 
@@ -178,8 +171,6 @@ def _most_direct(
 
 
 # ---------- both
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
     """Layouts to compare with, before their detections are known: rows of candidates."""
@@ -265,9 +256,7 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
             for world in range(len(measure.sample_weight))
         ]
         random = RandomLayouts(
-            n_units=proposals.n_units,
-            apr=measure.of(is_avoided),
-            mean_by_world=np.array(by_world),
+            n_units=proposals.n_units, apr=measure.of(is_avoided), mean_by_world=np.array(by_world)
         )
     corner_names = tuple(name for name in first if corners[name] in expert)
     return Baselines(random=random, expert=expert, corners=corner_names)

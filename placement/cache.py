@@ -37,9 +37,8 @@ _log = logging.getLogger(__name__)
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
 
+
 # ---------- hashes
-
-
 class Fingerprints:
     """Hashes of values by what they hold; what occurs in several of them is read once."""
 
@@ -76,8 +75,6 @@ class Fingerprints:
 
 
 # ---------- files
-
-
 def save_arrays(
     path: Path,
     arrays: Mapping[str, NDArray[Any]],
@@ -170,8 +167,6 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
 
 
 # ---------- many small results of one question
-
-
 class CachedArrays:
     """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
 
@@ -233,8 +228,6 @@ def _prune(path: Path, *, most: int) -> None:
 
 
 # ---------- values of any kind
-
-
 ALL_PACKAGES = ("geometry", "scenarios", "placement")
 """All whose code may decide an answer."""
 
@@ -308,8 +301,6 @@ def hash_of_files(package: str) -> bytes:
 
 
 # ---------- values as MessagePack and back
-
-
 _PLAIN = (bool, int, float, str, NoneType)
 
 

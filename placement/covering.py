@@ -43,17 +43,16 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, write_atomically
+from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.files import float_of, read_bytes, write_atomically
 
 from .layout import relative_gap
 from .memory import check_fits
 from .optimiser.model import Answer, run_solver, solver_text
 from .optimiser.steering import COST_TOLERANCE_EUR, common_step, settle
 
+
 # ---------- instances and solutions
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoveringInstance:
     """A covering problem without its question; made by :func:`build_covering_instance`."""
@@ -88,8 +87,6 @@ def build_covering_instance(
 
     Raises InputError: `cost` has another shape, or is negative or not finite.
 
-    Examples
-    --------
     >>> build_covering_instance([[1, 1, 0], [0, 1, 1]])
     CoveringInstance(2 columns, 3 rows)
     """
@@ -216,8 +213,6 @@ def _check(
 
 
 # ---------- files of numbers
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Format:
     """The numbers of a file: two sizes, perhaps all costs, then lists of members."""
@@ -293,12 +288,9 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
     Raises InputError if the file cannot be read, or holds no instance.
     """
     where = str(path)
-    if format_name is not None and format_name not in FORMATS:
-        raise InputError("format_name", format_name, "one of " + ", ".join(FORMATS))
-    try:
-        data = read_bytes(path, max_bytes=_MAX_BYTES)
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
+    if format_name is not None:
+        check_one_of("format_name", format_name, FORMATS)
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
     check_fits(where, f"{len(data):,} bytes of text", _TEXT_BYTES * len(data), "fewer rows")
     tokens = data.split()
     if not tokens:
@@ -342,19 +334,12 @@ def _to_numbers(tokens: list[bytes], data: bytes, where: str) -> FloatArray:
     try:
         values = np.array(tokens).astype(np.float64)
     except ValueError:
-        values = np.array([_to_number(token) for token in tokens])
+        values = np.array([float_of(token) for token in tokens])
     if not np.isfinite(values).all():
         index = int((~np.isfinite(values)).argmax())
         expected = f"a number (format {', '.join(FORMATS[:-1])} or {FORMATS[-1]})"
         raise InputError(f"{where}: {_place(data, index)}", _shown(tokens[index]), expected)
     return values
-
-
-def _to_number(token: bytes) -> float:
-    try:
-        return float(token)
-    except ValueError:
-        return math.nan
 
 
 def _shown(token: bytes) -> str:

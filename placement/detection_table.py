@@ -58,7 +58,6 @@ def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) 
 
 
 # ---------- levels of a score as runs
-
 _ROWS = 256  # unpacked at a time
 _BELOW = "<"
 _BLIND = " (blind)"
@@ -171,8 +170,6 @@ def repeated_axis(
 
 
 # ---------- cars that see, and cars that do not
-
-
 def mixed_table(table: DetectionTable, share: float) -> DetectionTable:
     """Table with every run twice: by a VUT that sees, of so much of its weight, then by another.
 

@@ -112,16 +112,10 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
     return weight_share(verdict.is_avoided, weight)
 
 
-def headline_apr(evaluation: Evaluation, run_mask: BoolArray | None = None) -> float:
-    """APR that a layout is judged by: weighted by the share of the VUTs that see, 0 .. 1.
-
-    NaN if the runs counted have no weight.
-    """
-    blind, seeing = (
-        apr(verdict, evaluation.axis, run_mask)
-        for verdict in (evaluation.rsu_all, evaluation.vut_and_rsus)
-    )
-    return mix(blind, seeing, evaluation.cars)
+def headline_apr(evaluation: Evaluation) -> float:
+    """APR that a layout is judged by: weighted by the share of the VUTs that see, 0 .. 1."""
+    blind = apr(evaluation.rsu_all, evaluation.axis)
+    return mix(blind, apr(evaluation.vut_and_rsus, evaluation.axis), evaluation.cars)
 
 
 def mix(blind: float, seeing: float, cars: float) -> float:
@@ -143,10 +137,7 @@ def mean_impact_speed_kmh(
 
 
 def score(
-    verdict: Verdict,
-    axis: FrameAxis,
-    levels: Levels | None,
-    run_mask: BoolArray | None = None,
+    verdict: Verdict, axis: FrameAxis, levels: Levels | None, run_mask: BoolArray | None = None
 ) -> float:
     """Weight of runs by the speeds at contact / weight of all, 0 .. 1.
 

@@ -57,8 +57,7 @@ def is_in_sight(
     starts = mount + near_m * directions
     vectors = directions * np.maximum(lengths - near_m - _SHORT_OF_M, 0.0)[:, None]
     is_free: BoolArray = ~caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
-    is_seen: BoolArray = is_free & is_far
-    return is_seen
+    return np.asarray(is_free & is_far)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,8 +116,6 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
 
 
 # ---------- private ground
-
-
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_toml, read_table, take_text
+from geometry.files import Table, Text, load_data, load_toml, read_table, take_text
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
@@ -22,8 +21,6 @@ from .compute import check_distinct
 from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
-
-
 DEFAULT_LATENCY_BUDGET = "study"
 MAX_LATENCY_S = 10.0
 """Longer than any run: a larger number is probably in milliseconds."""
@@ -112,7 +109,7 @@ def load_latency_budget(
 @cache
 def load_latency_budgets() -> Mapping[str, LatencyBudget]:
     """Budgets by name, from ``data/latency.toml``."""
-    return _read_budgets(load_toml(files(__package__) / "data" / _FILE), _FILE)
+    return _read_budgets(load_data(__package__, _FILE), _FILE)
 
 
 def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
@@ -153,19 +150,17 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
         raise InputError(f"{where}.name", name, "printable text")
     where = f"{where}.{name}"
     part = read_table(entry, _PartTable, where)
+    given = [key for key in _RANGE if key in entry]
+    if part.fixed_s is not None and given:
+        raise InputError(f"{where}.{given[0]}", Unquoted("it beside fixed_s"), "one of them")
+    if part.fixed_s is None and not given:
+        raise InputError(where, Unquoted("no time"), "fixed_s, or low_s and high_s")
     low_s, high_s = part.low_s, part.high_s
     if part.fixed_s is not None:
-        given = [key for key in _RANGE if key in entry]
-        if given:
-            raise InputError(f"{where}.{given[0]}", Unquoted("it beside fixed_s"), "one of them")
         low_s = high_s = part.fixed_s
-    elif low_s is None and high_s is None:
-        raise InputError(where, Unquoted("no time"), "fixed_s, or low_s and high_s")
-    for key, value in zip(_RANGE, (low_s, high_s), strict=True):
-        if value is None:
-            raise InputError(f"{where}.{key}", Unquoted("nothing"), "a value")
-    assert low_s is not None
-    assert high_s is not None
+    if low_s is None or high_s is None:
+        missing = "low_s" if low_s is None else "high_s"
+        raise InputError(f"{where}.{missing}", Unquoted("nothing"), "a value")
     if low_s > high_s:
         raise InputError(f"{where}.high_s", high_s, f"at least low_s, {low_s}")
     reasons = [key for key in ("source", "assumption") if key in entry]
@@ -180,8 +175,6 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
 
 
 # ---------- APR against the total latency
-
-
 def apr_by_latency(
     evaluation: Evaluation,
     rule: AebRule,

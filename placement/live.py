@@ -129,11 +129,7 @@ def _row_key(unit: CandidatePose) -> _Key:
 
 
 def table_verdict(
-    units: Sequence[CandidatePose],
-    detected: BoolArray,
-    setting: Setting,
-    *,
-    with_vut: bool = False,
+    units: Sequence[CandidatePose], detected: BoolArray, setting: Setting, *, with_vut: bool = False
 ) -> Verdict:
     """Verdict on all units together by the detection table, and on the VUT if asked for.
 

@@ -16,8 +16,6 @@ _LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit
 def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
     """Memory of a placement at its peak, when presolve has the whole detection table, in bytes.
 
-    Examples
-    --------
     >>> round(needed_bytes(5772, 18311) / 2**30, 1)
     0.5
     >>> round(needed_bytes(5772, 18311, n_worlds=64) / 2**30, 1)
@@ -93,8 +91,6 @@ def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
 def gib(size: int) -> str:
     """An amount of memory in bytes, in words.
 
-    Examples
-    --------
     >>> gib(3 * 2**29)
     '1.5 GiB'
     """

@@ -23,12 +23,7 @@ from .detection_table import DetectionTable, level_axis, level_table, mixed_tabl
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
-from .ground import (
-    PrivateGround,
-    load_private_ground,
-    private_shares,
-    respects_private_ground,
-)
+from .ground import PrivateGround, load_private_ground, private_shares, respects_private_ground
 from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
 from .memory import check_memory
 from .optimiser import (
@@ -289,8 +284,6 @@ def build_effort(question: Question, compute: Compute = DEFAULT_COMPUTE) -> Effo
 
 
 # ---------- the best layout
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Highest:
     """The layout of the highest APR, where another one is chosen that bears failures better."""

@@ -15,6 +15,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from msgspec import Meta
 
+from geometry.errors import InputError
+from geometry.files import float_of, load_toml, read_table, reading, write_atomically
+
 DEFAULT_CASES = "default"
 BLIND, SEE = "blind", "see"
 BASELINE_NAME = "carlancap-12"
@@ -303,15 +306,10 @@ def map_options(question: Question) -> dict[str, Any]:
 
 def read_point(text: str, where: str) -> tuple[float, float]:
     """Two finite numbers with a comma between; raises InputError for anything else."""
-    from geometry.errors import InputError
-
-    try:
-        x, y = (float(word) for word in text.split(","))
-    except ValueError:
-        x = y = math.nan
-    if not (math.isfinite(x) and math.isfinite(y)):
+    numbers = [float_of(word) for word in text.split(",")]
+    if len(numbers) != 2 or not all(map(math.isfinite, numbers)):
         raise InputError(where, text, "two numbers: X,Y")
-    return x, y
+    return numbers[0], numbers[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -327,11 +325,7 @@ class QuestionField:
     description: str  # other fields stand in it between backticks
 
 
-_KEYS = {
-    "n_confirmations": "confirmations",
-    "build_up_s": "brake_build_up",
-    "case_range": "range",
-}
+_KEYS = {"n_confirmations": "confirmations", "build_up_s": "brake_build_up", "case_range": "range"}
 _UNIT = re.compile("_(eur|m|deg|s|mps2)$")  # a key has none
 
 
@@ -363,20 +357,13 @@ def split_names(text: str, where: str) -> tuple[str, ...]:
     """
     names = tuple(word.strip() for word in text.split(",")) if text else ()
     if not all(names) or len(set(names)) < len(names):
-        from geometry.errors import InputError
-
         raise InputError(where, text, "names with commas between, each once")
     return names
 
 
 def read_number(where: str, text: str, expected: str, low: float, high: float) -> float:
     """A finite number from `low` to `high`; raises InputError for anything else."""
-    from geometry.errors import InputError
-
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
+    number = float_of(text)
     if not low <= number <= high or not math.isfinite(number):
         raise InputError(where, text, expected)
     return number
@@ -397,9 +384,6 @@ def load_question_values(path: Path) -> dict[str, Any]:
 
     Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
     """
-    from geometry.errors import InputError
-    from geometry.files import load_toml
-
     known = {field.key: field for field in question_fields().values()}
     values = {}
     for key, value in load_toml(path).items():
@@ -414,8 +398,6 @@ def load_question_values(path: Path) -> dict[str, Any]:
 
 def _check_value(field: QuestionField, value: Any, where: str) -> Any:
     """A value of a field, of its kind. Raises InputError if it is of another kind, or too large."""
-    from geometry.files import read_table
-
     if field.name == "track_memory_s" and value == math.inf:
         return value
     return read_table(value, field.kind, where)
@@ -448,14 +430,8 @@ def question_text(question: Question) -> str:
 
 def save_question(path: str | Path, question: Question) -> None:
     """Write a question file, see :func:`question_text`."""
-    from geometry.errors import InputError, Unquoted
-    from geometry.files import write_atomically
-
-    try:
+    with reading(path, "a file that can be written", OSError):
         write_atomically(Path(path), question_text(question))
-    except OSError as error:
-        expected = "a file that can be written"
-        raise InputError(str(path), Unquoted(error.strerror or error), expected) from None
 
 
 Question.__signature__ = Signature(  # type: ignore[attr-defined]  # without limits, to be read

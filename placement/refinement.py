@@ -37,8 +37,6 @@ from .setting import Setting
 def improves(values: Mapping[Objective, float], others: Mapping[Objective, float]) -> bool:
     """True if the first difference that exceeds rounding noise favours `values`.
 
-    Examples
-    --------
     >>> improves({Objective.UNITS: 2.0}, {Objective.UNITS: 3.0})
     True
     """
@@ -65,8 +63,6 @@ def certify(
 
 
 # ---------- places, and the steps from one pose to its neighbours
-
-
 _DIGITS = 2  # of metres and degrees: finer than anyone mounts
 
 
@@ -200,8 +196,6 @@ def _others(poses: Iterable[CandidatePose | None], unit: CandidatePose) -> list[
 
 
 # ---------- the search
-
-
 _MAX_MOUNTS = 16  # whose rays are cached, some ten megabytes each at the study's junction
 _PROOF_SHARE = 0.4  # of the time: for the whole grid, when the search is over
 _LEAST_SOLVER_S = 1.0
@@ -438,8 +432,6 @@ def _check_table(
 
 
 # ---------- moves
-
-
 _SAME_PLACE_M = 1.0e-6
 
 

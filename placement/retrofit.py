@@ -7,13 +7,12 @@ the units already in place. All values are those of the detection table.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cmp_to_key
-from importlib.resources import files
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import load_data, read_table
 from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
@@ -41,8 +40,6 @@ from .pipeline import Assembly
 from .wishes import Wishes
 
 # ---------- poses: the units, their re-aims, and what can be added
-
-
 _SAME_DEG = 1.0e-9
 
 
@@ -93,8 +90,6 @@ def build_retrofit_poses(
 
 
 # ---------- labour: what it costs to re-aim or to remove a unit
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labour:
     """Prices of work without hardware: people and a lift."""
@@ -123,18 +118,14 @@ class Labour:
 def load_labour() -> Labour:
     """Labour prices, from ``data/labour.toml``.
 
-    Examples
-    --------
     >>> load_labour().re_aim_eur
     505.0
     """
-    table = load_toml(files(__package__) / "data" / "labour.toml")["default"]
+    table = load_data(__package__, "labour.toml")["default"]
     return read_table(table, Labour, "labour.toml: default")
 
 
 # ---------- changes
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
     """A change, and what it brings."""
@@ -338,8 +329,6 @@ def _without_cost(value: PlacementValue) -> PlacementValue:
 
 
 # ---------- which pose is the best to join a set
-
-
 _BLOCK_POSES = 512  # tens of megabytes of frames
 
 
@@ -409,8 +398,6 @@ def margins_joined_s(
 
 
 # ---------- answers to somebody who plans by hand
-
-
 LEAST_GAIN = 1.0e-9
 """An APR that is higher by less is the same."""
 
@@ -497,9 +484,7 @@ class Adviser:
         if units and n_units == len(units) + 1 and not is_forced:
             return self.best_next(units)
         wishes = replace(
-            self._wishes,
-            budget_units=n_units,
-            existing=tuple(unit.id for unit in units),
+            self._wishes, budget_units=n_units, existing=tuple(unit.id for unit in units)
         )
         return self._search(units, wishes)
 
@@ -671,8 +656,6 @@ class Adviser:
 def free_name(taken: set[str], word: str = "U") -> str:
     """The first of U1, U2, ... that is not taken.
 
-    Examples
-    --------
     >>> free_name({"U1", "U3"})
     'U2'
     """

@@ -55,9 +55,8 @@ from .detectors.network import NetworkDetector
 from .latency import load_latency_budget
 from .question import Question, map_options, read_cars, read_point, split_names
 
+
 # ---------- radio
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radio:
     """Radio between RSUs, VRUs and the VUT."""
@@ -74,8 +73,6 @@ class Radio:
 
 
 # ---------- the setting
-
-
 VUT_SENSORS = ("camera", "lidar")
 
 
@@ -115,8 +112,6 @@ class Setting:
 
 
 # ---------- from a question to runs and setting
-
-
 _log = logging.getLogger(__name__)
 
 

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +12,7 @@ from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import read_data
 from geometry.scene import Scene, Site
 
 from .candidates import CandidatePose
@@ -24,8 +23,6 @@ from .question import Question, read_number, split_names
 from .setting import Setting
 
 # ---------- prices of sites that have none of their own: assumptions, each with its source
-
-
 _FILE = "prices.toml"
 _OTHERWISE = "pole"
 
@@ -66,12 +63,10 @@ class SitePrices:
 def load_prices() -> SitePrices:
     """Read ``data/prices.toml``.
 
-    Examples
-    --------
     >>> load_prices().of_kind("lamp post")
     {'mounting': 900.0, 'power-at-hand': 400.0, 'data-link': 2260.0}
     """
-    return read_table(load_toml(files(__package__) / "data" / _FILE), SitePrices, _FILE)
+    return read_data(__package__, _FILE, SitePrices)
 
 
 def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]:
@@ -94,8 +89,6 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
 
 
 # ---------- demands
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
     """Demands on a layout."""
@@ -298,8 +291,6 @@ def _too_near(
 
 
 # ---------- from the words of a question
-
-
 def read_wishes(
     question: Question, *, existing: Sequence[CandidatePose] = (), counts_money: bool = False
 ) -> Wishes:

@@ -4,13 +4,10 @@ Each becomes a road user, an event and a light, in words of ``data/accidents.tom
 the files' codes mean and which cases stand for which event. What cannot be used has a reason.
 """
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
@@ -18,8 +15,8 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
-from geometry.errors import InputError, Unquoted
-from geometry.files import Text, load_toml, read_bytes, read_table
+from geometry.errors import InputError, Unquoted, refuse
+from geometry.files import Text, csv_rows, float_of, read_bytes, read_data
 
 UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
@@ -72,8 +69,7 @@ class AccidentRules(Struct, frozen=True, kw_only=True):
 @cache
 def load_accident_rules() -> AccidentRules:
     """Codes and types of accidents, from ``data/accidents.toml``."""
-    where = "accidents.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), AccidentRules, where)
+    return read_data(__package__, "accidents.toml", AccidentRules)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,8 +114,7 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
         np.sin(0.5 * (latitude - here_latitude)) ** 2
         + np.cos(latitude) * np.cos(here_latitude) * np.sin(0.5 * (longitude - here_longitude)) ** 2
     )
-    distance: FloatArray = 2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0)))
-    return distance
+    return np.asarray(2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0))))
 
 
 def reasons(unused: Mapping[str, int]) -> str:
@@ -174,12 +169,10 @@ def _read(form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ..
 
 
 # ---------- the German accident atlas
-
-
 _UNFALLATLAS_USERS = {"istfuss": "on foot", "istrad": "bicycle", "istkrad": "motorcycle"}
 
 
-def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accident]]:
+def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().unfallatlas
     columns = {name: (name,) for name in ("utyp1", *_UNFALLATLAS_USERS, "istpkw")} | {
         "light": ("ulichtverh", "licht"),
@@ -188,7 +181,7 @@ def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accid
     }
     places, what = [], []
     for row in _rows(path, columns, optional={"uart": ("uart",)}):
-        places.append((_degrees(row["y"]), _degrees(row["x"])))
+        places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         users = [user for column, user in _UNFALLATLAS_USERS.items() if row[column] == "1"]
         code = row["utyp1"]
         event, unused = rules.events.get(code, ""), ""
@@ -212,8 +205,6 @@ def _read_unfallatlas(path: Path) -> tuple[list[tuple[float, float]], list[Accid
 
 
 # ---------- STATS19 of Great Britain
-
-
 def _beside(path: Path) -> tuple[Path, Path]:
     """The files of vehicles and casualties that belong to one of collisions."""
     for word in ("collision", "accident"):
@@ -228,7 +219,7 @@ _INDEX: _Columns = {"index": ("collision_index", "accident_index")}
 
 def _read_stats19(
     collisions: Path, vehicles: Path, casualties: Path
-) -> tuple[list[tuple[float, float]], list[Accident]]:
+) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().stats19
     of_vehicles = {
         "reference": ("vehicle_reference",),
@@ -251,7 +242,7 @@ def _read_stats19(
     places, what = [], []
     of_collisions = {"x": ("longitude",), "y": ("latitude",), "light": ("light_conditions",)}
     for row in _rows(collisions, {**_INDEX, **of_collisions}):
-        places.append((_degrees(row["y"]), _degrees(row["x"])))
+        places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         index, light = row["index"], rules.light.get(row["light"], "")
         road_user, event, unused = _collision(drivers.get(index, {}), walkers.get(index, []), rules)
         what.append(Accident(road_user=road_user, event=event, light=light, unused=unused))
@@ -321,8 +312,6 @@ def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) 
 
 
 # ---------- CSV as it is published
-
-
 def _rows(
     path: Path, columns: _Columns, *, optional: _Columns | None = None
 ) -> Iterator[dict[str, str]]:
@@ -332,40 +321,20 @@ def _rows(
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
-    head = text.partition("\n")[0]
-    separator = max(";,\t", key=head.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    try:
-        header = [name.strip().lower() for name in next(reader, [])]
-        at: dict[str, int] = {}
-        for name, known in {**columns, **(optional or {})}.items():
-            found = [header.index(one) for one in known if one in header]
-            if found:
-                at[name] = found[0]
-            elif name in columns:
-                got = Unquoted(f"no column {known[0]}")
-                expected = "columns " + ", ".join(one[0] for one in columns.values())
-                raise InputError(str(path), got, expected)
-        missing = dict.fromkeys((name for name in optional or {} if name not in at), "")
-        n_rows = 0
-        for cells in reader:
-            if not any(cells):
-                continue
-            if len(cells) != len(header):
-                where = f"{path}: line {reader.line_num}"
-                raise InputError(where, Unquoted(f"{len(cells)} fields"), f"{len(header)}")
-            n_rows += 1
-            yield missing | {name: cells[index].strip() for name, index in at.items()}
-    except csv.Error as error:
-        where = f"{path}: line {reader.line_num}"
-        raise InputError(where, Unquoted(error), "a CSV file") from None
+    rows = csv_rows(text, str(path), separators=";,\t")
+    header = [name.lower() for name in next(rows, ("", []))[1]]
+    at: dict[str, int] = {}
+    for name, known in {**columns, **(optional or {})}.items():
+        found = [header.index(one) for one in known if one in header]
+        if found:
+            at[name] = found[0]
+        elif name in columns:
+            expected = "columns " + ", ".join(one[0] for one in columns.values())
+            refuse(str(path), f"no column {known[0]}", expected)
+    missing = dict.fromkeys((name for name in optional or {} if name not in at), "")
+    n_rows = 0
+    for _, cells in rows:
+        n_rows += 1
+        yield missing | {name: cells[index] for name, index in at.items()}
     if not n_rows:
-        raise InputError(str(path), Unquoted("no rows"), "a row for each accident")
-
-
-def _degrees(text: str) -> float:
-    """A number with a decimal comma or point; not a number for anything else."""
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        return float("nan")
+        refuse(str(path), "no rows", "a row for each accident")

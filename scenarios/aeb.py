@@ -4,14 +4,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
-from geometry.files import Table, load_toml, read_table
+from geometry.files import Table, load_data, read_table
 
 from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
 
@@ -68,7 +67,7 @@ def _load_limits() -> dict[str, tuple[float, float]]:
 
 
 def _load_tables() -> Table:
-    return load_toml(files(__package__) / "data" / "aeb.toml")
+    return load_data(__package__, "aeb.toml")
 
 
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
@@ -98,8 +97,6 @@ def braking_distance_m(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
     With deceleration a and build-up b it is v t - a t^3 / (6 b) during the build-up and, r after
     its end, v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill.
 
-    Examples
-    --------
     >>> from dataclasses import replace
     >>> rule = replace(load_aeb_rule(), deceleration_mps2=8.0)
     >>> float(braking_distance_m(10.0, speed_mps=20.0, rule=rule))
@@ -255,8 +252,7 @@ def _target_ahead_mps(
     # By the speed along its path: what stands in a table of points is a little longer or shorter.
     speed = target.distance_m(time_s + _SHORT_S) - target.distance_m(time_s - _SHORT_S)
     turned = target.path.at(target.distance_m(time_s))[1] - vut.path.at(driven)[1]
-    ahead: FloatArray = speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned))
-    return ahead
+    return np.asarray(speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned)))
 
 
 _LEVEL_STEP_S = 0.025  # from one onset to the next in the search for the last one of a speed
@@ -388,8 +384,6 @@ def _separation_m(
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
     """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
 
-    Examples
-    --------
     >>> confirmation_mask([0, 1, 1, 1, 1, 0], n_confirmations=3).astype(int)
     array([0, 0, 0, 1, 1, 0])
     """
@@ -422,8 +416,6 @@ def held_frames(
     (n_frames,): ascending within a run. `until_s`: when the track must be alive; the same in all
     frames of a run. `last_frame` (n_frames,): of each frame's run; by default there is one run.
 
-    Examples
-    --------
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=2.0).astype(int)
     array([1, 1, 0, 1, 0, 1])
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=1.0).astype(int)

@@ -5,7 +5,6 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,7 +13,16 @@ from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, Text, load_toml, pick, read_table, read_tables
+from geometry.files import (
+    Table,
+    Text,
+    float_of,
+    load_data,
+    load_toml,
+    pick,
+    read_table,
+    read_tables,
+)
 
 from .encounters import RecordedEncounter, RecordedWay
 
@@ -205,8 +213,6 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
 
     Titles are those of traffic that keeps right; where it keeps left, left and right are exchanged.
 
-    Examples
-    --------
     >>> worded_for(pick_cases("CPTAfs-50", "cases")[0], keeps_left=True).title
     'VUT turns right, adult crosses from the far side, walking as the VUT drove'
     """
@@ -342,7 +348,7 @@ class _UnlaidEntry(Struct, frozen=True, kw_only=True):
 def load_unlaid_cases() -> dict[str, Case]:
     """Cases of the protocols that cannot be laid, by name, from ``data/unlaid_cases.toml``."""
     where = "unlaid_cases.toml"
-    entries = read_tables(load_toml(files(__package__) / "data" / where), _UnlaidEntry, where)
+    entries = read_tables(load_data(__package__, where), _UnlaidEntry, where)
     return {
         name: Case(
             name=name,
@@ -388,7 +394,7 @@ def load_own_cases(path: str | Path) -> dict[str, Case]:
 
 
 def _load_tables() -> Table:
-    return load_toml(files(__package__) / "data" / "cases.toml")
+    return load_data(__package__, "cases.toml")
 
 
 def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Case]:
@@ -425,7 +431,7 @@ _ANY_CASE: Any = _Crossing | _Longitudinal | _Turning | _Recorded
 @cache
 def load_case_sets() -> dict[str, tuple[Case, ...]]:
     """Sets of cases, by name, with the speeds of the set if it has any; "all" is every case."""
-    table = load_toml(files(__package__) / "data" / "case_sets.toml")
+    table = load_data(__package__, "case_sets.toml")
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
     for set_name in [name for name in table if name not in alike]:
@@ -558,8 +564,6 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
     adds cases and speeds of Euro NCAP's extended range, 2026; one that belongs to that range alone,
     and is named in full, is picked anyway.
 
-    Examples
-    --------
     >>> [case.name for case in pick_cases("CBLA-50, CPNA", "cases")]
     ['CBLA-50', 'CPNA-25', 'CPNA-75']
     """
@@ -663,8 +667,6 @@ def select_cases(
     is "vru" or "all", see ``PROTECTED``. Raises InputError: a name or a speed cannot be read, a
     speed lies outside of every case, or nobody is left to be protected.
 
-    Examples
-    --------
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
@@ -730,11 +732,8 @@ def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
     pairs: _Pairs = []
     for word in (part.strip() for part in text.split(",")):
         separator = "x" if "x" in word else "-"
-        try:
-            found = [float(part) for part in word.split(separator, 1)]
-        except ValueError:
-            found = []
-        if not found or not all(0.0 < speed <= _HIGHEST_KMH for speed in found):
+        found = [float_of(part) for part in word.split(separator, 1)]
+        if not all(0.0 < speed <= _HIGHEST_KMH for speed in found):
             known = "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both"
             raise InputError("speeds", word, f"{known}, up to {_HIGHEST_KMH:g}")
         if len(found) == 1:

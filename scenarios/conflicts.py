@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.actors import Actor, pick_actor
+from geometry.actors import Actor, footprint_sizes, pick_actor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError
 from geometry.footprints import FootprintSizes, gaps_between
+from geometry.lines import along_m
 
-from .courses import along_m
 from .encounters import RecordedEncounter, RecordedWay, first_contact_s
 from .paths import MPS_PER_KMH
 from .trajectories import VEHICLE, Track, load_trajectory_rules
@@ -50,8 +50,6 @@ def time_to_collision_s(
     the sides' four normals they overlap from one time to another, and they touch while they overlap
     along all of them.
 
-    Examples
-    --------
     >>> sizes = FootprintSizes(length_a_m=4.0, width_a_m=2.0, length_b_m=1.0, width_b_m=1.0)
     >>> float(time_to_collision_s([12.5, 0.0], [-5.0, 0.0], 0.0, 90.0, sizes=sizes).round(9))
     2.0
@@ -73,8 +71,7 @@ def time_to_collision_s(
         first = np.maximum(first, np.where(speed == 0.0, -still, ends.min(axis=0)))
         last = np.minimum(last, np.where(speed == 0.0, still, ends.max(axis=0)))
     meets = (first <= last) & (last >= 0.0)
-    ttc: FloatArray = np.where(meets, np.maximum(first, 0.0), np.inf)
-    return ttc
+    return np.asarray(np.where(meets, np.maximum(first, 0.0), np.inf))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,12 +126,7 @@ def _replay(
     time = vehicle.time_s[is_common]
     if len(time) == 0:
         return ""
-    sizes = FootprintSizes(
-        length_a_m=vut.length_m,
-        width_a_m=vut.width_m,
-        length_b_m=actor.length_m,
-        width_b_m=actor.width_m,
-    )
+    sizes = footprint_sizes(vut, actor)
     offset = vru.at(time) - vehicle.at(time)
     speeds = [np.hypot(*track.velocity_mps(time).T) for track in (vehicle, vru)]
     yaws = [_yaw_deg(track, time) for track in (vehicle, vru)]
@@ -202,8 +194,7 @@ def _yaw_deg(track: Track, time_s: FloatArray) -> FloatArray:
     if not moves.any():
         return np.zeros(len(time_s))
     last = np.maximum.accumulate(np.where(moves, np.arange(len(yaw)), -1))
-    held: FloatArray = yaw[np.where(last < 0, int(moves.argmax()), last)]
-    return held
+    return np.asarray(yaw[np.where(last < 0, int(moves.argmax()), last)])
 
 
 def _is_forward(vehicle: Track, time_s: FloatArray, yaw_deg: FloatArray) -> BoolArray:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
-from importlib.resources import files
 from typing import Any, Literal
 
 import numpy as np
@@ -12,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, check_field, check_one_of
-from geometry.files import load_toml, read_tables
+from geometry.files import load_data, read_tables
 from geometry.junction import Line
+from geometry.lines import along_m, apart, points_at
 
 _SAMPLE_M = 0.5  # between the points of a lane that are smoothed
 _SMOOTHING_M = 2.0  # bends much shorter than six times this are evened out
@@ -168,8 +168,7 @@ def _follow(
     if close is not None:
         ends_m = _BEYOND_M + along_m(chain)[list(close)]
         close_m = ends_m + [-_CLOSE_BESIDE_M, _CLOSE_BESIDE_M]
-    if len(chain) > 1:
-        chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)]
+    chain = apart(chain, _SAME_POINT_M) if len(chain) else chain
     if len(chain) < 2:
         raise InputError("centreline_m", len(chain), "at least two different points")
     chain = _led_on(chain)
@@ -179,7 +178,7 @@ def _follow(
     weight = None
     if close_m is not None:
         weight = np.where((at >= close_m[0]) & (at <= close_m[1]), _CLOSE, 1.0)
-    samples = sampled(chain, along, at)
+    samples = points_at(chain, at)
     return _smoothed(samples, at, origin_m, smoothing_m=_SMOOTHING_M, weight=weight)
 
 
@@ -189,16 +188,6 @@ def _led_on(chain_m: FloatArray) -> FloatArray:
     return np.concatenate(
         [chain_m[:1] + _BEYOND_M * behind, chain_m, chain_m[-1:] + _BEYOND_M * ahead]
     )
-
-
-def along_m(chain_m: FloatArray) -> FloatArray:
-    """Length of a chain (n, 2) up to each of its points, (n,)."""
-    return np.append(0.0, np.cumsum(np.hypot(*np.diff(chain_m, axis=0).T)))
-
-
-def sampled(chain_m: FloatArray, lengths_m: FloatArray, at_m: FloatArray) -> FloatArray:
-    """Points (m, 2) of a chain, between its own linearly, at lengths along it (m,)."""
-    return np.stack([np.interp(at_m, lengths_m, chain_m[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def _smoothed(
@@ -244,7 +233,7 @@ def _end_direction(chain_m: FloatArray) -> FloatArray:
     back = chain_m[::-1]
     along = along_m(back)
     reach = min(_END_CHORD_M, 0.5 * float(along[-1]))
-    end, middle, begin = sampled(back, along, np.array([0.0, reach, 2.0 * reach]))
+    end, middle, begin = points_at(back, np.array([0.0, reach, 2.0 * reach]))
     last, before = end - middle, middle - begin
     turned = np.arctan2(before[0] * last[1] - before[1] * last[0], float(before @ last))
     more = np.clip(0.5 * turned, -_MAX_END_BEND_RAD, _MAX_END_BEND_RAD)
@@ -256,7 +245,7 @@ def _course_of(points_m: FloatArray, yaw_rad: FloatArray, origin: int) -> Course
     """A course through points that lie about evenly, with its origin at one of them."""
     length = along_m(points_m)
     even = np.arange(0.0, length[-1], _STEP_M)
-    places = sampled(points_m, length, even)
+    places = points_at(points_m, even)
     return _course(-float(length[origin]), places, np.interp(even, length, yaw_rad))
 
 
@@ -420,7 +409,7 @@ class TurnAtSpeed(Struct, frozen=True, kw_only=True):
 @cache
 def load_turns() -> dict[str, TurnAtSpeed]:
     """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
-    table = load_toml(files(__package__) / "data" / "turning_paths.toml")
+    table = load_data(__package__, "turning_paths.toml")
     return read_tables(table, TurnAtSpeed, "turning_paths.toml")
 
 
@@ -535,7 +524,7 @@ def _gentle(
     chain = _led_on(chain[is_new])
     along = along_m(chain)
     at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
-    samples, near = sampled(chain, along, at), int(_EASED_M / _SAMPLE_M)
+    samples, near = points_at(chain, at), int(_EASED_M / _SAMPLE_M)
     free_at = np.interp(at, along[1:-1], free)
     weight = np.ones(len(at))
     for _ in range(_MAX_STEPS):

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from geometry.actors import Actor
+from geometry.actors import Actor, footprint_sizes
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.footprints import FootprintSizes, gaps_between
@@ -46,13 +46,7 @@ class Encounter:
             raise InputError("encounter.vut_motion.acceleration_distance_m", got, expected)
         if self.vut_motion.speed_mps == 0.0:
             raise InputError("encounter.vut_motion.speed_mps", 0.0, "> 0: the VUT drives")
-        sizes = FootprintSizes(
-            length_a_m=self.vut.length_m,
-            width_a_m=self.vut.width_m,
-            length_b_m=self.vru.length_m,
-            width_b_m=self.vru.width_m,
-        )
-        object.__setattr__(self, "_sizes", sizes)
+        object.__setattr__(self, "_sizes", footprint_sizes(self.vut, self.vru))
 
     def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
         """Separation of the footprints after distances that broadcast; up to zero: they touch."""

@@ -9,11 +9,10 @@ import numpy as np
 
 from geometry.actors import Actor, PlacedActor, Shape, park_row
 from geometry.arrays import BoolArray, FloatArray, freeze
-from geometry.footprints import footprint_corners
 from geometry.junction import CONNECTING
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Scene, strips_of
+from geometry.scene import Scene, area_of, strips_of
 from geometry.terrain import GROUND, houses_of, on_ground, terrain_of
 
 from .cases import Obstruction
@@ -66,7 +65,7 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
         tuple(staging.aside.tolist()),
         tuple(staging.back.tolist()),
         staging.max_aside_m,
-        tuple((body.actor.name, tuple(_corners(body).ravel())) for body in staging.obstruction),
+        tuple((body.actor.name, tuple(body.footprint_m.ravel())) for body in staging.obstruction),
     )
     if not (aside_m or back_m):
         return staging
@@ -87,7 +86,7 @@ def is_way_free(
     segments = _way(motion, body)
     if not _is_free(_Solid(scene=scene, has_poles=False), segments):
         return False
-    parked = shapely.polygons(np.array([_corners(one) for one in obstruction]).reshape(-1, 4, 2))
+    parked = shapely.polygons(np.array([one.footprint_m for one in obstruction]).reshape(-1, 4, 2))
     return not bool(shapely.intersects(shapely.multilinestrings(segments), parked).any())
 
 
@@ -198,7 +197,7 @@ def _areas(scene: Scene) -> _Areas:
 
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
-    inside = shapely.make_valid(shapely.Polygon(scene.outline_m)).buffer(-_INSIDE_OUTLINE_M)
+    inside = area_of(scene.outline_m).buffer(-_INSIDE_OUTLINE_M)
     parking = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
     # Some maps mark parking spaces on a lane that is wide enough for both.
     driven = shapely.difference(shapely.union_all(strips), parking)
@@ -290,15 +289,6 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
         line = np.concatenate([line[:1] - 0.5 * body.length_m * ahead[:1], line])
         segments.append(np.stack([line[:-1], line[1:]], axis=1))
     return np.concatenate(segments)
-
-
-def _corners(parked: PlacedActor) -> FloatArray:
-    return footprint_corners(
-        parked.pose.position_m[:2],
-        parked.pose.yaw_deg,
-        length_m=parked.actor.length_m,
-        width_m=parked.actor.width_m,
-    )
 
 
 def _sides(corners_m: FloatArray) -> FloatArray:

@@ -311,8 +311,6 @@ def travel_time_s(
     With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per metre. Raises
     InputError: the speed is not positive, or a distance is negative.
 
-    Examples
-    --------
     >>> travel_time_s(10.0, speed_mps=2.0, acceleration_distance_m=1.0)
     5.5
     """
@@ -373,8 +371,7 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
         atol=_ODE_TOLERANCE,
         max_step=0.25 * turn.clothoid_length_m,  # or it might step over where the arc begins
     )
-    lag: FloatArray = solution.y[0]
-    return lag
+    return np.asarray(solution.y[0])
 
 
 @lru_cache(maxsize=64)  # the same few courses are driven again and again

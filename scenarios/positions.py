@@ -4,13 +4,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Annotated
 
 from msgspec import Meta, Struct
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import float_of, read_data
 
 from .cases import Case
 
@@ -59,8 +58,7 @@ class PositionRules(Struct, frozen=True, kw_only=True):
 @cache
 def load_position_rules() -> PositionRules:
     """Rules of positions."""
-    where = "positions.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), PositionRules, where)
+    return read_data(__package__, "positions.toml", PositionRules)
 
 
 def is_study_set(cases: str) -> bool:
@@ -76,8 +74,6 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     Raises InputError: a word is no distance, or one is given twice; there is none, or there are too
     many.
 
-    Examples
-    --------
     >>> read_along_arms("0, 15,30", "along_arms")
     (0.0, 15.0, 30.0)
     """
@@ -90,10 +86,7 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
         raise InputError(where, Unquoted(f"{len(words)} distances"), f"at most {most}")
     distances: list[float] = []
     for word in words:
-        try:
-            distance_m = float(word)
-        except ValueError:
-            distance_m = math.nan
+        distance_m = float_of(word)
         if not 0.0 <= distance_m <= rules.max_distance_m or word.startswith("-"):
             raise InputError(where, word, expected)
         if f"{distance_m:g}" in {f"{other_m:g}" for other_m in distances}:
@@ -108,8 +101,6 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
     Each distance is a position before the place of the protocol and one behind the junction; 0 is
     that place, and where other distances are asked for, the crosswalk of the arm ahead, too.
 
-    Examples
-    --------
     >>> [position.name for position in build_positions([0.0])]
     ['0']
     >>> [position.name for position in build_positions([0.0, 15.0])]
@@ -130,8 +121,6 @@ def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
 def read_position(text: str, where: str) -> Position:
     """A single position by its name; raises InputError if it is none.
 
-    Examples
-    --------
     >>> read_position("-15", "position")
     Position(is_behind=False, distance_m=15.0)
     """
@@ -152,8 +141,6 @@ def read_position(text: str, where: str) -> Position:
 def sort_positions(names: Iterable[str]) -> list[str]:
     """Names of positions, each once, as the VUT passes them.
 
-    Examples
-    --------
     >>> sort_positions(["0", "+15", "-15", "+0", "-30", "0"])
     ['-30', '-15', '0', '+0', '+15']
     """
@@ -193,8 +180,6 @@ def spread_speeds(
     `speeds_kmh`: of the case. `position`: where. `turn`: number of the approach plus number of the
     position. `impact_turn`: number of the case's impact point, and how many take turns.
 
-    Examples
-    --------
     >>> spread_speeds((20.0, 25.0, 30.0, 35.0), Position(distance_m=15.0), turn=0)
     (20.0, 35.0)
     >>> spread_speeds((20.0, 25.0, 30.0, 35.0), AT_ZERO, turn=1, impact_turn=(0, 2))

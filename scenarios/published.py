@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from msgspec import Struct
@@ -10,7 +9,7 @@ from msgspec import Struct
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray, Point2
 from geometry.errors import InputError, Unquoted
-from geometry.files import Text, load_toml, pick, read_table
+from geometry.files import Text, load_data, pick, read_table
 from geometry.frames import from_carla_points, from_carla_yaw
 from geometry.study_scene import ParkedRow
 
@@ -63,7 +62,7 @@ class _File(Struct, frozen=True, kw_only=True):
 def load_placements() -> tuple[CasePlacement, ...]:
     """Where the study's cases are driven at its junction, from ``data/town05_runs.toml``."""
     where = "town05_runs.toml"
-    table = read_table(load_toml(files(__package__) / "data" / where), _File, where)
+    table = read_table(load_data(__package__, where), _File, where)
     parked = tuple(
         body
         for index, row in enumerate(table.parked_rows)

@@ -9,7 +9,6 @@ is a run of its own with a later deadline; what it weighs is what it adds to the
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -18,7 +17,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError
-from geometry.files import Text, load_toml, read_table
+from geometry.files import Text, load_data, read_table
 
 from .aeb import AebRule, find_contacts, last_onsets_s
 from .paths import MPS_PER_KMH
@@ -54,7 +53,7 @@ def load_criteria(score: str) -> tuple[Criterion, ...]:
     """Criteria of a score from ``data/scores.toml``, none of "avoided"; or InputError."""
     if score == AVOIDED:
         return ()
-    tables = load_toml(files(__package__) / "data" / "scores.toml")
+    tables = load_data(__package__, "scores.toml")
     if score not in tables:
         raise InputError("score", score, "one of " + ", ".join(SCORES))
     return read_table(tables[score], tuple[Criterion, ...], f"scores.toml: {score}")
@@ -69,8 +68,6 @@ def bands_kmh(
     the closing speed of the impact without braking, by default the VUT's speed: where what braking
     has taken counts, it is taken from that.
 
-    Examples
-    --------
     >>> bands_kmh("rating-2026", "CPNA-25", 45.0)
     ((0.0, 1.0), (10.0, 0.5), (20.0, 0.25))
     """
@@ -115,8 +112,7 @@ class Levels:
     @property
     def first(self) -> IntArray:
         """The first level of each run, (n_runs,)."""
-        starts: IntArray = np.flatnonzero(np.diff(self.run_index, prepend=-1))
-        return starts
+        return np.asarray(np.flatnonzero(np.diff(self.run_index, prepend=-1)))
 
     def of_speeds(self, closing_kmh: FloatArray, is_avoided: BoolArray) -> FloatArray:
         """What runs count by their closing speeds at contact: (..., n_runs) -> (..., n_runs)."""

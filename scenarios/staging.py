@@ -3,14 +3,13 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
-from geometry.files import Table, load_toml, read_table
+from geometry.files import Table, load_data, read_table
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
 from geometry.poses import Pose
@@ -132,8 +131,7 @@ def find_crossing(
 
 def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:
     middle, yaw_deg = path.at(distance_m)
-    front: FloatArray = middle + vut.front_axle_ahead_m * _axes(yaw_deg)[0]
-    return front
+    return np.asarray(middle + vut.front_axle_ahead_m * _axes(yaw_deg)[0])
 
 
 def _axes(yaw_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -376,5 +374,5 @@ def load_obstruction_rules() -> ObstructionRules:
 
 
 def _load_table(name: str) -> Table:
-    table: Table = load_toml(files(__package__) / "data" / "laying.toml")[name]
+    table: Table = load_data(__package__, "laying.toml")[name]
     return table

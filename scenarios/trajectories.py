@@ -1,11 +1,9 @@
 """Recorded trajectories of road users: CSV, CommonRoad XML, and SUMO's floating car data."""
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,8 +12,8 @@ from msgspec import Struct
 
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import load_toml, parse_number, read_table, read_text
+from geometry.errors import InputError, Unquoted, check_one_of, refuse
+from geometry.files import csv_rows, parse_number, read_data, read_text
 from geometry.untrusted_files import read_xml
 
 VEHICLE = "vehicle"
@@ -53,8 +51,7 @@ class TrajectoryRules(Struct, frozen=True, kw_only=True):
 @cache
 def load_trajectory_rules() -> TrajectoryRules:
     """How trajectories are read, from ``data/trajectories.toml``."""
-    where = "trajectories.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), TrajectoryRules, where)
+    return read_data(__package__, "trajectories.toml", TrajectoryRules)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,8 +77,7 @@ class Track:
         reach_s = load_trajectory_rules().tracks.velocity_s
         before = np.maximum(time_s - reach_s, self.time_s[0])
         after = np.minimum(time_s + reach_s, self.time_s[-1])
-        moved: FloatArray = (self.at(after) - self.at(before)) / (after - before)[..., None]
-        return moved
+        return np.asarray((self.at(after) - self.at(before)) / (after - before)[..., None])
 
 
 class _Sample(NamedTuple):
@@ -184,37 +180,27 @@ def _check(own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: f
 def _csv_samples(
     path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
 ) -> Iterator[_Sample]:
-    lines = read_text(path, "a CSV file").splitlines()
-    try:
-        rows = csv.reader(lines, strict=True)
-        header = [cell.strip() for cell in next(rows, [])]
-        at = _find_columns(path, header, columns, frame_rate_hz)
-        if "class" not in at and not class_name:
-            expected = "a column with the class, or `class`: what all in the file are"
-            raise InputError(f"{path}: line 1", Unquoted(", ".join(header)), expected)
-        for row in rows:
-            if not any(cell.strip() for cell in row):
-                continue
-            place = f"{path}: line {rows.line_num}"
-            if len(row) != len(header):
-                raise InputError(place, Unquoted(f"{len(row)} columns"), f"{len(header)}")
-            value = {
-                name: _number(row[index], f"{place}: {header[index]}")
-                for name, index in at.items()
-                if name not in ("id", "class")
-            }
-            yaw_deg = math.degrees(value.get("heading_rad", math.nan))
-            yield _Sample(
-                place,
-                row[at["id"]].strip(),
-                row[at["class"]].strip() if "class" in at else class_name,
-                value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0),
-                value["x"],
-                value["y"],
-                value.get("heading", yaw_deg),
-            )
-    except csv.Error as error:
-        raise InputError(str(path), Unquoted(error), "a CSV file") from None
+    rows = csv_rows(read_text(path, "a CSV file"), str(path), noun="columns")
+    _, header = next(rows, ("", []))
+    at = _find_columns(path, header, columns, frame_rate_hz)
+    if "class" not in at and not class_name:
+        expected = "a column with the class, or `class`: what all in the file are"
+        refuse(f"{path}: line 1", ", ".join(header), expected)
+    for place, row in rows:
+        value = {
+            name: _number(row[index], f"{place}: {header[index]}")
+            for name, index in at.items()
+            if name not in ("id", "class")
+        }
+        yield _Sample(
+            place,
+            row[at["id"]],
+            row[at["class"]] if "class" in at else class_name,
+            value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0),
+            value["x"],
+            value["y"],
+            value.get("heading", math.degrees(value.get("heading_rad", math.nan))),
+        )
 
 
 def _find_columns(
@@ -260,10 +246,7 @@ _LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
 
 
 # ---------- XML
-_COMMONROAD_STATE = (
-    *("time/exact", "position/point/x", "position/point/y"),
-    "orientation/exact",
-)
+_COMMONROAD_STATE = (*("time/exact", "position/point/x", "position/point/y"), "orientation/exact")
 
 
 def _xml_samples(path: Path) -> Iterator[_Sample]:

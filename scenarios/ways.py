@@ -18,6 +18,7 @@ from geometry.junction import (
     lane_length_m,
     lane_line,
 )
+from geometry.lines import along_m, length_m, points_at
 from geometry.scene import Lane, Scene
 from geometry.scene import Turn as Movement
 from geometry.scene_checks import Finding
@@ -154,9 +155,9 @@ def straight_line(lane: Lane, *, is_in: bool) -> Line:
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     """How far a lane leaves its straight line, over a length from its mouth, in metres."""
     points = lane.centreline_m[::-1] if is_in else lane.centreline_m  # the mouth comes first
-    along = courses.along_m(points)
+    along = along_m(points)
     end_m = np.clip(length_m, 0.0, along[-1])[None]
-    near = np.concatenate([points[along <= end_m], courses.sampled(points, along, end_m)])
+    near = np.concatenate([points[along <= end_m], points_at(points, end_m)])
     line = straight_line(lane, is_in=is_in)
     return float(np.abs(line.coordinates(near)[:, 1]).max())
 
@@ -188,11 +189,7 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
 
 
 def way_across(
-    entry: Lane,
-    leaving: Lane,
-    connection: Lane | None,
-    *,
-    free_m: float | None = None,
+    entry: Lane, leaving: Lane, connection: Lane | None, *, free_m: float | None = None
 ) -> tuple[Way, float]:
     """The way from a lane into the junction straight on into a lane out of it, and its begin.
 
@@ -225,7 +222,7 @@ def way_across(
         course = courses.follow_lanes([np.concatenate([before, between]), after])
     else:
         course = courses.follow_connection(before, between, after, is_origin_behind=True)
-    across_m = float(np.hypot(*np.diff(between, axis=0).T).sum())
+    across_m = length_m(between)
     return CurvedWay(course=course), -across_m - lane_length_m(entry)
 
 
@@ -273,10 +270,10 @@ def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
     """The arm to a side of the VUT, about at a right angle or else nearest to it; or None."""
     side = vut_line.left if to_left else -vut_line.left
     rules = load_way_rules()
-    for skew_deg, length_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):
+    for skew_deg, far_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):
         best, best_cosine = None, np.cos(np.radians(skew_deg))
         for arm in junction.arms.values():
-            cosine = float(_outwards(arm, length_m) @ side)
+            cosine = float(_outwards(arm, far_m) @ side)
             if cosine >= best_cosine:
                 best, best_cosine = arm, cosine
         if best is not None:

@@ -4,13 +4,11 @@ The statistics (``data/crash_types.toml``) know types of accidents and how near 
 happen; a table of one's own, by case, approach, position and weather, may know better.
 """
 
-import csv
 import logging
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,8 +17,8 @@ from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import Text, load_toml, read_table, read_text
+from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
+from geometry.files import Text, csv_rows, float_of, load_data, read_data, read_table, read_text
 
 from .accidents import (
     DAY,
@@ -55,9 +53,8 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     again, or its weight is not a number >= 0; all weights are 0.
     """
     weight = np.zeros(len(runs))
-    named = np.zeros(len(runs), dtype=np.int64)  # by which line
-    for line, row in _read_rows(path):
-        where = f"{path}: line {line}"
+    named: dict[int, str] = {}  # by which line
+    for where, row in _read_rows(path):
         amount = _read_weight(row["weight"], where)
         row["position"] = _read_position(row["position"], where)
         members = [
@@ -70,11 +67,10 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
         ]
         if not members:
             raise InputError(where, Unquoted(_words(row)), _what_is_driven(runs, row))
-        again = named[members][named[members] > 0]
-        if len(again):
-            got = Unquoted(_words(row))
-            raise InputError(where, got, f"runs that line {again[0]} does not name already")
-        named[members] = line
+        if again := [named[index] for index in members if index in named]:
+            line = again[0].rpartition(": ")[2]
+            refuse(where, _words(row), f"runs that {line} does not name already")
+        named |= dict.fromkeys(members, where)
         weight[members] = amount / len(members)
     if not weight.any():
         raise InputError(f"{path}: weight", Unquoted("0 in all rows"), "one weight more than 0")
@@ -83,43 +79,27 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
 
 def _shares(weight: FloatArray) -> FloatArray:
     """Weights that sum to 1."""
-    shares: FloatArray = weight / weight.sum()
-    return shares
+    return np.asarray(weight / weight.sum())
 
 
-def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    lines = read_text(path, "a CSV file").splitlines()
-    separator = ";" if lines and ";" in lines[0] else ","
-    try:
-        reader = csv.reader(lines, delimiter=separator, strict=True)
-        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except csv.Error as error:
-        raise InputError(str(path), Unquoted(error), "a CSV file") from None
-    rows = [(line, row) for line, row in rows if any(row)]
+def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
+    text = read_text(path, "a CSV file")
+    rows = [*csv_rows(text, str(path), separators=",;", noun="columns")]
     expected = ", ".join(_COLUMNS) + f", and {' and '.join(_OPTIONAL)} if wanted"
     if not rows:
-        raise InputError(str(path), Unquoted("an empty file"), f"columns {expected}")
+        refuse(str(path), "an empty file", f"columns {expected}")
     header = [name.lower() for name in rows[0][1]]
     unknown = [name for name in header if name not in (*_COLUMNS, *_OPTIONAL)]
     if unknown or len(set(header)) < len(header) or not set(_COLUMNS) <= set(header):
-        raise InputError(f"{path}: line {rows[0][0]}", Unquoted(", ".join(header)), expected)
-    for line, row in rows[1:]:
-        if len(row) != len(header):
-            got = Unquoted(f"{len(row)} columns")
-            raise InputError(f"{path}: line {line}", got, f"{len(header)}")
+        refuse(rows[0][0], ", ".join(header), expected)
     if len(rows) == 1:
-        raise InputError(str(path), Unquoted("no rows"), "one row per case and approach")
-    return [
-        (line, {**dict.fromkeys(_OPTIONAL, ""), **dict(zip(header, row, strict=True))})
-        for line, row in rows[1:]
-    ]
+        refuse(str(path), "no rows", "one row per case and approach")
+    none = dict.fromkeys(_OPTIONAL, "")
+    return [(here, {**none, **dict(zip(header, row, strict=True))}) for here, row in rows[1:]]
 
 
 def _read_weight(text: str, where: str) -> float:
-    try:
-        amount = float(text)
-    except ValueError:
-        amount = math.nan
+    amount = float_of(text)
     if not 0.0 <= amount < math.inf:
         raise InputError(f"{where}: weight", text, "a number, at least 0")
     return amount
@@ -195,7 +175,7 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
             f"`weights` {RATING} needs that package: pip install place-rsus[rating]"
         ) from None
     where = "rating_2026.toml"
-    tables = load_toml(files(__package__) / "data" / where)["scores"]
+    tables = load_data(__package__, where)["scores"]
     points = {}
     for index, score in enumerate(read_table(tables, tuple[_Score, ...], where)):
         if score.name not in TOTAL_SCORES:
@@ -232,8 +212,7 @@ class CrashTypes(Struct, frozen=True, kw_only=True):
 @cache
 def load_crash_types() -> CrashTypes:
     """Types of accidents and what is known of them."""
-    where = "crash_types.toml"
-    return read_table(load_toml(files(__package__) / "data" / where), CrashTypes, where)
+    return read_data(__package__, "crash_types.toml", CrashTypes)
 
 
 def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
@@ -264,8 +243,6 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
 
 
 # ---------- weights by accidents around a place
-
-
 def weight_by_accidents(
     runs: Sequence[Run], accidents: Accidents, *, near: tuple[float, float], within_m: float
 ) -> FloatArray:
@@ -383,9 +360,7 @@ def check_weights(how: str) -> None:
     if source := split_source(how):
         read_accidents(*source)
         return
-    path = _weights_file(how)
-    for line, row in _read_rows(path):
-        where = f"{path}: line {line}"
+    for where, row in _read_rows(_weights_file(how)):
         _read_weight(row["weight"], where)
         _read_position(row["position"], where)
 
@@ -459,8 +434,6 @@ def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:
 
     It is exactly 1 where all runs with weight count.
 
-    Examples
-    --------
     >>> weight_share([True] * 49, [1.0 / 49.0] * 49)
     1.0
     """

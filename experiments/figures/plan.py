@@ -16,7 +16,6 @@ from shapely.ops import unary_union
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
-from geometry.footprints import footprint_corners
 from geometry.junction import COMPASS
 from geometry.lidar import LidarModel
 from geometry.notes import assumed_sites
@@ -92,7 +91,7 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
 
 def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
     """Draw bodies that belong to single cases: what they cover, and each once its outline."""
-    corners = [placed_footprint(one) for one in {body.key: body for body in bodies}.values()]
+    corners = [one.footprint_m for one in {body.key: body for body in bodies}.values()]
     if not corners:
         return
     # All in one: a hatch takes as long as a hundred outlines.
@@ -100,13 +99,6 @@ def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
     axes.add_patch(PathPatch(covered, zorder=2.2, **PARKED_STYLE))
     outlines = Path.make_compound_path(*(_ring(ring) for ring in corners))
     axes.add_patch(PathPatch(outlines, zorder=2.2, **PARKED_STYLE | {"fill": False, "hatch": ""}))
-
-
-def placed_footprint(body: PlacedActor) -> FloatArray:
-    """Corners of a placed body on the road, (4, 2), in metres."""
-    pose, actor = body.pose, body.actor
-    size = {"length_m": actor.length_m, "width_m": actor.width_m}
-    return footprint_corners(pose.position_m[:2], pose.yaw_deg, **size)
 
 
 def _outline(shape: shapely.Geometry) -> Path:

@@ -19,7 +19,7 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
-from ..figures.plan import CLASS_STYLES, placed_footprint
+from ..figures.plan import CLASS_STYLES
 from ..figures.views import GroundViews
 from ..results.tables import margin_s, parties
 
@@ -147,7 +147,7 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
         "carSize": _centimetres([vut.length_m, vut.width_m]),
         "roadSize": _centimetres([vru.length_m, vru.width_m]),
         "parked": [
-            {"name": body.actor.name, "corners": _centimetres(placed_footprint(body))}
+            {"name": body.actor.name, "corners": _centimetres(body.footprint_m)}
             for body in run.obstruction
         ],
         "bits": pack_bits(np.array([verdict.detected[frames] for verdict in verdicts])),

@@ -18,7 +18,7 @@ from ..junction import (
     distance_to_outline_m,
     lane_line,
 )
-from ..lines import steps_m, true_runs
+from ..lines import steps_m, true_runs, unit
 from ..notes import Note, assumptions
 from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
@@ -314,8 +314,7 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
     ]
     for one, before in enumerate(mouths[0]):
         for other, after in enumerate(mouths[1]):
-            way = after.point_m - before.point_m
-            ahead = way / max(float(np.hypot(*way)), 1e-9)
+            ahead = unit(after.point_m - before.point_m)
             bend_deg = np.degrees(
                 np.arccos(np.clip([before.direction @ ahead, after.direction @ ahead], -1.0, 1.0))
             )

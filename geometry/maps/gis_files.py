@@ -32,6 +32,7 @@ from .source_map import (
     extrude_polygon,
     kind_from_name,
     kind_of_class,
+    parts_of,
     shortened,
     thing_defaults,
     unique_id,
@@ -273,7 +274,7 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
     if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
-    types = {part.geom_type for part in _parts(feature.geometry)}
+    types = {part.geom_type for part in parts_of(feature.geometry)}
     values = feature.named
     said = kind_from_name(" ".join(str(values[key]) for key in _KINDS if key in values))
     if said is not None and said.kind not in ("wall", "fence", "hedge"):
@@ -285,23 +286,16 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
     return None
 
 
-def _parts(geometry: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
-    pieces = getattr(geometry, "geoms", None)
-    if pieces is None or depth > 50:
-        return [geometry]
-    return [part for piece in pieces for part in _parts(piece, depth + 1)]
-
-
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
     geometry = shapely.transform(
         shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
     )
-    parts = _parts(geometry)
+    parts = parts_of(geometry)
     if not any(part.geom_type == "Polygon" for part in parts):
         style = {"cap_style": "flat", "join_style": "mitre"}
         lines = [part for part in parts if part.geom_type in ("LineString", "LinearRing")]
         strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
-        parts = [part for strip in strips for part in _parts(strip)]
+        parts = [part for strip in strips for part in parts_of(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
     pieces = [
         extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=thing_id)

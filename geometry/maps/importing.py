@@ -3,13 +3,12 @@
 import json
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from functools import cache
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,11 @@ import shapely
 
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
-from ..files import check_file, load_toml, open_file, read_text
+from ..files import check_file, load_data, open_file, read_text
 from ..frames import parse_crs
 from ..junction import build_junction
 from ..notes import Note
-from ..scene import Instance, Lane, Scene, Site
+from ..scene import Instance, Lane, Scene, Site, area_of
 from ..scene_checks import arms_that_end
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
@@ -57,6 +56,7 @@ _READERS = {
     **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
     **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
 }
+_ROOTS = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml", "commonRoad": "commonroad"}
 DEFAULT_RADIUS_M = 80.0
 _RADIUS_LIMITS_M = (20.0, 500.0)
 
@@ -98,13 +98,9 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
 
 
 def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
-    if not len(points_m):
-        return [0] * len(junctions)
-    areas = [shapely.make_valid(shapely.Polygon(one.outline_m)) for one in junctions]
-    points = shapely.points(points_m)
-    hit, _ = shapely.STRtree(areas).query(points, predicate="dwithin", distance=_BESIDE_M)[::-1]
-    counts: list[int] = np.bincount(hit, minlength=len(junctions)).tolist()
-    return counts
+    areas = shapely.STRtree([area_of(one.outline_m) for one in junctions])
+    _, hit = areas.query(shapely.points(points_m), predicate="dwithin", distance=_BESIDE_M)
+    return [*np.bincount(hit, minlength=len(junctions)).tolist()]
 
 
 def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
@@ -179,11 +175,11 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
             return matches[0]
         if matches:
             raise InputError("junction", name, f"one of {_listed(matches)}")
-    close = {
-        one: SequenceMatcher(None, wanted, one.casefold()).ratio()
-        for one in {other.junction.name for other in surveyed}
-    }
-    nearest = sorted(surveyed, key=lambda one: -close[one.junction.name])
+
+    def closeness(one: Surveyed) -> float:
+        return SequenceMatcher(None, wanted, one.junction.name.casefold()).ratio()
+
+    nearest = sorted(surveyed, key=closeness, reverse=True)
     raise InputError("junction", name, f"one of {_listed(nearest)}")
 
 
@@ -205,7 +201,7 @@ def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset
 @cache
 def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
     """Words of street names, and their endings, to how they are shortened."""
-    table = load_toml(files(__package__) / "data" / "streets.toml")
+    table = load_data(__package__, "streets.toml")
     words, endings = (
         {long: short for short, longs in table[key].items() for long in longs}
         for key in ("words", "endings")
@@ -326,31 +322,25 @@ def _read(path: Path, options: ReadingOptions) -> SourceMap:
         kind = ".geojson"
     elif kind in (".xml", ".gml", ".citygml"):
         root = local_name(read_xml_root(path))
-        kinds = {
-            "OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml", "commonRoad": "commonroad"
-        }  # fmt: skip
-        if root not in kinds:
+        if root not in _ROOTS:
             expected = "OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad or CityGML"
             refuse(str(path), f"<{root}>", expected)
-        kind = kinds[root]
+        kind = _ROOTS[root]
     if kind == ".osm" and _has_lanelets(path):
         kind = "lanelets"
     if kind not in _READERS:
         refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
     module, function, fields = _READERS[kind]
-    read = getattr(import_module(f"{__package__}.{module}"), function)
-    source: SourceMap = read(path, **{field: getattr(options, field) for field in fields})
-    return source
+    read: Callable[..., SourceMap] = getattr(import_module(f"{__package__}.{module}"), function)
+    return read(path, **{field: getattr(options, field) for field in fields})
 
 
 def _is_city_json(path: Path) -> bool:
     """True if a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
     with open_file(path) as file:
         head = file.read(4096)
-        if b'"CityJSON"' in head:
-            return True
-        if b'"FeatureCollection"' in head or b'"Feature"' in head:
-            return False
+    if b'"CityJSON"' in head or b'"FeatureCollection"' in head or b'"Feature"' in head:
+        return b'"CityJSON"' in head
     try:
         document = json.loads(read_text(path, "JSON"))
     except (ValueError, RecursionError):
@@ -392,9 +382,7 @@ class ImportOptions:
     junction: str = ""  # name or id, see :func:`geometry.maps.importing.choose_junction`
     at: tuple[float, float] | None = None  # a point near the junction instead of its name
     radius_m: float = DEFAULT_RADIUS_M  # around its middle, within which things are kept
-    sites: str = (
-        "auto"  # or "map", "kerb:SPACING", a file: :func:`geometry.maps.sites.choose_sites`
-    )
+    sites: str = "auto"  # or as :func:`geometry.maps.sites.choose_sites` has it
     ground_m: float | None = None  # height of the road, see :func:`geometry.maps.cut.cut_out`
     terrain: Path | None = None  # raster with the heights of the ground; None: those of the maps
     name: str = ""  # of the scene; empty: after the file and the junction

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted
+from ..files import float_of
 from ..lines import along_m, apart, length_m
 from ..notes import Note
 from ..untrusted_files import local_name, read_xml
@@ -104,8 +105,6 @@ def _lanelet(name: str, left_m: FloatArray, right_m: FloatArray, **known: Any) -
 
 
 # ---------- from lanelets to lanes and junctions
-
-
 def _build(
     lanelets: Sequence[Lanelet], omissions: Omissions
 ) -> tuple[list[MapLane], list[MapLane], list[MapJunction]]:
@@ -125,7 +124,8 @@ def _build(
     label = connected_components(links, directed=False)[1]
     members = [np.flatnonzero(inside & (label == at)).tolist() for at in np.unique(label[inside])]
     junction_of = {one: f"j{number}" for number, some in enumerate(members, 1) for one in some}
-    lanes = [*_lanes(roads, follows, junction_of), *_paths(lanelets)]
+    paths = [_map_lane([one], one.id) for one in lanelets if one.kind in ("walking", "cycling")]
+    lanes = [*_lanes(roads, follows, junction_of), *paths]
     junctions, connections = [], []
     for group in members:
         name = junction_of[group[0]]
@@ -249,12 +249,6 @@ def _lanes(
         )
 
 
-def _paths(lanelets: Sequence[Lanelet]) -> Iterator[MapLane]:
-    for one in lanelets:
-        if one.kind in ("walking", "cycling"):
-            yield _map_lane([one], one.id)
-
-
 def _connections(
     roads: Sequence[Lanelet], follows: Sequence[Sequence[int]], group: Sequence[int], name: str
 ) -> list[MapLane]:
@@ -344,8 +338,6 @@ def _source_map(
 
 
 # ---------- Lanelet2
-
-
 def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a Lanelet2 map: OpenStreetMap XML with relations of type lanelet.
 
@@ -408,9 +400,9 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
     tags = [elements.node_tags.get(row, {}) for row in range(len(elements.node_ids))]
     if not tags:
         raise InputError(str(path), Unquoted("no nodes"), "a map with lanelets")
-    heights = np.array([_number(some.get("ele", "")) for some in tags])
+    heights = np.array([float_of(some.get("ele", "")) for some in tags])
     height_m = np.nan_to_num(heights)
-    local = np.array([[_number(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags])
+    local = np.array([[float_of(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags])
     if np.isfinite(local).all():
         return np.column_stack([local, height_m]), "", bool(np.isfinite(heights).any())
     middle_deg = np.median(elements.lon_lat_deg, axis=0)
@@ -419,13 +411,6 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
     is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
     found = np.column_stack([plane_m, height_m])
     return found, "" if is_nowhere else crs, bool(np.isfinite(heights).any())
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.nan
 
 
 def _speed_kmh(text: str) -> float | None:
@@ -479,8 +464,6 @@ def _buildings(
 
 
 # ---------- CommonRoad
-
-
 def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read the lanelets of a CommonRoad scenario, XML of version 2018b or 2020a, in its own metres.
 
@@ -544,9 +527,8 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
 def _points(element: Element | None) -> FloatArray:
     """Points under an element, (n, 3)."""
     found = [
-        [_number(point.findtext(axis) or ("0" if axis == "z" else "")) for axis in "xyz"]
+        [float_of(point.findtext(axis) or ("0" if axis == "z" else "")) for axis in "xyz"]
         for point in ([] if element is None else element.iter("point"))
     ]
     points = np.array(found).reshape(-1, 3)
-    known: FloatArray = points[np.isfinite(points).all(axis=1)]
-    return known
+    return np.asarray(points[np.isfinite(points).all(axis=1)])

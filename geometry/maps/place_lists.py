@@ -1,7 +1,5 @@
 """Lists of places: a planner's sites; a city's areas, and counts such as accidents or cars."""
 
-import csv
-import io
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,8 +13,8 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
-from ..errors import InputError, Unquoted, refuse
-from ..files import read_text
+from ..errors import InputError, refuse
+from ..files import csv_rows, float_of, read_text
 from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import Feature, Features, read_features
@@ -150,23 +148,12 @@ def known_columns(
 
 def read_csv_rows(path: Path) -> Iterator[_Row]:
     """Rows of a CSV file (comma, semicolon or tab): where each is, and its cells by column."""
-    where = str(path)
-    text = read_text(path, "CSV")
-    separator = max(";\t,", key=text.partition("\n")[0].count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    try:
-        names = next(reader, [])
-        for cells in reader:
-            here = f"{where}: line {reader.line_num}"
-            if not any(cell.strip() for cell in cells):
-                continue
-            if len(cells) != len(names):
-                refuse(here, f"{len(cells)} fields", f"{len(names)}")
-            if reader.line_num > _MAX_SITES:
-                refuse(where, f"more than {_MAX_SITES:,} lines", "fewer")
-            yield here, {name: cell.strip() for name, cell in zip(names, cells, strict=True)}
-    except csv.Error as error:
-        raise InputError(f"{where}: line {reader.line_num}", Unquoted(error), "CSV") from None
+    rows = csv_rows(read_text(path, "CSV"), str(path), separators=";\t,")
+    _, names = next(rows, ("", []))
+    for number, (here, cells) in enumerate(rows, start=2):
+        if number > _MAX_SITES:
+            refuse(str(path), f"more than {_MAX_SITES:,} lines", "fewer")
+        yield here, dict(zip(names, cells, strict=True))
 
 
 def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> None:
@@ -295,10 +282,7 @@ def read_number(
     if isinstance(value, str) and "," in value:
         thousands = "." if value.rfind(",") > value.rfind(".") else ","
         value = value.replace(thousands, "").replace(",", ".")
-    try:
-        number = np.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = np.nan
+    number = float_of(value)
     if not np.isfinite(number) or (least is not None and number < least):
         expected = "a finite number" + ("" if least is None else f", at least {least:g}")
         raise InputError(f"{where}: {field}", value, expected)
@@ -403,10 +387,7 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
 
 def _count(row: Mapping[str, Any], column: str, where: str) -> float:
     value = row.get(column) if column else 1.0
-    try:
-        number = np.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = np.nan
+    number = float_of(value)
     if not (np.isfinite(number) and number >= 0.0):
         raise InputError(f"{where}: {column}", value, "a number, at least 0")
     return number

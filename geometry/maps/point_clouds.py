@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import open_file
+from ..files import open_file, reading
 from ..notes import Note
 from ..scene import CLASS_NAMES
 from ..untrusted_files import check_unpacked
@@ -77,7 +77,7 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
     where = str(path)
     suffix = path.suffix.lower()
     check_one_of(where, suffix, SUFFIXES)
-    try:
+    with reading(path):
         if suffix == ".pcd":
             with open_file(path) as file:
                 yield None, _pcd_points(file, where)
@@ -88,8 +88,6 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
             with suppress(Exception):  # whatever a damaged record makes laspy and pyproj raise
                 crs = reader.header.parse_crs()
             yield crs, _chunks(reader, where)
-    except OSError as error:
-        raise InputError(where, Unquoted(error.strerror or error), "a readable file") from None
 
 
 # ---------- LAS and LAZ files, through laspy
@@ -206,7 +204,6 @@ def _one_line(error: BaseException) -> str:
 
 
 # ---------- PCD files
-
 _PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
 _PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
 

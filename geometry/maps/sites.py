@@ -13,9 +13,10 @@ from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
+from ..files import float_of
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
-from ..scene import HANGING_KINDS, Lane, Site, covered_area, flat_union
+from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
 from ..terrain import HEADROOM_M, headroom_m
 from .cut import Surroundings
 from .place_lists import SUFFIXES, SiteWish, read_sites
@@ -61,7 +62,7 @@ def kerb_sites(
     outline = float_array(outline_m, (-1, 2), "outline_m")
     if len(outline) < 3:
         raise InputError("outline_m", len(outline), "at least three points")
-    inside, ring = _area(outline), shapely.LinearRing(outline)
+    inside, ring = area_of(outline), shapely.LinearRing(outline)
     roads = [lane for lane in lanes if lane.kind in ("driving", "parking")]
     arms = [(lane, line) for lane in roads for line in _outward(lane, roads, ring)]
     strips = shapely.STRtree([_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms])
@@ -260,10 +261,10 @@ def _own_poles(
     """Poles that are sites by default: no low sign posts, and none of another junction."""
     rules = load_auto_sites()
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
-    own_m = shapely.distance(feet, _area(surroundings.outline_m))
+    own_m = shapely.distance(feet, area_of(surroundings.outline_m))
     other_m = np.full(len(wishes), np.inf)
     for outline in surroundings.neighbours_m:
-        other_m = np.minimum(other_m, shapely.distance(feet, _area(outline)))
+        other_m = np.minimum(other_m, shapely.distance(feet, area_of(outline)))
     heights_m = {pole.id: pole.height_m for pole in surroundings.poles}
     sign_m = load_pole_kinds()["sign"].height_m
     is_other = (other_m <= rules.neighbour_m) & (other_m < own_m)
@@ -282,10 +283,6 @@ def _own_poles(
             what = what if len(group) > 1 else f"{group[0].kind} {group[0].id}"
             notes.append(Note(what, f"{why}: no site unless asked for"))
     return kept
-
-
-def _area(outline_m: FloatArray) -> Polygon:
-    return shapely.make_valid(shapely.Polygon(outline_m))
 
 
 def _masts(
@@ -368,18 +365,14 @@ def _listed(
 
 def _spacing_m(where: str) -> float:
     low, high = _SPACINGS_M
-    try:
-        spacing_m = float(where.removeprefix(KERB))
-    except ValueError:
-        spacing_m = np.nan
+    spacing_m = float_of(where.removeprefix(KERB))
     if not low <= spacing_m <= high:
         raise InputError("sites", where, f"kerb:SPACING in metres, {low:g} to {high:g}")
     return spacing_m
 
 
 def _kind_of(wish: SiteWish) -> PoleKind:
-    kinds = load_pole_kinds()
-    return kinds.get(wish.kind, kinds["pole"])
+    return load_pole_kinds().get(wish.kind, load_pole_kinds()["pole"])
 
 
 def _mounts_m(wish: SiteWish) -> tuple[float, float]:

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.resources import files
 from typing import Any, Literal
 
 import mapbox_earcut
@@ -17,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, float_array, freeze, set_arrays
 from ..errors import InputError, check_one_of, refuse
-from ..files import load_toml, pick
+from ..files import load_data, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
 
@@ -33,6 +32,7 @@ MAX_TRIANGLES = 5_000_000  # of the things of a file
 _MAX_ID = 120  # characters
 _MAX_SKIPPED = 100  # entries
 _MAX_NAME = 200  # characters of a name that are looked at
+_MAX_NESTED = 50  # collections within collections
 _SECTIONS = 10  # of a pole's cylinder
 MIN_POLE_M = 2.5
 """A lower pole is a bollard: sensors on it could be reached from the pavement."""
@@ -158,12 +158,17 @@ def extrude_polygon(
     return extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=where)
 
 
+def parts_of(shape: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
+    """Points, lines and polygons of a geometry, or of collections of such."""
+    pieces = getattr(shape, "geoms", None)
+    if pieces is None or depth > _MAX_NESTED:
+        return [shape]
+    return [part for piece in pieces for part in parts_of(piece, depth + 1)]
+
+
 def polygons_of(shape: BaseGeometry, *, above_m2: float = 0.0) -> list[Polygon]:
     """Polygons of a geometry, or of a collection of such, that have more than an area."""
-    pieces = getattr(shape, "geoms", None)
-    if pieces is not None:
-        return [part for piece in pieces for part in polygons_of(piece, above_m2=above_m2)]
-    return [shape] if shape.geom_type == "Polygon" and shape.area > above_m2 else []
+    return [p for p in parts_of(shape) if p.geom_type == "Polygon" and p.area > above_m2]
 
 
 @cache
@@ -384,7 +389,7 @@ class ThingDefaults:
 @cache
 def thing_defaults() -> ThingDefaults:
     """Read ``data/things.toml``."""
-    return msgspec.convert(load_toml(files(__package__) / "data" / "things.toml"), ThingDefaults)
+    return msgspec.convert(load_data(__package__, "things.toml"), ThingDefaults)
 
 
 def kind_from_name(name: str) -> ThingKind | None:
@@ -433,13 +438,13 @@ class AutoSites:
 @cache
 def load_auto_sites() -> AutoSites:
     """Read ``[auto]`` of ``data/sites.toml``."""
-    return msgspec.convert(load_toml(files(__package__) / "data" / "sites.toml")["auto"], AutoSites)
+    return msgspec.convert(load_data(__package__, "sites.toml")["auto"], AutoSites)
 
 
 @cache
 def load_pole_kinds() -> dict[str, PoleKind]:
     """All kinds of poles by name, from ``data/sites.toml``."""
-    table = load_toml(files(__package__) / "data" / "sites.toml")
+    table = load_data(__package__, "sites.toml")
     return {one.kind: one for one in msgspec.convert(table["kinds"], list[PoleKind])}
 
 

@@ -49,8 +49,7 @@ class Knapsack:
     @property
     def starts(self) -> IntArray:
         """First option of each group."""
-        starts: IntArray = np.flatnonzero(np.diff(self.group, prepend=-1))
-        return starts
+        return np.asarray(np.flatnonzero(np.diff(self.group, prepend=-1)))
 
     def is_within(self, chosen: IntArray) -> bool:
         """True if a choice, one option per group, keeps the limits but for rounding."""
@@ -122,8 +121,6 @@ def _tiny(amount: float) -> float:
 
 
 # ---------- prices on the limits
-
-
 def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float]:
     """The best option of each group at some prices, the first of equals, and the bound of these."""
     worth = problem.profit - prices @ problem.rows
@@ -173,8 +170,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
             if (prices < most - 1.0e-9).all() or most > 1.0e9:
                 break
             most *= 100.0  # a limit that is hard to keep
-    at_best: FloatArray = best * scale
-    return at_best
+    return np.asarray(best * scale)
 
 
 def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, float]:
@@ -197,8 +193,6 @@ def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, floa
 
 
 # ---------- the core
-
-
 def _solve_core(
     problem: Knapsack, is_core: BoolArray, *, gap: float, end_s: float
 ) -> tuple[IntArray | None, float]:
@@ -233,9 +227,7 @@ def _solve_core(
         # The solver's gap is relative to the part that is open, ours to the whole.
         part = max(abs(total - fixed), 1.0e-9 * total)
         answer = run_solver(
-            stated,
-            time_limit_s=max(end_s - now_s(), 0.1),
-            gap=min(gap * total / part, 1.0),
+            stated, time_limit_s=max(end_s - now_s(), 0.1), gap=min(gap * total / part, 1.0)
         )
         bound = fixed + answer.bound * unit
         if not answer.is_found:
@@ -252,13 +244,10 @@ def _solve_core(
 
 
 def _first(position: IntArray) -> IntArray:
-    first: IntArray = np.flatnonzero(np.diff(position, prepend=-1))
-    return first
+    return np.asarray(np.flatnonzero(np.diff(position, prepend=-1)))
 
 
 # ---------- the choice
-
-
 _HELD = 1.0e5  # scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
 _STAGES_SHARE = 0.5  # of the time, for the first stage and its bound
 
@@ -384,8 +373,6 @@ def _stage(objective: Objective, value: float, bound: float, seconds: float) -> 
 
 
 # ---------- the problem
-
-
 def _may_be(options: Options, wishes: CityWishes) -> BoolArray:
     """Options that each junction's own wishes allow, whatever the others get."""
     may: BoolArray = np.ones(len(options), dtype=bool)
@@ -426,8 +413,6 @@ def _part(district: District, share: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 # ---------- the stages after the first
-
-
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Later:
     """The stages after the first, and what they hold."""
@@ -518,8 +503,6 @@ class _Later:
 
 
 # ---------- what cannot be met
-
-
 def _check_reach(
     options: Options, share: FloatArray, wishes: CityWishes, names: Sequence[str]
 ) -> None:
@@ -566,8 +549,6 @@ def _floor(share: float) -> str:
 
 
 # ---------- the city's own front
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
     """A junction gets more: with the steps before it, the most for the money that they take."""
@@ -613,8 +594,6 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
 
 
 # ---------- years in which units are mounted
-
-
 _MAX_BINARIES = 3_000
 _PHASES_S = 10.0
 
@@ -630,11 +609,7 @@ class Phases:
 
 
 def plan_phases(
-    units: IntArray,
-    gain: FloatArray,
-    *,
-    units_per_year: int,
-    years: int | None = None,
+    units: IntArray, gain: FloatArray, *, units_per_year: int, years: int | None = None
 ) -> Phases:
     """Spread units over years, at most so many a year: the most gain times years that it is there.
 

@@ -21,7 +21,6 @@ from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
 # ---------- one junction
-
 _WORTH = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s")
 Steps = tuple[tuple[float, float], ...]
 """From which units or euros on, up to the next step, which APR is not exceeded."""
@@ -132,8 +131,6 @@ def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
 
 
 # ---------- many junctions, as arrays
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Options:
     """Options of many junctions, one per row."""
@@ -211,8 +208,6 @@ def stack_bounds(
 
 
 # ---------- what few sites can do
-
-
 _MAX_SETS = 12_000
 _MAX_TIERS = 3
 

@@ -210,8 +210,6 @@ def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
 
 
 # ---------- one front of all
-
-
 def _merge(
     problem: PlacementProblem,
     tiers: list[tuple[float, tuple[Front, SiteFront]]],
@@ -291,8 +289,6 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
 
 
 # ---------- time
-
-
 class _Watch:
     """Takes the time of each stage, and ends what takes too long."""
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
 from geometry.errors import InputError, Unquoted, check_field, check_one_of
-from geometry.files import Table, load_toml, read_table, take, take_list, take_number
+from geometry.files import Table, load_data, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px, iou
 
 from .evidence import (
@@ -28,9 +28,8 @@ from .evidence import (
     load_min_iou,
 )
 
+
 # ---------- by boxes alone
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeometricDetector:
     """Detects by boxes alone: the same evidence always gives the same answer."""
@@ -90,8 +89,6 @@ class GeometricDetector:
 
 
 # ---------- by probability
-
-
 _POSITIVES = (
     "height_half_px",
     "height_steepness",
@@ -280,8 +277,7 @@ class ResponseDetector:
         run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
         own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
         own_part = np.sqrt(lasting.unit_person_share) * own
-        noise: FloatArray = own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws]
-        return noise
+        return np.asarray(own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws])
 
     def _most(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection of a box of any height, (n,)."""
@@ -328,8 +324,6 @@ def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
 
 
 # ---------- by name or file
-
-
 DETECTOR_NAMES = ("geometric", "response", "pole-2015", "car-2019", "cnn-table", "cnn")
 """Of cameras; ``LIDAR_NAMES`` may follow any of them, or a file, behind a plus sign."""
 LIDAR_NAMES = ("pointrcnn-2019",)
@@ -384,8 +378,6 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
 def is_drawn(name: str) -> bool:
     """True if a detector of this name finds people with a probability, not by a rule.
 
-    Examples
-    --------
     >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
     (True, True, False)
     """
@@ -396,7 +388,7 @@ def is_drawn(name: str) -> bool:
 @cache
 def _load_lidar_table(name: str) -> LidarTable:
     """A built-in table of what LiDARs find."""
-    document = load_toml(files(__package__) / "data" / f"{name}.toml")
+    document = load_data(__package__, f"{name}.toml")
     of_class = [document[document["stands_for"].get(one, one)] for one in VRU_CLASSES]
     return LidarTable(
         name=name,
@@ -453,7 +445,7 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
 
 @cache
 def _defaults() -> dict[str, Any]:
-    return load_toml(files(__package__) / "data" / _FILE)
+    return load_data(__package__, _FILE)
 
 
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:

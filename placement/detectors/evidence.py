@@ -3,7 +3,6 @@
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.resources import files
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.files import load_toml, take_number
+from geometry.files import load_data, take_number
 from geometry.image_boxes import iou
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
@@ -32,8 +31,6 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
 
     0 from behind or ahead, 90 from the side.
 
-    Examples
-    --------
     >>> aspects_deg(np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([180.0, 80.0])).round(9)
     array([ 0., 80.])
     """
@@ -121,7 +118,7 @@ class Detections:
 @cache
 def load_min_iou() -> float:
     """Overlap (IoU) that a box must exceed to count, from ``data/detectors.toml``."""
-    table = load_toml(files(__package__) / "data" / "detectors.toml")
+    table = load_data(__package__, "detectors.toml")
     return take_number(table["box_rule"], "min_iou", "detectors.toml: box_rule")
 
 

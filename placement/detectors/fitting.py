@@ -21,8 +21,6 @@ from .built_in import ResponseDetector, built_in_response
 from .evidence import VRU_CLASSES, Evidence, Interval, load_min_iou
 
 # ---------- sightings and false alarms
-
-
 _SAME_ALARM_IOU = 0.3  # boxes of consecutive frames that overlap by more are of one thing
 
 
@@ -231,8 +229,6 @@ def wilson(n_found: int, n_all: int) -> Interval:
     .. [1] E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
        1927.
 
-    Examples
-    --------
     >>> wilson(8, 10)
     Interval(value=0.8, low=0.49..., high=0.94...)
     """
@@ -270,8 +266,6 @@ def poisson(n_events: int, n_chances: float) -> Interval:
     ----------
     .. [1] F. Garwood, "Fiducial limits for the Poisson distribution", 1936.
 
-    Examples
-    --------
     >>> poisson(0, 100)
     Interval(value=0.0, low=0.0, high=0.036...)
     """
@@ -285,8 +279,6 @@ def poisson(n_events: int, n_chances: float) -> Interval:
 
 
 # ---------- the table
-
-
 SEEN_KNOTS = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
 """Shares of the road user that are seen, between which recall is linear; 0 at 0."""
 
@@ -395,8 +387,6 @@ def _quantiles(values: FloatArray, value: float) -> tuple[float, float]:
 
 
 # ---------- maximum likelihood
-
-
 def _free(sightings: Sightings) -> BoolArray:
     """Parameters (see :func:`_detector`) about which the frames tell something."""
     free = np.ones(len(_prior()), dtype=bool)
@@ -437,8 +427,6 @@ def _log_chance(values: FloatArray, evidence: Evidence, found: BoolArray) -> Flo
 
 
 # ---------- how sure the figures are
-
-
 def _table_spread(
     sightings: Sightings, best: FloatArray, free: BoolArray, draws: int, rng: np.random.Generator
 ) -> dict[str, FloatArray]:
@@ -553,8 +541,6 @@ def _draw_tracks(track: IntArray, rng: np.random.Generator) -> IntArray:
 
 
 # ---------- correlation of consecutive frames
-
-
 def _frame_correlation(sightings: Sightings, probability: FloatArray) -> float:
     """Correlation of the normal numbers behind consecutive frames that explains found pairs.
 
@@ -660,8 +646,7 @@ def joint_normal(
     sine = np.sin(0.5 * angle[:, None] * (nodes + 1.0))
     a, b = first[:, None], second[:, None]
     density = np.exp(-0.5 * (a**2 - 2.0 * sine * a * b + b**2) / (1.0 - sine**2))
-    joint: FloatArray = ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi)
-    return joint
+    return np.asarray(ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi))
 
 
 def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float:
@@ -669,8 +654,6 @@ def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float
 
     It falls off exponentially with time, as that of the linked draws does.
 
-    Examples
-    --------
     >>> round(correlation_at(0.64, from_hz=10.0, to_hz=20.0), 9)
     0.8
     """
@@ -690,8 +673,6 @@ def at_frame_rate(fit: ResponseFit, *, from_hz: float, to_hz: float) -> Response
 
 
 # ---------- recall by group
-
-
 def calibration_error(probability: FloatArray, found: BoolArray) -> float:
     """Mean difference of predicted and found shares in ten bins of the probability (n,).
 
@@ -701,8 +682,6 @@ def calibration_error(probability: FloatArray, found: BoolArray) -> float:
     ----------
     .. [1] M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian binning", 2015.
 
-    Examples
-    --------
     >>> calibration_error(np.array([0.2, 0.2, 0.7, 0.7]), np.array([False, False, True, True]))
     0.25
     """

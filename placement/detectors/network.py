@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,12 @@ from PIL import Image as PilImage
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import check_file, load_toml, take
+from geometry.files import check_file, load_data, take
 from geometry.image_boxes import clip_boxes, iou
 
 from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image, LidarTable, load_min_iou
 
 # ---------- outputs of exported detectors, recognised by their names, shapes and types
-
-
 Array = NDArray[Any]
 Outputs = Mapping[str, Array]
 Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,)
@@ -103,7 +100,7 @@ def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Expo
 @cache
 def onnx_setting(key: str) -> Any:
     """Value in ``data/onnx.toml``."""
-    return take(load_toml(files(__package__) / "data" / "onnx.toml"), key, "onnx.toml")
+    return take(load_data(__package__, "onnx.toml"), key, "onnx.toml")
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
@@ -232,8 +229,6 @@ def kind_of_name() -> dict[str, str]:
 
 
 # ---------- images in, boxes out
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Letterbox:
     """An image scaled without distortion and padded with grey around."""
@@ -500,7 +495,6 @@ def _first_line(error: Exception) -> Unquoted:
 
 
 # ---------- the detector
-
 _SCALES = (1, 2, 4, 8)
 _CHOSEN_BY = {"geometric": "by boxes alone", "cnn-table": "by the response table fitted to it"}
 

@@ -112,8 +112,7 @@ def _differing_frames(
     frames = np.arange(axis.n_frames)[axis.frames_of(run)]
     counts = axis.time_s[frames] <= axis.last_brake_time_s[run]
     differs = on_table[frames] != evaluation.units[unit.id].detected[frames]
-    found: IntArray = frames[counts & differs]
-    return found
+    return np.asarray(frames[counts & differs])
 
 
 def _cause(

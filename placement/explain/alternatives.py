@@ -16,14 +16,7 @@ from ..cache import cached_value
 from ..detection_table import is_mixed
 from ..evaluation import Evaluation, apr_one_failed, headline_apr, mix
 from ..layout import Layout
-from ..optimiser import (
-    Effort,
-    PlacementProblem,
-    Solution,
-    presolve,
-    run_margins_s,
-    solve_placement,
-)
+from ..optimiser import Effort, PlacementProblem, Solution, presolve, run_margins_s, solve_placement
 from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
 from ..optimiser.steering import TOLERANCE
@@ -93,7 +86,6 @@ def find_by_runs(
 
 
 # ---------- front-runners, by the evaluator
-
 EQUAL_APR = 0.001
 """Front-runners whose shares differ by no more are equal: results print a tenth of a point."""
 

@@ -24,8 +24,6 @@ from ..wishes import Wishes, build_limits
 from .feasible_sets import Answer, Oracle
 
 # ---------- demands
-
-
 Kind = Literal[
     "budget_units",
     "budget_eur",
@@ -176,8 +174,6 @@ def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> 
 
 
 # ---------- relaxations
-
-
 _MAX_TRIALS = 40
 
 
@@ -281,18 +277,14 @@ def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
     return [tuple(forbidden[sites == site].tolist()) for site in np.unique(sites)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
     """Relaxations of one demand that are tried one after the other."""
 
-    def __init__(
-        self,
-        demand: Demand,
-        problem: PlacementProblem,
-        oracle: Oracle,
-        separation: Separation | None,
-    ) -> None:
-        self.demand, self.problem, self.oracle = demand, problem, oracle
-        self.separation = separation
+    demand: Demand
+    problem: PlacementProblem
+    oracle: Oracle
+    separation: Separation | None
 
     def first(self, values: Sequence[float]) -> Relaxation | None:
         """The first of some values, each looser than the one before, that can be met."""
@@ -363,8 +355,6 @@ class _Trial:
 
 
 # ---------- conflicts
-
-
 _MAX_SETS = 20_000
 
 
@@ -463,8 +453,6 @@ def _relaxations(
 
 
 # ---------- messages
-
-
 _MAX_NAMES = 4
 
 
@@ -504,9 +492,7 @@ def build_separation(
         return None
     limits = problem.limits
     free = build_limits(
-        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity),
-        scene,
-        candidates,
+        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity), scene, candidates
     )
     position_m = np.array([candidate.pose.position_m[:2] for candidate in candidates])
     where_m = np.array(

@@ -81,8 +81,6 @@ def find_contributions(
 
 
 # ---------- failures of units and poles (N-1, N-2)
-
-
 MAX_PAIR_UNITS = 12
 """For layouts with more units, only single failures are evaluated."""
 
@@ -168,8 +166,6 @@ def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
 
 
 # ---------- one more unit
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextUnit:
     """The further unit that greedy choice would add, budgets aside, on the detection table."""

@@ -10,12 +10,7 @@ from geometry.clock import now_s
 from geometry.errors import InputError
 
 from ..optimiser import Limits, PlacementProblem, ReducedProblem, cost_eur, is_allowed, presolve
-from ..optimiser.bitsets import (
-    left_after_failures,
-    set_values,
-    union_margins_s,
-    values_with_each,
-)
+from ..optimiser.bitsets import left_after_failures, set_values, union_margins_s, values_with_each
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting, price_step_eur
 from ..optimiser.problem import Measure, Objective, Requirement
@@ -25,8 +20,6 @@ from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline
 from ..optimiser.walk import best_of_few
 
 # ---------- greedy choice
-
-
 _MAX_ADDED = 12  # values with failed units take too long to compute for more
 
 
@@ -69,8 +62,6 @@ def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
 
 
 # ---------- the oracle
-
-
 _NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0}
 _FEW_UNITS = 6
 _SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take

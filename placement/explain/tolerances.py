@@ -201,8 +201,7 @@ def _find_errors(
         if fusion == "any":
             parties = parties.min(axis=0, keepdims=True)
         each = [find_onsets(party, axis, rule=rule).is_in_time for party in parties]
-        is_avoided: BoolArray = np.any(each, axis=0)
-        return is_avoided
+        return np.asarray(np.any(each, axis=0))
 
     def avoided(rows: Sequence[int]) -> BoolArray:
         blind = in_time(arrival_s[rows])

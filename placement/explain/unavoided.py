@@ -92,11 +92,7 @@ def find_reasons(
 
 
 def _causes(
-    setting: Setting,
-    world: World,
-    names: Names,
-    unit: CandidatePose,
-    frames: IntArray,
+    setting: Setting, world: World, names: Names, unit: CandidatePose, frames: IntArray
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
@@ -132,11 +128,7 @@ def _causes(
 
 
 def _things_between(
-    world: World,
-    names: Names,
-    unit: CandidatePose,
-    frames: IntArray,
-    open_sight: Sight,
+    world: World, names: Names, unit: CandidatePose, frames: IntArray, open_sight: Sight
 ) -> list[str]:
     """The thing that blocks most rays to the road user in each frame; empty where nothing does."""
     views, vehicles = world.views, world.vehicles
@@ -193,8 +185,6 @@ def _names(scene: Scene, runs: Sequence[Run]) -> Names:
 
 
 # ---------- runs
-
-
 Outcome = Literal["hopeless", "never seen", "never confirmed", "lost again", "too late"]
 
 
@@ -389,10 +379,7 @@ def _nearest_rescue(
         seen = seen | np.vstack([detected[chosen], *_seen_by_vut(problem, run)]).any(axis=0)
     last_brake_s = float(axis.last_brake_time_s[run])
     confirmed_s = live_confirmation_time_s(
-        seen,
-        axis.time_s[axis.frames_of(run)],
-        until_s=last_brake_s - rule.latency_s,
-        rule=rule,
+        seen, axis.time_s[axis.frames_of(run)], until_s=last_brake_s - rule.latency_s, rule=rule
     )
     saves = np.isfinite(confirmed_s)
     if not saves.any():

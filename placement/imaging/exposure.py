@@ -3,13 +3,12 @@
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.files import load_toml, read_table, take_number
+from geometry.files import read_data, take_number
 from geometry.kernels import kernel
 from geometry.poses import Pose
 from geometry.raycast import FloatRays, RayCaster
@@ -41,9 +40,7 @@ _BRIGHTEST = 4.0
 @cache
 def load_imager() -> Mapping[str, float]:
     """``data/imager.toml``."""
-    return read_table(
-        load_toml(files(__package__) / "data" / "imager.toml"), dict[str, float], "imager.toml"
-    )
+    return read_data(__package__, "imager.toml", dict[str, float])
 
 
 def white_luminance(
@@ -127,8 +124,6 @@ def _expose(
 
 
 # ---------- rain and glare
-
-
 _DROP_RANGE_M = (0.8, 6.0)  # nearer ones the housing keeps off, farther ones are too thin to see
 _LEAST_DROP_M = 1.0e-3
 _MARSHALL_PALMER_PER_M4 = 8.0e6

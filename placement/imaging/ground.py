@@ -18,8 +18,6 @@ from geometry.scene import Lane, Scene
 from .mesh import Thing
 
 # ---------- lanes and markings
-
-
 _NEIGHBOUR_M = 0.4  # so far beyond a lane's edge lies its neighbour
 _MOUTH_M = 2.5  # a lane that ends so near the junction's outline ends at a stop line
 _OVERLAP_M = 0.06
@@ -155,8 +153,6 @@ def _strip(
 
 
 # ---------- the map
-
-
 ROAD, PAINT, SKY = 0, 1, 2  # layers of a map
 
 _STEP_M = 0.1
@@ -291,8 +287,7 @@ def grain_at(noise: FloatRays, east: FloatRays, north: FloatRays, per_m: FloatRa
     mask = np.int32(_NOISE_SIZE - 1)
     column = np.floor(east * per_m).astype(np.int32) & mask
     row = np.floor(north * per_m).astype(np.int32) & mask
-    values: FloatRays = noise.take(row * np.int32(_NOISE_SIZE) + column)
-    return values
+    return np.asarray(noise.take(row * np.int32(_NOISE_SIZE) + column))
 
 
 def soft_noise_at(
@@ -337,8 +332,7 @@ def _corners(rectangle: FloatArray) -> FloatArray:
     ahead = half_length * np.array([np.cos(yaw), np.sin(yaw)])
     left = half_width * np.array([-np.sin(yaw), np.cos(yaw)])
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    corners: FloatArray = [east, north] + signs[:, :1] * ahead + signs[:, 1:] * left
-    return corners
+    return np.asarray([east, north] + signs[:, :1] * ahead + signs[:, 1:] * left)
 
 
 def _window(
@@ -356,13 +350,9 @@ def _window(
 
 
 # ---------- distances on the road plane
-
-
 def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArray:
     """Distance of points (..., 2) from the edge of a rectangle (5,), in metres, negative inside.
 
-    Examples
-    --------
     >>> rectangle_distance(np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
     array([-1.,  5.])
     """
@@ -371,8 +361,7 @@ def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArra
     along = np.abs(x * np.cos(yaw) + y * np.sin(yaw)) - half_length
     across = np.abs(y * np.cos(yaw) - x * np.sin(yaw)) - half_width
     outside = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-    distance: FloatArray = outside + np.minimum(np.maximum(along, across), 0.0)
-    return distance
+    return np.asarray(outside + np.minimum(np.maximum(along, across), 0.0))
 
 
 def polygon_distance(points_m: FloatArray, polygon_m: FloatArray) -> FloatArray:
@@ -395,5 +384,4 @@ def polygon_distance(points_m: FloatArray, polygon_m: FloatArray) -> FloatArray:
         if y0 != y1:
             is_between = (y0 > y) != (y1 > y)
             is_inside ^= is_between & (x < x0 + (y - y0) / (y1 - y0) * edge_x)
-    distance: FloatArray = np.where(is_inside, -1.0, 1.0) * np.sqrt(square)
-    return distance
+    return np.asarray(np.where(is_inside, -1.0, 1.0) * np.sqrt(square))

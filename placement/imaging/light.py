@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
-from geometry.files import load_toml, read_table, take, take_number
+from geometry.files import load_data, read_table, take, take_number
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster
 from geometry.scene import Scene
@@ -148,7 +147,7 @@ def build_headlights(vut: Actor, pose: Pose, *, keeps_left: bool) -> tuple[HeadL
 @cache
 def load_lamp_table() -> dict[str, Any]:
     """``data/lamps.toml``."""
-    return load_toml(files(__package__) / "data" / _FILE)
+    return load_data(__package__, _FILE)
 
 
 def _points_along(line: FloatArray) -> FloatArray:
@@ -176,8 +175,6 @@ def _colour(table: Mapping[str, object], key: str, where: str) -> FloatArray:
 
 
 # ---------- the sky and the air
-
-
 _EXPONENT = 0.6  # of the sine of the elevation, from horizon to zenith
 _SKY = f"{_FILE}: sky"
 _FOG_VISIBILITY_M = 1000.0  # below it is fog (WMO-No. 407)
@@ -206,8 +203,7 @@ class Sky:
         horizon, air = self.horizon_cdpm2.astype(np.float32), self.air_cdpm2.astype(np.float32)
         bright = horizon + share * (self.zenith_cdpm2 - self.horizon_cdpm2).astype(np.float32)
         left = np.exp(np.float32(-self.extinction_per_m * self.haze_height_m) / sine)[:, None]
-        seen: FloatRays = air + left * (bright - air)
-        return seen
+        return np.asarray(air + left * (bright - air))
 
     def fade(self, luminance: FloatRays, distance_m: FloatRays) -> None:
         """Take from luminances (n, 3) what the air takes over distances (n,), in place.
@@ -254,8 +250,6 @@ def build_sky(weather: Weather) -> Sky:
 
 
 # ---------- light on surfaces
-
-
 _OFF_SURFACE_M = 4.0e-3  # where rays towards the light start
 _SUN_WAY_M = 500.0  # what is farther away throws no shadow here
 _SHADOW_SHARE = 0.08  # lamps that give less than this of a point's light throw no shadow there

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from statistics import NormalDist
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, float_array
 from geometry.errors import InputError
-from geometry.files import load_toml, read_table
+from geometry.files import load_data, read_table
 from geometry.raycast import FloatRays
 
 from .ground import PAINT, ROAD, SKY, GroundMap, grain_at, soft_noise_at
@@ -67,8 +66,7 @@ def blank_coat(n_hits: int) -> Coat:
 
 def cover(distance_m: FloatRays, pixel_m: FloatRays) -> FloatRays:
     """Share (n,) of each pixel inside an edge, by its distance (negative inside) and size."""
-    share: FloatRays = np.clip(np.float32(0.5) - distance_m / pixel_m, 0.0, 1.0)
-    return share
+    return np.asarray(np.clip(np.float32(0.5) - distance_m / pixel_m, 0.0, 1.0))
 
 
 def blend(under: FloatRays, over: FloatRays, share: FloatRays) -> None:
@@ -127,7 +125,7 @@ def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
 @cache
 def load_materials() -> Materials:
     """All materials, from ``data/materials.toml``."""
-    table = load_toml(files(__package__) / "data" / _WHERE)
+    table = load_data(__package__, _WHERE)
     pattern = dict(table["pattern"])
     colour = pattern.pop("lit_window_colour")
     return Materials(
@@ -178,8 +176,7 @@ def _any_colours(n_colours: int, rng: np.random.Generator) -> FloatRays:
     hue = rng.uniform(0.0, 2.0 * np.pi, (n_colours, 1)) + np.array([0.0, 2.1, 4.2])
     colour = 1.0 + rng.beta(0.7, 1.0, (n_colours, 1)) * np.cos(hue)
     light = np.exp(rng.uniform(np.log(0.02), np.log(0.7), (n_colours, 1)))
-    albedos: FloatRays = np.clip(light * colour, 0.01, 0.85).astype(np.float32)
-    return albedos
+    return np.asarray(np.clip(light * colour, 0.01, 0.85).astype(np.float32))
 
 
 def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
@@ -191,8 +188,6 @@ def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
 
 
 # ---------- ground, houses, walls and posts: patterns by position in the world
-
-
 _GRAIN_PER_M = (48.0, 384.0)  # texels of the grain, coarsest and finest
 _PATCH_M = 0.06  # size of the patches' texels
 _TEXELS = np.float32(2.7)  # of noise per window
@@ -327,8 +322,6 @@ def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
 
 
 # ---------- vehicles and people: colours by position in their own frames
-
-
 _WHEEL_M = 0.335  # radius of ordinary tyres
 _RIM_SHARE = 0.60
 

@@ -329,8 +329,7 @@ def _face_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
 
 def _unit(vectors: FloatRays) -> FloatRays:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit: FloatRays = vectors / np.maximum(length, np.float32(1e-20))
-    return unit
+    return np.asarray(vectors / np.maximum(length, np.float32(1e-20)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

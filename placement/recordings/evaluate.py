@@ -146,8 +146,6 @@ def last_brake_time_s(
     -(v - u) / (2 a) without build-up if both go the same way: the VUT must only shed v - u before
     the gap to the VRU is closed. Otherwise -v / (2 a): it must stop before the place of the impact.
 
-    Examples
-    --------
     >>> from dataclasses import replace
     >>> from scenarios.aeb import load_aeb_rule
     >>> rule = replace(load_aeb_rule(), deceleration_mps2=8.0)

@@ -7,9 +7,9 @@ import itertools
 import math
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
@@ -18,7 +18,15 @@ import msgspec
 
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import load_toml, parse_number, read_bytes, read_table, read_text, write_new
+from geometry.files import (
+    load_data,
+    parse_number,
+    read_bytes,
+    read_table,
+    read_text,
+    reading,
+    write_new,
+)
 
 VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
 _MOST_FRAMES = 100_000_000
@@ -69,7 +77,7 @@ class RecordingFormat:
 def load_format() -> RecordingFormat:
     """The layout, from ``data/carla_ncap_format.toml``."""
     file = "carla_ncap_format.toml"
-    table = load_toml(files(__package__) / "data" / file)
+    table = load_data(__package__, file)
     return read_table({**table, **table["motion"]}, RecordingFormat, file)
 
 
@@ -100,22 +108,17 @@ class World(NamedTuple):
 
 
 # ---------- folders, JSON, lines of text
-
-
 def entries_of(folder: Path, expected: str) -> list[Path]:
     """What is in a folder; InputError, with what is expected, where it cannot be read."""
-    try:
+    with reading(folder, expected, OSError):
         return list(folder.iterdir())
-    except OSError as error:
-        raise InputError(str(folder), Unquoted(error.strerror or error), expected) from None
 
 
 def json_of(path: Path, **limits: int) -> Any:
     """Content of a JSON file; `limits` are those of :func:`geometry.files.read_bytes`."""
-    try:
+    damage = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+    with reading(path, "a JSON file", *damage):
         return msgspec.json.decode(read_bytes(path, **limits))
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(str(path), Unquoted(error), "a JSON file") from None
 
 
 class Fields:
@@ -260,8 +263,6 @@ def _box(row: Fields) -> Box:
 
 
 # ---------- writing
-
-
 _BICYCLE = "bycicle"  # as the study's paper spells it
 CONFIDENCE = 1.0
 """Of every detection that is written."""
@@ -339,21 +340,16 @@ def write_folder(
     Raises InputError if the folder is not empty or not writable.
     """
     temporary = folder.with_name(f".{folder.name}.{uuid4().hex}.tmp")
-    try:
+    with ExitStack() as stack, reading(folder, "a folder that can be written", OSError):
         if folder.exists() and any(folder.iterdir()):
             raise InputError(str(folder), Unquoted("a folder that is not empty"), "a new one")
+        stack.callback(shutil.rmtree, temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
         for name in folders:
             (temporary / name).mkdir(parents=True)
         for file_name, text in texts:
             write_new(temporary / file_name, text)
         temporary.rename(folder)  # onto an empty folder, too
-    except OSError as error:
-        raise InputError(
-            str(folder), Unquoted(error.strerror or error), "a folder that can be written"
-        ) from None
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _files(

@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import parse_number, read_table, read_text
+from geometry.files import parse_number, read_table, read_text, reading
 from geometry.untrusted_files import read_xml
 
 from .files import Box, Fields, entries_of, json_of, load_format, read_lines
@@ -140,8 +140,6 @@ def _jumping(boxes: RecordedBoxes) -> IntArray:
 
 
 # ---------- attributes of XML
-
-
 def xml_number(element: "Element", name: str, place: str) -> float:
     """Number of an attribute."""
     word = element.get(name)
@@ -159,8 +157,6 @@ def xml_whole(element: "Element", name: str, place: str) -> int:
 
 
 # ---------- MOT challenge: annotated tracks (gt.txt) and detections (det.txt)
-
-
 _MOT = ("frame", "id", "left", "top", "width", "height", "conf", "class", "visibility", "z")
 _MOT_LEAST = 7  # the rest is -1, or missing
 _WITH_CLASSES = 9  # fields from 2016 on; in 2015 there were x, y, z in their place
@@ -193,8 +189,6 @@ def mot_rows(path: Path) -> Iterator[BoxRow]:
 
 
 # ---------- KITTI: annotated tracks, and two detectors' output
-
-
 _SIDES = ("left", "top", "right", "bottom")
 _PLACE = ("height", "width", "length", "x", "y", "z", "yaw")
 _LABEL = ("frame", "track", "type", "truncated", "occluded", "alpha", *_SIDES, *_PLACE)
@@ -250,8 +244,6 @@ def pointrcnn_rows(path: Path) -> Iterator[BoxRow]:
 
 
 # ---------- CVML
-
-
 def cvml_rows(path: Path) -> Iterator[BoxRow]:
     """Annotated people; frames are in order, and all as far apart (one frame rate)."""
     root = read_xml(path, expected="CVML")
@@ -280,8 +272,6 @@ def cvml_rows(path: Path) -> Iterator[BoxRow]:
 
 
 # ---------- WILDTRACK: people on a square who are annotated in seven calibrated views
-
-
 N_VIEWS = 7
 _CELL_M, _COLUMNS, _ORIGIN_M = 0.025, 480, (-3.0, -9.0)
 _NAME = re.compile(r"(\d{1,8})\.json", re.ASCII)
@@ -352,8 +342,6 @@ def _files(folder: Path) -> list[Path]:
 
 
 # ---------- any of them
-
-
 STUDY, MOT_FOLDER, WILDTRACK, COCO = "study", "MOT challenge's folder", "WILDTRACK", "COCO"
 MOT_FILES = (Path("gt/gt.txt"), Path("det/det.txt"))
 """In a folder of MOT challenge: who was annotated, and what was found."""
@@ -373,11 +361,9 @@ def find_format(path: Path) -> str:
 
     Raises InputError, with the formats that are known, if it is in none of them.
     """
-    try:
+    with reading(path, "a recording", OSError):
         is_folder = stat.S_ISDIR(path.stat().st_mode)
         name = _of_folder(path) if is_folder else None
-    except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a recording") from None
     if is_folder and name is None:
         raise _unknown(str(path), "a folder without their files")
     if name is not None:

@@ -68,7 +68,7 @@ def pair_boxes(
         labels, others = here[is_label[here]], here[~is_label[here]]
         boxes = found.box_px[counts & (found.frame == frame)]
         index.append(labels)
-        is_aside = _inside(boxes, annotated.box_px[others]) > _MOSTLY
+        is_aside = (_overlap(boxes, annotated.box_px[others]) > _MOSTLY).any(axis=1)
         pictures.append(
             LabelledPicture(
                 track=first_track,
@@ -116,14 +116,7 @@ def _overlap(boxes: FloatArray, others: FloatArray) -> FloatArray:
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     area = np.prod(np.maximum(high - low, 0.0), axis=2)
     whole = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)[:, None]
-    shares: FloatArray = np.divide(area, whole, out=np.zeros_like(area), where=whole > 0.0)
-    return shares
-
-
-def _inside(boxes: FloatArray, others: FloatArray) -> FloatArray:
-    """Largest share of each box (n, 4) that lies in one of the others (m, 4), (n,)."""
-    inside: FloatArray = _overlap(boxes, others).max(axis=1, initial=0.0)
-    return inside
+    return np.asarray(np.divide(area, whole, out=np.zeros_like(area), where=whole > 0.0))
 
 
 def frames_to_confirm(
@@ -134,8 +127,6 @@ def frames_to_confirm(
     So many consecutive frames in which it is found confirm a track; 0: that never happens. Rows
     of a track are in the order of their frames.
 
-    Examples
-    --------
     >>> found = np.array([True, False, True, True, True])
     >>> frames_to_confirm(found, np.zeros(5, int), np.arange(5), n_confirmations=3)
     array([5, 4, 3, 0, 0])

@@ -5,10 +5,11 @@ Anything that would make the result wrong is an error; frames that are left out 
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from geometry.errors import InputError, Unquoted
 
 from .files import (
     VRU_CLASSES,
-    Box,
     Detection,
     FrameKey,
     Label,
@@ -52,8 +52,6 @@ _OF_FRAMES = (".png", ".bin")  # images and points of the frames
 
 
 # ---------- drives: frames of a scenario up to the impact
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
     """Frames of one scenario at one speed, up to the impact."""
@@ -196,8 +194,6 @@ def _laid_out(
 def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
     """How fast a distance falls, by least squares: minus the slope of the line through it.
 
-    Examples
-    --------
     >>> round(closing_speed_mps(np.array([-0.2, -0.1]), np.array([6.0, 5.5])), 9)
     5.0
     """
@@ -206,8 +202,6 @@ def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
 
 
 # ---------- the folder
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
     """Contents of a folder in the study's format."""
@@ -325,14 +319,7 @@ def _read_all_labels(
     for key, path in _frames(folder, skipped):
         labels, n_repeated = read_labels(path, form)
         skipped[REPEATED] += n_repeated
-        frames[key] = inside = []
-        for label in labels:
-            if label.class_name not in VRU_CLASSES:
-                skipped[OTHER_LABELS] += 1
-                continue
-            box = _inside(label.box_px, form, skipped)
-            if box is not None:
-                inside.append(label._replace(box_px=box))
+        frames[key] = list(_of_vrus(labels, OTHER_LABELS, form, skipped))
     return frames
 
 
@@ -356,25 +343,24 @@ def _read_all_detections(
                     detection.unit,
                     f"a unit that has a folder: {', '.join(unit_of)}",
                 )
-            if detection.class_name not in VRU_CLASSES:
-                skipped[OTHER_DETECTIONS] += 1
-                continue
-            box = _inside(detection.box_px, form, skipped)
-            if box is not None:
-                found = by_unit[unit_of[detection.unit]].setdefault(key, [])
-                found.append(detection._replace(box_px=box))
+        for detection in _of_vrus(detections, OTHER_DETECTIONS, form, skipped):
+            by_unit[unit_of[detection.unit]].setdefault(key, []).append(detection)
     return by_unit, frames
 
 
-def _inside(box: Box, form: RecordingFormat, skipped: Counter[str]) -> Box | None:
-    """The part of a box inside the image; None, and counted, if there is none."""
-    x_min, y_min, x_max, y_max = box
-    if x_min == x_max or y_min == y_max:
-        skipped[NO_AREA] += 1
-        return None
-    x_min, x_max = max(x_min, 0.0), min(x_max, float(form.width_px))
-    y_min, y_max = max(y_min, 0.0), min(y_max, float(form.height_px))
-    if x_min >= x_max or y_min >= y_max:
-        skipped[OUTSIDE] += 1
-        return None
-    return x_min, y_min, x_max, y_max
+def _of_vrus(
+    boxes: Iterable[Any], others: str, form: RecordingFormat, skipped: Counter[str]
+) -> Iterator[Any]:
+    """Boxes of VRUs, as far as they lie inside the image; what else there is, is counted."""
+    for one in boxes:
+        box = one.box_px
+        low = max(box[0], 0.0), max(box[1], 0.0)
+        high = min(box[2], float(form.width_px)), min(box[3], float(form.height_px))
+        if one.class_name not in VRU_CLASSES:
+            skipped[others] += 1
+        elif box[0] == box[2] or box[1] == box[3]:
+            skipped[NO_AREA] += 1
+        elif low[0] >= high[0] or low[1] >= high[1]:
+            skipped[OUTSIDE] += 1
+        else:
+            yield one._replace(box_px=(*low, *high))

@@ -10,6 +10,7 @@ from geometry.actors import Actor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Arm, build_junction, lane_length_m, lane_line
+from geometry.lines import points_at
 from geometry.poses import Pose
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Lane, Scene
@@ -95,19 +96,9 @@ def build_ways(runs: Sequence[Run], rule: AebRule) -> dict[GroupKey, Ways]:
     return {key: _build(members, rule) for key, members in groups.items()}
 
 
-def footprint_of(placed: PlacedActor) -> FloatArray:
-    """Corners of a body that stands somewhere, (4, 2), in metres."""
-    return footprint_corners(
-        placed.pose.position_m[:2],
-        placed.pose.yaw_deg,
-        length_m=placed.actor.length_m,
-        width_m=placed.actor.width_m,
-    )
-
-
 def _footprints_of(bodies: Iterable[PlacedActor]) -> Footprints:
     """Footprints of bodies that stand somewhere; maybe none."""
-    return _footprints(np.array([footprint_of(placed) for placed in bodies]).reshape(-1, 4, 2))
+    return _footprints(np.array([placed.footprint_m for placed in bodies]).reshape(-1, 4, 2))
 
 
 def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
@@ -176,8 +167,7 @@ class Kerbside:
 
     def _point(self, from_mouth_m: float) -> FloatArray:
         points = self.lane.centreline_m[::-1] if self.is_in else self.lane.centreline_m
-        covered = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-        return np.array([np.interp(from_mouth_m, covered, points[:, axis]) for axis in (0, 1)])
+        return points_at(points, np.array(from_mouth_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -209,7 +199,7 @@ class Street:
             for placed in fill(side, self.traffic, rng(name, side.is_in, side.lane.id))
         ]
         for placed in drawn:
-            corners = footprint_of(placed)
+            corners = placed.footprint_m
             if not touches_any(corners, taken) and self._is_free(corners, placed.actor.height_m):
                 kept.append(placed)
                 taken.append(corners)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
 from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
 from geometry.errors import InputError, Unquoted
-from geometry.files import open_file, write_atomically
+from geometry.files import open_file, reading, write_atomically
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.untrusted_files import is_text, unpacked_bytes
@@ -208,8 +208,6 @@ def scene_hash(scene: Scene) -> str:
 
 
 # ---------- as arrays of a file
-
-
 def _mounts_to_arrays(mounts: Mounts) -> Arrays:
     """The arrays of :data:`_MOUNT_FIELDS`."""
     values = {name: getattr(mounts, attribute) for name, attribute in _ATTRIBUTES.items()}
@@ -231,8 +229,6 @@ def _read_sensor(text: str) -> Sensor:
 
 
 # ---------- placement problems
-
-
 INSTANCE_FILE = "instance.npz"
 KIND = "place-rsus/placement-problem/1"
 """Kind of a file with a problem alone; raise the number whenever the fields change."""
@@ -240,6 +236,7 @@ KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
 """Kind of a file that also says where and what the poses are, see :class:`Mounts`."""
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
+_UNDAMAGED = "an undamaged instance file (.npz)"
 _UNPACKED_BYTES = 4  # of memory for each byte of a file, unpacked, while it is read and checked
 
 
@@ -498,44 +495,30 @@ def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
 @contextmanager
 def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     """An archive that says what kind it is; whatever is wrong with it is an InputError."""
-    try:
+    with (
+        reading(path, _UNDAMAGED, Exception),  # what damaged ones raise has no end: zipfile's, ..
+        reading(path, "a readable instance file", OSError),
+        open_file(path) as file,
         # Not np.load(): it takes whatever is no archive for a pickle, and says so.
-        with open_file(path) as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as archive:
-            if "kind" not in archive.files:
-                raise InputError(f"{path}: kind", Unquoted("nothing"), f"a text such as {KIND}")
-            assert archive.zip is not None  # it is open
-            n_bytes = unpacked_bytes(archive.zip, str(path))
-            check_fits(
-                str(path),
-                f"{n_bytes:,} bytes when unpacked",
-                _UNPACKED_BYTES * n_bytes,
-                "fewer poses or frames",
-            )
-            yield archive
-    except InputError:
-        raise
-    except OSError as error:
-        reason = error.strerror or error
-        raise InputError(str(path), Unquoted(reason), "a readable instance file") from None
-    except Exception as error:  # what damaged archives raise has no end: zipfile's, zlib's, ..
-        raise _damaged(str(path), error) from None
+        np.lib.npyio.NpzFile(file, allow_pickle=False) as archive,
+    ):
+        if "kind" not in archive.files:
+            raise InputError(f"{path}: kind", Unquoted("nothing"), f"a text such as {KIND}")
+        assert archive.zip is not None  # it is open
+        n_bytes = unpacked_bytes(archive.zip, str(path))
+        what, room = f"{n_bytes:,} bytes when unpacked", _UNPACKED_BYTES * n_bytes
+        check_fits(str(path), what, room, "fewer poses or frames")
+        yield archive
 
 
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
-    try:
+    with reading(f"{where}: {name}", _UNDAMAGED, Exception):
         array: NDArray[Any] | bytes = archive[name]
-    except Exception as error:
-        raise _damaged(f"{where}: {name}", error) from None
     if not isinstance(array, np.ndarray):  # what does not begin as an array comes as bytes
         raise InputError(f"{where}: {name}", Unquoted("no array"), "an array")
     if array.dtype.kind == "U" and not is_text(array):
         raise InputError(f"{where}: {name}", Unquoted("characters that are none"), "texts")
     return array
-
-
-def _damaged(where: str, error: Exception) -> InputError:
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return InputError(where, Unquoted(reason), "an undamaged instance file (.npz)")
 
 
 def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> None:

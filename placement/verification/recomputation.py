@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 
 # ---------- values
-
-
 EPSILON = 1.0e-9
 """Shares and times that differ by no more are equal: they carry rounding noise."""
 EPSILON_EUR = 1.0e-6
@@ -77,8 +75,7 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
     if problem.fusion == "single":  # each for itself: the first to confirm counts
         poses, where = np.unique(sets, return_inverse=True)
         alone = _margins_of_bits(problem, packed[poses])
-        margin_s: FloatArray = alone[where.reshape(sets.shape)].max(axis=1)
-        return margin_s
+        return np.asarray(alone[where.reshape(sets.shape)].max(axis=1))
     bits = packed[sets[:, 0]].copy()
     for unit in range(1, n_units):
         bits |= packed[sets[:, unit]]
@@ -94,8 +91,7 @@ def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray
             union |= problem.table.packed[pose]
         if problem.seen_by_vut is not None:
             union |= np.packbits(problem.seen_by_vut, bitorder="little")
-        of_union: FloatArray = _margins_of_bits(problem, union)[0]
-        return of_union
+        return np.asarray(_margins_of_bits(problem, union)[0])
     for block in _blocks(problem, poses[:, None]):
         everything = np.maximum(everything, margins_s(problem, block).max(axis=0))
     return everything
@@ -193,11 +189,9 @@ def _apr(
     weight = problem.table.axis.weight
     if floor is not None and floor.is_counted is not None:
         counted = np.where(floor.is_counted, weight, 0.0)
-        share: FloatArray = (is_avoided * (counted / counted.sum())).sum(axis=1)
-        return share
+        return np.asarray((is_avoided * (counted / counted.sum())).sum(axis=1))
     if problem.tail == 1.0:
-        share = (is_avoided * weight).sum(axis=1)
-        return share
+        return np.asarray((is_avoided * weight).sum(axis=1))
     # Rockafellar and Uryasev (2000): the mean of the worst share `tail` of the worlds is the
     # largest t - E[(t - ratio)+] / tail over all t, and a world's own ratio is such a t.
     world = np.zeros(len(weight), np.int64)
@@ -281,14 +275,11 @@ def _of_blocks(
 
 
 # ---------- simple limits
-
-
 def usable_poses(problem: "PlacementProblem") -> IntArray:
     """Poses that some layout can contain."""
     limits = problem.limits
     has_room = limits.site_capacity[limits.site_index] > 0
-    poses: IntArray = np.flatnonzero(has_room & ~limits.is_forbidden)
-    return poses
+    return np.asarray(np.flatnonzero(has_room & ~limits.is_forbidden))
 
 
 def most_units(problem: "PlacementProblem") -> int:
@@ -350,8 +341,6 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
 
 
 # ---------- other sets
-
-
 class BestOther(NamedTuple):
     """The best of the sets that are as good as the layout in all stages before; NaN if none is."""
 

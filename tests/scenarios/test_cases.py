@@ -25,7 +25,7 @@ GOOD = {
 
 def _load(monkeypatch, table):
     """What ``load_cases`` makes of a table; nothing is remembered."""
-    monkeypatch.setattr(cases, "load_toml", lambda source: table)
+    monkeypatch.setattr(cases, "load_data", lambda package, name: table)
     return cases.load_cases.__wrapped__()
 
 

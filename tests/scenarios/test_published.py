@@ -92,8 +92,8 @@ def _load(monkeypatch, *entries, **table):
     """What ``load_placements`` makes of a file; nothing is remembered."""
     monkeypatch.setattr(
         published,
-        "load_toml",
-        lambda source: {"scene": "town05", "placements": list(entries), **table},
+        "load_data",
+        lambda package, name: {"scene": "town05", "placements": list(entries), **table},
     )
     return published.load_placements.__wrapped__()
 

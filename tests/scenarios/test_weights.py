@@ -229,7 +229,10 @@ def test_a_byte_order_mark_and_empty_lines_do_not_matter(table):
             "case,approach,weight\nCBNA,north,0\n",
             "{}: weight: got 0 in all rows; expected one weight more than 0",
         ),
-        ('case,approach,weight\n"CBNA,north,1\n', "{}: got unexpected end of data; expected a CSV"),
+        (
+            'case,approach,weight\n"CBNA,north,1\n',
+            "{}: line 2: got unexpected end of data; expected a CSV",
+        ),
     ],
 )
 def test_tables_say_what_is_wrong_and_where(table, text, message):

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import FloatArray
 from ...junction import chained
 from ...lines import unit
-from ...scene import LeadingRoad
+from ...scene import LeadingRoad, area_of
 from ..source_map import MapJunction, polygons_of
 from .elements import DEFAULTS, Elements, Tags
 from .network import Edge, End, Network, Street, axis_points, surface, trace_streets
@@ -478,7 +478,7 @@ def find_leading_roads(
     network: Network, rows: Iterable[int], outline_m: FloatArray
 ) -> tuple[LeadingRoad, ...]:
     """Ways that leave a junction's outline and go on for a stub's length, with their lanes."""
-    area = shapely.make_valid(shapely.Polygon(outline_m)).buffer(_BEYOND_M)
+    area = area_of(outline_m).buffer(_BEYOND_M)
     shapely.prepare(area)
     waiting = deque(rows)
     seen = set(waiting)

@@ -29,6 +29,7 @@ from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import open_file, read_text, write_new
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
+from geometry.lines import along_m, points_at
 from geometry.scene import Lane, Scene
 from scenarios.runs import Run
 
@@ -216,13 +217,10 @@ class _Plain:
 
 def _piece(points: FloatArray, near_m: float, far_m: float, wanted_m: float) -> FloatArray:
     """The part of a line between two distances from its begin, straight on if it ends sooner."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    along = along_m(points)
     inside = points[(along > near_m + 0.01) & (along < far_m - 0.01)]
-    ends = [
-        np.array([np.interp(at_m, along, points[:, axis]) for axis in (0, 1)])
-        for at_m in (near_m, far_m)
-    ]
-    part: FloatArray = np.concatenate([ends[:1], inside, ends[1:]])
+    ends = points_at(points, np.array([near_m, far_m]))
+    part = np.concatenate([ends[:1], inside, ends[1:]])
     return _straight_on(part, max(0.0, wanted_m - (far_m - near_m)))
 
 

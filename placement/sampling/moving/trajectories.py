@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from geometry.actors import Actor, MovingActor, PlacedActor
+from geometry.actors import Actor, MovingActor, PlacedActor, footprint_sizes
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.footprints import FootprintSizes, gaps_between
+from geometry.footprints import gaps_between
 from scenarios.runs import Run
 
 _GAP_STEPS = 1.5  # a vehicle that is away for longer than so many steps has left and come back
@@ -266,12 +266,7 @@ def _is_nearer(
 ) -> BoolArray:
     """Moments at which two bodies are nearer than a limit."""
     one, other = actors
-    sizes = FootprintSizes(
-        length_a_m=one.length_m,
-        width_a_m=one.width_m,
-        length_b_m=other.length_m,
-        width_b_m=other.width_m,
-    )
+    sizes = footprint_sizes(one, other)
     apart = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=sizes).max(axis=0)
     nearer: BoolArray = apart <= limit_m
     return nearer
