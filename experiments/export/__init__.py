@@ -17,6 +17,8 @@ FORMAT_NAMES = (
     "openlabel",
     "cpm",
     "cpm-uper",
+    "vam",
+    "vam-uper",
     "mcap",
     "usd",
     "opendrive",

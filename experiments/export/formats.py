@@ -19,6 +19,7 @@ class ExportFormat:
     is_binary: bool = False  # it is not text and needs a file
     has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
     shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
+    is_of_run: bool = False  # it has no units: `write` takes a run and its scene
     options: tuple[str, ...] = ()  # names of further arguments of `write`
     told: Callable[[bytes], str] | None = None  # a sentence about the content that was written
 
@@ -30,29 +31,39 @@ def load_format(name: str) -> ExportFormat:
 
 
 def export_layout(
-    layout: Layout,
+    layout: Layout | None,
     format_name: str,
     *,
     scene_path: str = "",
     run_id: str = "",
     compute: Compute = DEFAULT_COMPUTE,
-    options: Mapping[str, str | bool] | None = None,
+    options: Mapping[str, str | float] | None = None,
 ) -> str | bytes:
     """Content of a layout's file for another program.
 
     `format_name` is one of ``FORMAT_NAMES``, `options` are its own. `scene_path`: folder or .zip
     file of the layout's scene; empty: the study's junction. `run_id`: a run to show as the units
-    see it; empty: none. Raises InputError: the layout does not fit the scene, or the format needs
-    a place on earth, shows no runs, or lacks an option.
+    see it; empty: none. Formats of a run alone take no layout. Raises InputError: the layout does
+    not fit the scene, or the format needs a place on earth, shows no runs, or lacks an option.
     """
     chosen = load_format(format_name)
-    if run_id and not chosen.shows_runs:
+    if chosen.is_of_run and not run_id:
+        raise InputError("--run", run_id, f"a run: {format_name} shows nothing else")
+    if chosen.is_of_run and layout is not None:
+        raise InputError("--layout", layout.name, f"none: {format_name} has no units")
+    if run_id and not (chosen.shows_runs or chosen.is_of_run):
         raise InputError("--run", run_id, f"none: {format_name} shows no runs")
     given = options or {}
     for name, value in given.items():
         if name not in chosen.options:
-            raise InputError(f"--{name}", value, f"none: {format_name} has no such option")
+            raise InputError(
+                f"--{name.replace('_', '-')}", value, f"none: {format_name} has no such option"
+            )
     scene = load_scene(scene_path)
+    if layout is None:
+        from .watched import find_run
+
+        return chosen.write(find_run(run_id, scene), scene, **given)
     check_layout(layout, scene)
     if not run_id:
         return chosen.write(layout, scene, **given)

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from experiments.export.cpm import RELEASES, build_stations, to_cpm
-from experiments.export.cpm_uper import decode, encode, split, tell_load, to_cpm_uper
+from experiments.export.cpm_uper import decode, encode, to_cpm_uper
+from experiments.export.uper import split, tell_load
 from experiments.export.watched import WatchedRun, find_run, watch_run
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
@@ -77,7 +78,9 @@ def test_objects_are_where_the_run_has_them(runs):
             assert one["measurementDeltaTime"] == -25
             at_m = [one["position"][f"{axis}Coordinate"]["value"] / 100.0 for axis in "xyz"]
             np.testing.assert_allclose(at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012)
-            assert at_m[2] == pytest.approx(0.5 * run.encounter.vru.height_m, abs=0.006)
+            # n stands for more than n - 1 and at most n centimetres.
+            up_cm = np.ceil(50.0 * run.encounter.vru.height_m - 1e-6)
+            assert at_m[2] == pytest.approx(up_cm / 100.0, abs=1e-9)
             if 0 < frame < len(run.time_s) - 1:
                 steps_m = run.vru_position_m[frame + 1] - run.vru_position_m[frame - 1]
                 over_s = run.time_s[frame + 1] - run.time_s[frame - 1]
