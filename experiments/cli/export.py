@@ -77,8 +77,8 @@ Examples:
     "run_id",
     default="",
     metavar="RUN",
-    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40; vam, "
-    "vam-uper: whose road user sends, without --layout.",
+    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40; "
+    "carla-run: that is driven; vam, vam-uper: whose road user sends, without --layout.",
 )
 @options.option(
     "--release", metavar="V", help="cpm, vam and their bytes: of the dictionary, 2.1.1 or 2.4.1."
@@ -126,7 +126,7 @@ def export(
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:
-        needs_layout = bool(layout_names) or not chosen.is_of_run
+        needs_layout = bool(layout_names) or chosen.has_units
         layout = load_one_layout(layout_names) if needs_layout else None
         asked = {"release": release, "vam_rate": vam_rate, "views": views or None}
         given = {name: value for name, value in asked.items() if value is not None}

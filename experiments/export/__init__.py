@@ -12,6 +12,7 @@ FORMAT_NAMES = (
     "kml",
     "dxf",
     "carla",
+    "carla-run",
     "opencv",
     "ros",
     "openlabel",

@@ -24,7 +24,8 @@ FORMAT = ExportFormat(
     write=to_vam_uper,
     content="the same messages as bytes (UPER); extra: v2x",
     is_binary=True,
-    is_of_run=True,
+    drives_run=True,
+    has_units=False,
     options=("release", "vam_rate"),
     told=tell_load,
 )

@@ -17,7 +17,7 @@ from experiments.progress import StageProgress
 from geometry.errors import InputError
 
 BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]  # of layouts
-OF_RUNS = ["vam", "vam-uper"]  # have no layout: test_vam.py
+OF_RUNS = ["carla-run", "vam", "vam-uper"]  # test_carla_run.py, test_vam.py
 OF_LAYOUTS = [name for name in FORMAT_NAMES if name not in OF_RUNS]
 TOLD = {"cpm-uper": "10 messages of "}  # what is said of a file that was written
 
@@ -45,7 +45,7 @@ def test_every_format_is_described():
     help_text = call("--help").output
     assert all(f"\n    {name} " in help_text for name in FORMAT_NAMES)
     assert [name for name in OF_LAYOUTS if load_format(name).is_binary] == BINARY
-    assert [name for name in FORMAT_NAMES if load_format(name).is_of_run] == OF_RUNS
+    assert [name for name in FORMAT_NAMES if load_format(name).drives_run] == OF_RUNS
 
 
 @pytest.mark.parametrize("name", OF_LAYOUTS)
