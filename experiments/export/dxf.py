@@ -68,7 +68,7 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
         for polygon in getattr(view.area, "geoms", [view.area]):
             for ring in (polygon.exterior, *polygon.interiors):
                 points = list(ring.coords)[:-1]
-                space.add_lwpolyline(points, close=True, dxfattribs={"layer": layer})
+                space.add_lwpolyline(points, format="xy", close=True, dxfattribs={"layer": layer})
     file = io.StringIO()
     drawing.write(file)
     return file.getvalue()

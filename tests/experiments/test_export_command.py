@@ -14,6 +14,7 @@ from experiments.export.calibration import lidar_ids
 from experiments.export.formats import load_format
 from experiments.export.json import to_json
 from experiments.progress import StageProgress
+from experiments.study import judges
 from geometry.errors import InputError
 
 BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]  # of layouts
@@ -119,3 +120,12 @@ def test_an_old_file_survives_a_failure(name, layout_path, tmp_path, monkeypatch
 def test_a_format_says_what_it_does_not_show(name, given, message, layout_path):
     result = call("--layout", layout_path, "--format", name, *given)
     assert str(result.exception).startswith(message.format(name))
+
+
+@pytest.mark.long
+def test_five_hundred_units_are_written_in_three_seconds_and_runs_in_five_megabytes():
+    measured = judges.measure_exports()
+    assert {name for name, *_ in measured} == set(OF_LAYOUTS)
+    for name, what, seconds, megabytes in measured:
+        assert float(seconds) < (2.0 if "run" in what else 3.0), name
+        assert float(megabytes) < 5.0, name
