@@ -81,37 +81,52 @@ class GroundCoverage:
         return found | {"unseen": 1.0 - above}
 
 
+class GroundSurvey:
+    """The ground around a junction, for several cameras: what does not depend on them."""
+
+    def __init__(self, scene: Scene) -> None:
+        import shapely
+
+        outline = scene.outline_m
+        middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+        steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
+        self.east_m, self.north_m = middle[0] + steps, middle[1] + steps
+        grid = np.stack(np.meshgrid(self.east_m, self.north_m), axis=-1)
+        self._points_m = on_ground(grid.reshape(-1, 2), terrain_of(scene)) + [0.0, 0.0, LOOK_AT_M]
+        self._origin_m = np.append(middle, 0.0)
+        self._caster = build_caster(scene.vertices_m - self._origin_m, scene.triangles)
+        on_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
+        self.is_road: BoolArray = np.asarray(on_road, dtype=bool)  # (n_north, n_east)
+
+    def density(self, unit: CandidatePose) -> FloatArray:
+        """Pixels per metre that a camera has of each cell, (n_north, n_east); 0: unseen."""
+        found = np.zeros(len(self._points_m))
+        camera = unit.sensor
+        if isinstance(camera, CameraModel):
+            depth_m = _depth_in_picture(self._points_m, unit)
+            shown = np.flatnonzero(np.isfinite(depth_m))
+            mount_m = unit.pose.position_m - self._origin_m
+            points_m = self._points_m[shown] - self._origin_m
+            is_open = is_in_sight(self._caster, mount_m, points_m, near_m=camera.near_m)
+            found[shown] = is_open * (camera.focal_length_px / depth_m[shown])
+        return found.reshape(self.is_road.shape)
+
+
 def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
     """How finely cameras see the ground around a junction, where nothing drives or parks.
 
     Cells of a square metre, up to 45 m around the middle, one metre above the road. Pixels per
     metre across the line of sight are focal length over depth. LiDARs take no pictures.
     """
-    import shapely
-
-    outline = scene.outline_m
-    middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
-    east, north = middle[0] + steps, middle[1] + steps
-    grid = np.stack(np.meshgrid(east, north), axis=-1)
-    points = on_ground(grid.reshape(-1, 2), terrain_of(scene)) + [0.0, 0.0, LOOK_AT_M]
-    origin = np.append(middle, 0.0)
-    caster = build_caster(scene.vertices_m - origin, scene.triangles)
-    density = np.zeros(len(points))
+    survey = GroundSurvey(scene)
+    density = np.zeros(survey.is_road.shape)
     for unit in units:
-        camera = unit.sensor
-        if not isinstance(camera, CameraModel):
-            continue
-        mount = unit.pose.position_m - origin
-        is_open = is_in_sight(caster, mount, points - origin, near_m=camera.near_m)
-        finest = camera.focal_length_px / _depth_in_picture(points, unit)
-        density = np.maximum(density, is_open * finest)
-    is_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
+        density = np.maximum(density, survey.density(unit))
     return GroundCoverage(
-        east_m=freeze(east),
-        north_m=freeze(north),
-        density=freeze(density.reshape(len(north), len(east))),
-        is_road=freeze(np.asarray(is_road, dtype=bool)),
+        east_m=freeze(survey.east_m),
+        north_m=freeze(survey.north_m),
+        density=freeze(density),
+        is_road=freeze(survey.is_road),
     )
 
 

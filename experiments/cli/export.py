@@ -34,8 +34,8 @@ class _ExportCommand(click.Command):
 
 @click.command(
     cls=_ExportCommand,
-    epilog="""opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene that
-lies somewhere on earth.
+    epilog="""opencv and ros leave LiDARs out; geojson, gpkg, kml, cpm and vam need a scene
+that lies somewhere on earth.
 
 \b
 Examples:
@@ -44,7 +44,8 @@ Examples:
   place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
   place-rsus export --calibration tsai.xml --format ros
   place-rsus export --run CPNC-50/east/40 --layout a.json \\
-      --format cpm-uper --out cpm.bin""",
+      --format cpm-uper --out cpm.bin
+  place-rsus export --run CPNC-50/east/40 --format vam-uper --out vam.bin""",
 )
 @options.layout_option
 @options.option(
@@ -76,9 +77,19 @@ Examples:
     "run_id",
     default="",
     metavar="RUN",
-    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
+    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40; "
+    "carla-run: that is driven; vam, vam-uper: whose road user sends, without --layout.",
 )
-@options.option("--release", metavar="V", help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.")
+@options.option(
+    "--release", metavar="V", help="cpm, vam and their bytes: of the dictionary, 2.1.1 or 2.4.1."
+)
+@options.option(
+    "--vam-rate",
+    type=float,
+    metavar="HZ",
+    help="vam, vam-uper: messages per second, 0.2 to 10; default: by the rules of ETSI TS 103 "
+    "300-3.",
+)
 @options.option(
     "--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons."
 )
@@ -95,6 +106,7 @@ def export(
     scene: str,
     run_id: str,
     release: str | None,
+    vam_rate: float | None,
     views: bool,
     out: Path | None,
     quiet: bool,
@@ -114,12 +126,12 @@ def export(
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:
-        layout = load_one_layout(layout_names)
-        given: dict[str, str | bool] = {} if release is None else {"release": release}
-        if views:
-            given["views"] = True
+        needs_layout = bool(layout_names) or chosen.has_units
+        layout = load_one_layout(layout_names) if needs_layout else None
+        asked = {"release": release, "vam_rate": vam_rate, "views": views or None}
+        given = {name: value for name, value in asked.items() if value is not None}
         content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, options=given)
-        missing = [] if chosen.has_lidars else lidar_ids(layout)
+        missing = [] if chosen.has_lidars or layout is None else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     write_result(out, content)

@@ -409,11 +409,18 @@ Examples:
 @options.option(
     "--esmini", "program", default="", metavar="PROGRAM", help="Default: esmini on the path."
 )
+@options.option("--out", type=click.Path(path_type=Path), help="Page of all runs to write (.md).")
 @options.json_option
 @options.quiet_option
 @click.pass_obj
 def check_esmini(
-    progress: StageProgress, *, question: Question, program: str, as_json: bool, quiet: bool
+    progress: StageProgress,
+    *,
+    question: Question,
+    program: str,
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """Drive runs in esmini, and compare when the bodies touch with the impact of each run.
 
@@ -424,7 +431,7 @@ def check_esmini(
     from placement.compute import Compute
     from placement.setting import drive
 
-    from ..export.esmini import MOST_S, drive_in_esmini, find_esmini, worst_first
+    from ..export.esmini import describe, drive_in_esmini, find_esmini, summarise, worst_first
 
     question = begin(progress, question, quiet=quiet)
     found = find_esmini(program)
@@ -436,13 +443,12 @@ def check_esmini(
     progress("lay the cases", 0, 0)
     runs = drive(question, scene).runs
     driven = drive_in_esmini(runs, scene, found, compute=Compute(progress=progress))
-    n_good = sum(one.agrees for one in driven)
+    if out is not None:
+        asked = " ".join(["place-rsus", *sys.argv[1:]]).replace(str(program), "PROGRAM")
+        write_result(out, describe(driven, f"uv run {asked}"))
 
     def words() -> str:
-        lines = [
-            f"In {n_good} of {len(driven)} runs the bodies touch in esmini within {MOST_S:g} s of "
-            "the impact."
-        ]
+        lines = [summarise(driven)]
         for one in worst_first(driven)[:_MOST_TOLD]:
             off = "never" if one.touch_s is None else f"{one.touch_s:+.3f} s"
             lines.append(f"  {one.run_id}: {off}")
@@ -450,7 +456,7 @@ def check_esmini(
 
     rows = [{"run": one.run_id, "touch_s": one.touch_s} for one in driven]
     print_result(rows, progress, as_json, words)
-    if n_good < len(driven):
+    if not all(one.agrees for one in driven):
         sys.exit(1)
 
 

@@ -1,37 +1,64 @@
 """Layouts for CARLA: what to spawn, and where."""
 
+import numpy as np
+
+from geometry.arrays import FloatArray
 from geometry.frames import to_carla_points, to_carla_yaw
 from geometry.lidar import LidarModel
 from geometry.notes import assumed_sites
 from geometry.scene import Scene
+from geometry.sensors import CameraModel
+from geometry.terrain import terrain_of
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
 from .formats import ExportFormat
 from .json import to_json_text
+from .places import metric_points
 
 
 def to_carla(layout: Layout, scene: Scene | None = None) -> str:
     """Layout as a JSON list of sensors to spawn in CARLA.
 
     Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes them)
-    and the transform, and "assumed" where the site is. CARLA's left-handed frame, metres, degrees.
+    and the transform, and "assumed" where the site is. CARLA's left-handed frame, metres, degrees,
+    from the zero of the map that the scene was made from, if it is in metres.
     """
     doubts = {} if scene is None else assumed_sites(scene.notes)
     return to_json_text(
         [
-            _carla_record(unit)
+            _carla_record(unit, scene)
             | ({"assumed": doubts[unit.site_id]} if unit.site_id in doubts else {})
             for unit in layout.units
         ]
     )
 
 
-def _carla_record(unit: CandidatePose) -> dict[str, object]:
+def carla_points(points_m: FloatArray, scene: Scene | None) -> FloatArray:
+    """Points of the world frame, (n, 3), in CARLA's, whose zero is that of the scene's map."""
+    moved_m = np.array(points_m)
+    if scene is not None:
+        moved_m[:, :2] = metric_points(moved_m[:, :2], scene)
+        if terrain_of(scene) is not None:
+            moved_m[:, 2] += scene.zero_height_m or 0.0
+    return to_carla_points(moved_m) + 0.0  # adding zero turns -0.0 into 0.0
+
+
+def camera_attributes(sensor: CameraModel) -> dict[str, str]:
+    """Attributes of a camera's blueprint; ``sensor_tick`` aside."""
+    numbers = {
+        "image_size_x": sensor.width_px,
+        "image_size_y": sensor.height_px,
+        "fov": sensor.horizontal_fov_deg,
+    }
+    return {name: str(value) for name, value in numbers.items()}
+
+
+def _carla_record(unit: CandidatePose, scene: Scene | None) -> dict[str, object]:
     pose, sensor = unit.pose, unit.sensor
     if isinstance(sensor, LidarModel):
         blueprint, half_deg = "sensor.lidar.ray_cast", 0.5 * sensor.vertical_fov_deg
-        attributes = {
+        scan = {
             "channels": sensor.n_lines,
             "range": sensor.range_m,
             "points_per_second": int(sensor.points_per_second),
@@ -40,21 +67,16 @@ def _carla_record(unit: CandidatePose) -> dict[str, object]:
             "lower_fov": -half_deg,
             "horizontal_fov": sensor.horizontal_fov_deg,
         }
+        attributes = {name: str(value) for name, value in scan.items()}
     else:
-        blueprint = "sensor.camera.rgb"
-        attributes = {
-            "image_size_x": sensor.width_px,
-            "image_size_y": sensor.height_px,
-            "fov": sensor.horizontal_fov_deg,
-        }
-    attributes["sensor_tick"] = 1.0 / sensor.frame_rate_hz
-    # Adding zero turns -0.0 into 0.0.
-    place_m = (to_carla_points(pose.position_m) + 0.0).tolist()
+        blueprint, attributes = "sensor.camera.rgb", camera_attributes(sensor)
+    attributes["sensor_tick"] = str(1.0 / sensor.frame_rate_hz)
+    (place_m,) = carla_points(pose.position_m[None], scene).tolist()
     yaw_deg = float(to_carla_yaw(pose.yaw_deg)) + 0.0
     return {
         "id": unit.id,
         "blueprint": blueprint,
-        "attributes": {name: str(value) for name, value in attributes.items()},
+        "attributes": attributes,
         "transform": {
             "location": dict(zip("xyz", place_m, strict=True)),
             "rotation": {"pitch": pose.pitch_deg, "yaw": yaw_deg, "roll": 0.0},

@@ -1,11 +1,11 @@
 """Layouts as collective perception messages (CPM): sensors, and what they detect in a run."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geometry.actors import load_actors
 from geometry.arrays import FloatArray, IntArray
@@ -28,21 +28,21 @@ from .watched import WatchedRun
 RELEASES = ("2.1.1", "2.4.1")
 """Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
 _VERSION, _CPM = 2, 14  # ItsPduHeader
+PER_DEGREE = 1.0e7  # Latitude, Longitude
 _RSU_CONTAINER, _SENSOR_CONTAINER, _OBJECT_CONTAINER = 2, 3, 5  # CpmContainerId
 _LIDAR, _MONOVIDEO = 2, 3  # SensorType
-_PER_DEGREE = 1.0e7  # Latitude, Longitude
 _MAX_SENSORS = 128  # SensorInformationContainer
 _SENSORS_EVERY_S = 1.0  # T_AddSensorInformation
 _MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
 _MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
 _MAX_COORDINATE, _MAX_VELOCITY = 131070, 16381  # CartesianCoordinateLarge, VelocityComponentValue
 _TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
-_SEMI_AXIS_UNKNOWN, _HEADING_UNKNOWN, _ALTITUDE_UNKNOWN = 4095, 3601, 800001
+SEMI_AXIS_UNKNOWN, HEADING_UNKNOWN, _ALTITUDE_UNKNOWN = 4095, 3601, 800001
 _COORDINATE_UNKNOWN, _SPEED_UNKNOWN, _CLASS_UNKNOWN = 4096, 127, 101  # confidences
 _ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
 _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
 _STEP_S = 1.0e-3  # half of that over which a velocity is taken
-_CLASSES = {  # by road user: kind of VRU, its profile as 2.1.1 names it, and as 2.4.1 counts it
+VRU_CLASSES = {  # by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
     "on foot": ("pedestrian", "ordinary-pedestrian", 1),
     "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
     "motorcycle": ("motorcyclist", "motorcycle", 2),
@@ -115,9 +115,9 @@ def build_stations(
             for units in stations.values()
         ]
     )
-    lon_lat = np.round(longitude_latitude(middles_m, scene.crs) * _PER_DEGREE).astype(int)
+    lon_lat = np.round(longitude_latitude(middles_m, scene.crs) * PER_DEGREE).astype(int)
     # Offsets count from the rounded position, or they would be a centimetre off.
-    origins_m = transform(lon_lat / _PER_DEGREE, "EPSG:4326", scene.crs)
+    origins_m = transform(lon_lat / PER_DEGREE, "EPSG:4326", scene.crs)
     adult_px_m = load_actors()["adult"].height_m / load_detector().min_box_height_px
     found = []
     for index, ((site, own), units) in enumerate(stations.items()):
@@ -137,7 +137,7 @@ def build_stations(
             for number, unit in enumerate(units)
         ]
         sensors = _container(_SENSOR_CONTAINER, described)
-        altitude_cm = _altitude_cm(scene, float(road_m[2]))
+        altitude_cm = altitude_cm_at(scene, float(road_m[2]))
         messages = [
             _message(index, time_ms, _reference_position(lon_lat[index], altitude_cm), containers)
             for time_ms, containers in (
@@ -172,9 +172,9 @@ def _reference_position(lon_lat: IntArray, altitude_cm: int) -> dict[str, Any]:
         "latitude": int(lon_lat[1]),
         "longitude": int(lon_lat[0]),
         "positionConfidenceEllipse": {
-            "semiMajorConfidence": _SEMI_AXIS_UNKNOWN,
-            "semiMinorConfidence": _SEMI_AXIS_UNKNOWN,
-            "semiMajorOrientation": _HEADING_UNKNOWN,
+            "semiMajorConfidence": SEMI_AXIS_UNKNOWN,
+            "semiMinorConfidence": SEMI_AXIS_UNKNOWN,
+            "semiMajorOrientation": HEADING_UNKNOWN,
         },
         "altitude": {"altitudeValue": altitude_cm, "altitudeConfidence": "unavailable"},
     }
@@ -216,16 +216,16 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str
     motion, body = run.encounter.vru_motion, run.encounter.vru
     around_s = run.time_s[frame] + np.array([-_STEP_S, _STEP_S])
     places_m = on_ground(motion.path.at(motion.distance_m(around_s))[0], run.terrain)
-    velocity = np.round(100.0 * np.diff(places_m, axis=0)[0] / (2.0 * _STEP_S)).astype(int)
+    velocity = count_up(np.diff(places_m, axis=0)[0] / (2.0 * _STEP_S), 100.0)
     middle_m = on_ground(run.vru_position_m[frame], run.terrain)
     middle_m = middle_m + [0.0, 0.0, 0.5 * body.height_m]
-    offset = np.round(100.0 * (middle_m - origin_m)).astype(int)
+    offset = count_up(middle_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_COORDINATE or np.abs(velocity).max() > _MAX_VELOCITY:
         got = Unquoted(f"a road user {np.abs(offset).max() / 100.0:g} m away")
         raise InputError(where, got, f"at most {_MAX_COORDINATE / 100.0:g} m")
     kind: dict[str, Any] = {"vehicleSubClass": _PASSENGER_CAR}
-    if run.road_user in _CLASSES:
-        name, *profiles = _CLASSES[run.road_user]
+    if run.road_user in VRU_CLASSES:
+        name, *profiles = VRU_CLASSES[run.road_user]
         kind = {"vruSubClass": {name: profiles[RELEASES.index(release)]}}
     return {
         "objectId": 0,
@@ -243,13 +243,13 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str
     }
 
 
-def _altitude_cm(scene: Scene, height_m: float) -> int:
+def altitude_cm_at(scene: Scene, height_m: float) -> int:
     """Height above the ellipsoid of what is some metres above the scene's zero."""
     crs = parse_crs(scene.source_crs) if scene.source_crs else None
     is_ellipsoidal = crs is not None and len(crs.axis_info) == 3 and not crs.is_compound
     if scene.zero_height_m is None or not is_ellipsoidal:
         return _ALTITUDE_UNKNOWN
-    value = round(100.0 * (scene.zero_height_m + height_m))
+    value = int(count_up(scene.zero_height_m + height_m, 100.0))
     low, high = _ALTITUDES
     return min(max(value, low), high)
 
@@ -257,7 +257,7 @@ def _altitude_cm(scene: Scene, height_m: float) -> int:
 def _radial_shape(
     unit: CandidatePose, origin_m: FloatArray, adult_px_m: float, where: str, release: str
 ) -> dict[str, object]:
-    offset = np.round((unit.pose.position_m - origin_m) * 100.0).astype(int)
+    offset = count_up(unit.pose.position_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_OFFSET:
         raise InputError(
             where,
@@ -296,9 +296,13 @@ def _radial_shape(
     }
 
 
+def count_up(values: ArrayLike, per_one: float) -> IntArray:
+    """Values in parts, `per_one` of them each, as ETSI counts: n is (n - 1, n] of them."""
+    return np.ceil(per_one * np.asarray(values) - _SLACK).astype(np.int64)
+
+
 def _tenths(value: float) -> int:
-    """Tenths as the standard counts them: n is more than n - 1 and at most n of them."""
-    return math.ceil(10.0 * value - _SLACK)
+    return int(count_up(value, 10.0))
 
 
 FORMAT = ExportFormat(

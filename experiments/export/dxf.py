@@ -59,17 +59,16 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
         on = {"layer": "UNITS"}
         space.add_line(*([*end, at_m[2]] for end in ends.tolist()), dxfattribs=on)
         space.add_text(unit.id, height=_TEXT_M, dxfattribs=on).set_placement(ends[1])
-    for view in find_views(layout, scene):
+    for view in moved(find_views(layout, scene), place):
         # Without what the format forbids in names.
         name = re.sub(r'[<>/\\":;?*|=`,]', "_", view.unit)
         layer = f"VIEWS-{name}" if view.unit else "UNSEEN"
         if layer not in drawing.layers:
             drawing.layers.add(layer, color=_VIEWS)
-        area = moved(view, place).area
-        for polygon in getattr(area, "geoms", [area]):
+        for polygon in getattr(view.area, "geoms", [view.area]):
             for ring in (polygon.exterior, *polygon.interiors):
                 points = list(ring.coords)[:-1]
-                space.add_lwpolyline(points, close=True, dxfattribs={"layer": layer})
+                space.add_lwpolyline(points, format="xy", close=True, dxfattribs={"layer": layer})
     file = io.StringIO()
     drawing.write(file)
     return file.getvalue()

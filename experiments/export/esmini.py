@@ -16,6 +16,7 @@ from geometry.scene import Scene
 from placement.compute import DEFAULT_COMPUTE, Compute
 from scenarios.runs import Run
 
+from ..results.tables import markdown_table
 from .opendrive import to_opendrive
 from .openscenario import VRU, VUT, to_openscenario
 
@@ -109,3 +110,40 @@ def _first_touch_s(program: Path, path: Path) -> float | None:
 def worst_first(driven: Sequence[Driven]) -> list[Driven]:
     """Runs by how far the touch is from the impact; those that never touch come first."""
     return sorted(driven, key=lambda one: -np.inf if one.touch_s is None else -abs(one.touch_s))
+
+
+def summarise(driven: Sequence[Driven]) -> str:
+    """A sentence: in how many runs the bodies touch in time."""
+    n_good = sum(one.agrees for one in driven)
+    times = f"within {MOST_S:g} s of the impact."
+    return f"In {n_good} of {len(driven)} runs the bodies touch in esmini {times}"
+
+
+def describe(driven: Sequence[Driven], command: str) -> str:
+    """Page of what was driven by a command, in Markdown: runs by when they touch."""
+    groups: dict[str, list[str]] = {}
+    for one in worst_first(driven):
+        off = "never" if one.touch_s is None else f"{round(one.touch_s, 3) + 0.0:.3f}"
+        groups.setdefault(off, []).append(one.run_id)
+    arms = dict.fromkeys(one.run_id.split("/")[1] for one in driven)
+    rows = [
+        (
+            off,
+            *(str(sum(f"/{arm}/" in one for one in ids)) for arm in arms),
+            "the others" if off == "0.000" else ", ".join(ids),
+        )
+        for off, ids in groups.items()
+    ]
+    heads = ("touch after our impact (s)", *(f"from {arm}" for arm in arms), "which")
+    lines = [
+        "# Driven in esmini",
+        "",
+        summarise(driven),
+        "",
+        f"`{command}` wrote this page. esmini goes in steps of {1000.0 * STEP_S:g} ms, so a touch",
+        "comes up to a step late, and drives straight between the places in the file, which has",
+        "more of them where a body turns. Contacts are its own.",
+        "",
+        *markdown_table(heads, rows),
+    ]
+    return "\n".join(lines) + "\n"

@@ -32,9 +32,10 @@ def to_geojson(
     for record, lon_lat in zip(placed_records(layout, scene), places, strict=True):
         height_m = record.get("map_z", record["z_m"])
         shapes.append((record, {"type": "Point", "coordinates": [*lon_lat, height_m]}))
-    for view in views:
-        area = moved(view, lambda points_m: longitude_latitude(points_m, crs)).area
-        shapes.append((view.record(), area.__geo_interface__))
+    given = list(views)
+    areas = moved(given, lambda points_m: longitude_latitude(points_m, crs))
+    for view, there in zip(given, areas, strict=True):
+        shapes.append((view.record(), there.area.__geo_interface__))
     features = [
         {"type": "Feature", "id": record["id"], "geometry": geometry, "properties": record}
         for record, geometry in shapes

@@ -41,11 +41,10 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
         path = Path(folder) / "layout.gpkg"
         pyogrio.write_dataframe(table, path, layer=_LAYER, driver="GPKG", geometry_type="Point Z")
         if views:
-            views_there = find_views(layout, scene)
-            shown = [
-                moved(view, lambda points_m: map_points(points_m, scene)) for view in views_there
-            ]
-            records, shapes = [view.record() for view in shown], [view.area for view in shown]
+            found = find_views(layout, scene)
+            shown = moved(found, lambda points_m: map_points(points_m, scene))
+            records = [view.record() for view in found]  # areas in square metres
+            shapes = [view.area for view in shown]
             areas = gpd.GeoDataFrame(records, geometry=shapes, crs=table.crs)
             pyogrio.write_dataframe(
                 areas, path, layer="views", driver="GPKG", promote_to_multi=True

@@ -51,19 +51,20 @@ def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
         _text(point, "extrude", "1")
         _text(point, "altitudeMode", "relativeToGround")
         _text(point, "coordinates", f"{longitude!r},{latitude!r},{height_m!r}")
-    for view in find_views(layout, scene) if views else ():
-        _add_view(document, view, scene.crs)
+    found = find_views(layout, scene) if views else []
+    areas = moved(found, lambda points_m: longitude_latitude(points_m, scene.crs))
+    for view, there in zip(found, areas, strict=True):
+        _add_view(document, view, there.area)
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
-def _add_view(document: ET.Element, view: View, crs: str) -> None:
+def _add_view(document: ET.Element, view: View, area: Any) -> None:
     placemark = ET.SubElement(document, "Placemark")
     record = view.record()
     _text(placemark, "name", record.pop("id"))
     _add_data(placemark, record)
-    area = moved(view, lambda points_m: longitude_latitude(points_m, crs)).area
     together = ET.SubElement(placemark, "MultiGeometry")
     for part in getattr(area, "geoms", [area]):
         polygon = ET.SubElement(together, "Polygon")

@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.files import Table, load_toml, pick, take, take_number, take_text
+from geometry.poses import wrap_deg
 from geometry.terrain import Terrain, on_ground
 from geometry.weather import pick_weather
 from scenarios.runs import Run
@@ -128,6 +130,8 @@ _DISTRIBUTION, _SCHEMA, _MINOR = "scenariogeneration", "OpenSCENARIO_1_3_1.xsd",
 _UNDATED = dt.datetime(1970, 1, 1)
 _SPEED_DECIMALS = 3
 _SPEED_STEP_S = 1.0e-6
+_TURN_DEG, _TURN_STEP_S = 0.1, 0.02  # between two frames: from which turn on, and how often
+_EPSILON_S = 1.0e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -361,14 +365,23 @@ def _build_track(name: str, run: Run, after_s: float) -> _Track:
     actor, motion = getattr(run.encounter, name), getattr(run.encounter, f"{name}_motion")
     position_m, yaw_deg = getattr(run, f"{name}_position_m"), getattr(run, f"{name}_yaw_deg")
     first_s, last_s = run.time_s[[0, -1]]
-    time_s = run.time_s
     # Between two frames lies the impact: the last frame may be before it.
-    for end_s in sorted({0.0, after_s}):
-        if last_s < end_s:
-            end_m, end_deg = motion.path.at(motion.distance_m(end_s))
-            time_s = np.append(time_s, end_s)
-            position_m = np.concatenate([position_m, end_m[None]])
-            yaw_deg = np.append(yaw_deg, end_deg)
+    ends_s = [end_s for end_s in sorted({0.0, after_s}) if end_s > last_s]
+    # Simulators drive straight between vertices: more of them where the body turns.
+    bounds_s = np.concatenate([run.time_s, ends_s])
+    steps_deg = wrap_deg(np.diff(motion.path.at(motion.distance_m(bounds_s))[1]))
+    between_s = [
+        np.arange(start_s + _TURN_STEP_S, end_s - _EPSILON_S, _TURN_STEP_S)
+        for (start_s, end_s), step_deg in zip(pairwise(bounds_s), steps_deg, strict=True)
+        if abs(step_deg) > _TURN_DEG
+    ]
+    more_s = np.concatenate([*between_s, ends_s])
+    more_m, more_deg = motion.path.at(motion.distance_m(more_s))
+    time_s = np.concatenate([run.time_s, more_s])
+    order = np.argsort(time_s)
+    time_s = time_s[order]
+    position_m = np.concatenate([position_m, more_m])[order]
+    yaw_deg = np.concatenate([yaw_deg, more_deg])[order]
     way_m = np.diff(motion.distance_m(first_s + np.array([0.0, _SPEED_STEP_S])))[0]
     return _Track(
         name=name,

@@ -9,7 +9,6 @@ from geometry.arrays import FloatArray
 from geometry.footprints import footprint_corners
 from scenarios.runs import Run
 
-from ..figures.plan import placed_footprint
 from .section import Sketch
 
 HALF_M = 16.0  # half the side of the ground that is shown
@@ -58,7 +57,7 @@ def _bodies(run: Run) -> list[FloatArray]:
         away_m = body.pose.position_m[:2] - run.vut_position_m[-1]
         return bool(np.hypot(*away_m) <= 2.0 * HALF_M)
 
-    return [placed_footprint(body) for body in run.obstruction if is_near(body)]
+    return [body.footprint_m for body in run.obstruction if is_near(body)]
 
 
 def _path(places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False) -> str:

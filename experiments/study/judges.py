@@ -8,6 +8,7 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -43,6 +44,7 @@ APART = {
 STEP_S = 0.01  # within which a judge has to find the impact
 _AFTER_S = 0.1  # how long bodies drive on behind the impact
 _EPSILON = 1.0e-6  # s, of times of frames
+_VAM_RUNS = ("CPNC-50/east/40", "CBTAfs-100/north/20", "CMCscp-near/north/30x50")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,37 +214,55 @@ def _issues(issues: Sequence[str]) -> str:
     return "no issue" if not issues else f"{len(issues)} issues; first: {issues[0]}"
 
 
-def judge_messages(folder: Path) -> Judgement:
-    """ETSI's own modules on messages of a run: ``CPM-*.asn`` and a dictionary in a folder."""
+def judge_messages(folder: Path) -> list[Judgement]:
+    """ETSI's own modules on messages of runs: ``CPM-*.asn``, ``VAM-*.asn``, a dictionary."""
     import asn1tools
 
     from ..export.cpm import RELEASES, build_stations
     from ..export.cpm_uper import CONTAINERS, encode
-    from ..export.watched import watch_run
+    from ..export.uper import to_bytes
+    from ..export.vam import build_messages
+    from ..export.watched import find_run, watch_run
 
     paths = sorted(folder.glob("*.asn"))
     is_old = any("stationaryHorizontal" in path.read_text(encoding="latin-1") for path in paths)
     release = RELEASES[0] if is_old else RELEASES[1]
     uper = asn1tools.compile_files([str(path) for path in paths], "uper", encoding="latin-1")
     layout, scene = load_carlancap_layout(), load_study_scene()
+
+    def judgement(what: str, standard: str, checked: str, is_equal: Sequence[bool]) -> Judgement:
+        n_wrong = len(is_equal) - sum(is_equal)
+        return Judgement(
+            what=what,
+            judge=f"ETSI's ASN.1 ({standard}, TS 102 894-2 V{release}) in asn1tools "
+            + importlib.metadata.version("asn1tools"),
+            checked=f"{len(is_equal)} messages of {checked}, decoded",
+            result="all equal" if not n_wrong else f"{n_wrong} differ",
+            is_passed=len(is_equal) > 0 and not n_wrong,
+        )
+
     watched = watch_run(layout, scene, "CPNC-50/east/40")
-    n_messages = n_wrong = 0
+    equal = []
     for station in build_stations(layout, scene, watched, release=release):
         for message in station.messages:
             found = uper.decode("CollectivePerceptionMessage", encode(message, release))
             for container in found["payload"]["cpmContainers"]:
                 name = CONTAINERS[container["containerId"]]
                 container["containerData"] = uper.decode(name, container["containerData"])
-            n_messages += 1
-            n_wrong += _as_json(found) != message
-    return Judgement(
-        what="cpm-uper",
-        judge=f"ETSI's ASN.1 (TS 103 324 V2.1.1, TS 102 894-2 V{release}) in asn1tools "
-        + importlib.metadata.version("asn1tools"),
-        checked=f"{n_messages} messages of the study's 12 cameras in CPNC-50/east/40, decoded",
-        result="all equal" if not n_wrong else f"{n_wrong} differ",
-        is_passed=n_messages > 0 and not n_wrong,
-    )
+            equal.append(_as_json(found) == message)
+    checked = "the study's 12 cameras in CPNC-50/east/40"
+    rows = [judgement("cpm-uper", "TS 103 324 V2.1.1", checked, equal)]
+    if list(folder.glob("VAM-*.asn")):
+        equal = [
+            _as_json(uper.decode("VAM", to_bytes("VAM", message, release))) == message
+            for run_id in _VAM_RUNS
+            for _, message in build_messages(
+                find_run(run_id, scene), scene, vam_rate=10.0, release=release
+            )
+        ]
+        checked = f"the road users of {', '.join(_VAM_RUNS)}, 10 a second"
+        rows.append(judgement("vam-uper", "TS 103 300-3 V2.2.1", checked, equal))
+    return rows
 
 
 def _as_json(value: Any) -> Any:
@@ -387,6 +407,42 @@ def _join(
     return known
 
 
+def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
+    """Format, what is written, processor seconds, and MB of many units, and of a run as MCAP.
+
+    Libraries are loaded before.
+    """
+    from ..export import FORMAT_NAMES
+    from ..export.formats import load_format
+    from ..export.mcap import mcap_of_run
+    from ..export.watched import find_run
+
+    study, scene = load_carlancap_layout(), load_study_scene()
+    units = []
+    for number in range(n_units):
+        unit = study.units[number % len(study.units)]
+        pose = replace(unit.pose, yaw_deg=unit.pose.yaw_deg + number)
+        units.append(replace(unit, id=f"unit {number}", pose=pose))
+    layout, few = replace(study, units=tuple(units)), replace(study, units=tuple(units[:1]))
+
+    def row(name: str, what: str, write: Callable[..., str | bytes]) -> tuple[str, str, str, str]:
+        write(few, scene)
+        begin_s = time.process_time()
+        content = write(layout, scene)
+        taken_s = time.process_time() - begin_s
+        return name, what, f"{taken_s:.1f}", f"{len(content) / 1.0e6:.2f}"
+
+    rows = []
+    for name in FORMAT_NAMES:
+        chosen = load_format(name)
+        if not chosen.drives_run:
+            views = {"views": True} if "views" in chosen.options else {}
+            what = f"{n_units} units" + (", with views" if views or name == "dxf" else "")
+            rows.append(row(name, what, partial(chosen.write, **views)))
+    run = find_run("CPNC-50/east/40", scene)
+    return [*rows, row("mcap", f"run {run.id}", lambda _, scene: mcap_of_run(scene, run))]
+
+
 @click.command()
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("results/judges.md"), show_default=True
@@ -396,7 +452,7 @@ def _join(
     "folders",
     multiple=True,
     type=click.Path(path_type=Path, exists=True),
-    help="Folder with ETSI's modules, CPM-*.asn and the dictionary's; may be repeated.",
+    help="Folder with ETSI's modules, CPM-*.asn, VAM-*.asn, the dictionary's; may be repeated.",
 )
 def main(out: Path, folders: tuple[Path, ...]) -> None:
     """Ask every judge, and write what they say."""
@@ -407,11 +463,12 @@ def main(out: Path, folders: tuple[Path, ...]) -> None:
         lambda: judge_impacts(runs),
         judge_openlabel,
         judge_carla,
-        *(partial(judge_messages, folder) for folder in folders),
         judge_proof,
     ]
     rows = [ask() for ask in asked]
-    write_atomically(out, page_of(files(__package__) / "judges.md.j2", rows=rows))
+    rows += [row for folder in folders for row in judge_messages(folder)]
+    page = files(__package__) / "judges.md.j2"
+    write_atomically(out, page_of(page, rows=rows, measured=measure_exports()))
     if not all(row.is_passed for row in rows):
         raise click.ClickException(f"a judge found a fault: {out}")
 

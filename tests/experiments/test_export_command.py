@@ -14,9 +14,12 @@ from experiments.export.calibration import lidar_ids
 from experiments.export.formats import load_format
 from experiments.export.json import to_json
 from experiments.progress import StageProgress
+from experiments.study import judges
 from geometry.errors import InputError
 
-BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]
+BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]  # of layouts
+OF_RUNS = ["carla-run", "vam", "vam-uper"]  # test_carla_run.py, test_vam.py
+OF_LAYOUTS = [name for name in FORMAT_NAMES if name not in OF_RUNS]
 TOLD = {"cpm-uper": "10 messages of "}  # what is said of a file that was written
 
 
@@ -42,10 +45,11 @@ def test_every_format_is_described():
     )
     help_text = call("--help").output
     assert all(f"\n    {name} " in help_text for name in FORMAT_NAMES)
-    assert [name for name in FORMAT_NAMES if load_format(name).is_binary] == BINARY
+    assert [name for name in OF_LAYOUTS if load_format(name).is_binary] == BINARY
+    assert [name for name in FORMAT_NAMES if load_format(name).drives_run] == OF_RUNS
 
 
-@pytest.mark.parametrize("name", FORMAT_NAMES)
+@pytest.mark.parametrize("name", OF_LAYOUTS)
 @pytest.mark.parametrize(
     "build", [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
 )
@@ -65,7 +69,7 @@ def test_notes_tell_the_truth(name, build):
         assert note.write(layout, placeless_scene())
 
 
-@pytest.mark.parametrize("name", FORMAT_NAMES)
+@pytest.mark.parametrize("name", OF_LAYOUTS)
 def test_every_format_is_written_to_a_file_whole(name, layout_path, tmp_path):
     out = tmp_path / f"out.{name}"
     given = ["--layout", layout_path, "--format", name]
@@ -116,3 +120,12 @@ def test_an_old_file_survives_a_failure(name, layout_path, tmp_path, monkeypatch
 def test_a_format_says_what_it_does_not_show(name, given, message, layout_path):
     result = call("--layout", layout_path, "--format", name, *given)
     assert str(result.exception).startswith(message.format(name))
+
+
+@pytest.mark.long
+def test_five_hundred_units_are_written_in_three_seconds_and_runs_in_five_megabytes():
+    measured = judges.measure_exports()
+    assert {name for name, *_ in measured} == set(OF_LAYOUTS)
+    for name, what, seconds, megabytes in measured:
+        assert float(seconds) < (2.0 if "run" in what else 3.0), name
+        assert float(megabytes) < 5.0, name

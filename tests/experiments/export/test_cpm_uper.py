@@ -7,12 +7,18 @@ import pytest
 from export_layouts import level_layout
 from hypothesis import given
 from hypothesis import strategies as st
+from pyproj import Transformer
 
 from experiments.export.cpm import RELEASES, build_stations, to_cpm
-from experiments.export.cpm_uper import decode, encode, split, tell_load, to_cpm_uper
+from experiments.export.cpm_uper import decode, encode, to_cpm_uper
+from experiments.export.uper import split, tell_load
 from experiments.export.watched import WatchedRun, find_run, watch_run
+from geometry.catalogue import load_cameras
 from geometry.errors import InputError
+from geometry.lidar import load_lidars
+from geometry.poses import Pose
 from geometry.study_scene import load_study_scene
+from placement.candidates import CandidatePose, is_ring
 from placement.layout import Layout, load_carlancap_layout
 from scenarios.aeb import load_aeb_rule
 
@@ -77,7 +83,9 @@ def test_objects_are_where_the_run_has_them(runs):
             assert one["measurementDeltaTime"] == -25
             at_m = [one["position"][f"{axis}Coordinate"]["value"] / 100.0 for axis in "xyz"]
             np.testing.assert_allclose(at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012)
-            assert at_m[2] == pytest.approx(0.5 * run.encounter.vru.height_m, abs=0.006)
+            # n stands for more than n - 1 and at most n centimetres.
+            up_cm = np.ceil(50.0 * run.encounter.vru.height_m - 1e-6)
+            assert at_m[2] == pytest.approx(up_cm / 100.0, abs=1e-9)
             if 0 < frame < len(run.time_s) - 1:
                 steps_m = run.vru_position_m[frame + 1] - run.vru_position_m[frame - 1]
                 over_s = run.time_s[frame + 1] - run.time_s[frame - 1]
@@ -145,3 +153,75 @@ def test_what_units_detect_in_a_run_is_the_evaluators():
 def test_an_unknown_release_is_refused():
     with pytest.raises(InputError, match=r"^release: got '3'; expected one of 2.1.1, 2.4.1$"):
         to_cpm(level_layout(0.0), SCENE, release="3")
+
+
+def random_layout(rng):
+    """One to four units at a site, within some metres, of all kinds."""
+    kinds = [*load_cameras().values(), *load_lidars().values()]
+    middle_m = rng.uniform(-60.0, 60.0, 2)
+    units = tuple(
+        CandidatePose(
+            id=f"unit {number}",
+            site_id="site",
+            pose=Pose(
+                position_m=[*(middle_m + rng.uniform(-3.0, 3.0, 2)), rng.uniform(2.0, 12.0)],
+                yaw_deg=float(rng.uniform(-180.0, 180.0)),
+                pitch_deg=float(rng.uniform(-90.0, 45.0)),
+            ),
+            sensor=kinds[rng.integers(len(kinds))],
+        )
+        for number in range(rng.integers(1, 5))
+    )
+    return Layout(name="random", units=units, scene_name=SCENE.name)
+
+
+@pytest.mark.parametrize("count", [100, pytest.param(10_000, marks=pytest.mark.long)])
+def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
+    """Places in centimetres, velocities in centimetres a second, angles in tenths of a degree."""
+    rng = np.random.default_rng(count)
+    to_local = Transformer.from_crs("EPSG:4326", SCENE.crs, always_xy=True)
+    moving = [(run, run.encounter.vru_motion) for run in runs]
+    for _ in range(count):
+        layout, release = random_layout(rng), RELEASES[rng.integers(2)]
+        run, motion = moving[rng.integers(len(moving))]
+        frame = rng.integers(len(run.time_s))
+        detected = {unit.id: np.zeros(len(run.time_s), dtype=bool) for unit in layout.units}
+        detected[layout.units[-1].id][frame] = True
+        watched = WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
+        (station,) = build_stations(layout, SCENE, watched, release=release)
+        found = [decode(encode(one, release), release) for one in station.messages]
+        assert found == list(station.messages)
+        (message,) = [
+            one for one in found if one["payload"]["cpmContainers"][-1]["containerId"] == 5
+        ]
+        (first, *_) = found
+        place = first["payload"]["managementContainer"]["referencePosition"]
+        origin_m = to_local.transform(place["longitude"] / 1e7, place["latitude"] / 1e7)
+        for unit, sensor in zip(
+            layout.units, first["payload"]["cpmContainers"][1]["containerData"], strict=True
+        ):
+            shape = sensor["perceptionRegionShape"]["radial"]
+            above = [shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"]
+            above -= 100.0 * (unit.pose.position_m - [*origin_m, 0.0])
+            assert above.min() > -0.01  # n: more than n - 1 and at most n of them
+            assert above.max() < 1.01
+            if not is_ring(unit.sensor):
+                half_deg = 0.5 * unit.sensor.horizontal_fov_deg
+                name = next(key for key in shape if key.lower().endswith("zontalopeninganglestart"))
+                begin = 90.0 - unit.pose.yaw_deg if "stat" in name else unit.pose.yaw_deg
+                assert (
+                    -1e-3 < (shape[name] - 10.0 * (begin - half_deg) + 100.0) % 3600 - 100.0 < 1.001
+                )
+        (one,) = message["payload"]["cpmContainers"][-1]["containerData"]["perceivedObjects"]
+        assert one["sensorIdList"] == [len(layout.units) - 1]
+        at_m = [*run.vru_position_m[frame], 0.5 * run.encounter.vru.height_m]
+        above = [one["position"][f"{axis}Coordinate"]["value"] for axis in "xyz"]
+        above -= 100.0 * (np.array(at_m) - [*origin_m, 0.0])
+        assert above.min() > -0.01
+        assert above.max() < 1.01
+        around_s = run.time_s[frame] + np.array([-5e-4, 5e-4])
+        way_m = np.diff(motion.path.at(motion.distance_m(around_s))[0], axis=0)[0]
+        velocity = one["velocity"]["cartesianVelocity"]
+        speeds = [velocity[f"{axis}Velocity"]["value"] for axis in "xy"]
+        asked = 100.0 * way_m / 1e-3
+        assert (np.abs(speeds - asked - 0.5) < 0.6).all()  # and what a start changes in a moment

@@ -2,15 +2,24 @@
 
 import json
 import os
+import re
 import stat
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from experiments.export import esmini
-from experiments.export.esmini import Driven, drive_in_esmini, find_esmini, worst_first
+from experiments.export.esmini import (
+    Driven,
+    describe,
+    drive_in_esmini,
+    find_esmini,
+    worst_first,
+)
+from experiments.export.openscenario import reference_ahead_m, to_openscenario
 from experiments.export.watched import find_run
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
@@ -96,7 +105,47 @@ def test_the_command_compares_every_run(run, tmp_path):
         "--esmini", program(tmp_path, IMPACT.replace("OFF", "0.5")),
     )  # fmt: skip
     assert code == 1
-    assert all(row["touch_s"] == pytest.approx(0.5, abs=1e-3) for row in json.loads(out))
+    rows = json.loads(out)
+    assert all(row["touch_s"] == pytest.approx(0.5, abs=1e-3) for row in rows)
+    page = describe([Driven(run_id=row["run"], touch_s=row["touch_s"]) for row in rows], "a")
+    assert f"In 0 of {len(rows)} runs" in page
+    assert f"| 0.500 | {len(rows)} | {rows[0]['run']}, " in page
+
+
+def test_a_page_of_all_runs_is_written(run, tmp_path):
+    pytest.importorskip("scenariogeneration")
+    few = ("--cases", "CPNC-50", "--along-arms", "0", "--quiet", "--out", tmp_path / "a.md")
+    path = program(tmp_path, IMPACT.replace("OFF", "0.0"))
+    code, _, _ = run("scenarios", "check-esmini", *few, "--esmini", path)
+    text = (tmp_path / "a.md").read_text(encoding="utf-8")
+    assert code == 0
+    assert str(tmp_path) not in text
+    assert re.search(r"\| 0\.000 \| (\d+) \| \1 \| \1 \| \1 \| the others \|", text)
+
+
+def test_turns_have_vertices_every_fiftieth_of_a_second_and_straight_ways_each_frame(runs):
+    """A turn's vertices are on its way; a straight way has the run's frames alone."""
+    pytest.importorskip("scenariogeneration")
+    straight, turning = runs
+    for one, is_dense in ((straight, False), (turning, True)):
+        root = ET.fromstring(to_openscenario(one, road_network="a.xodr", after_s=0.2))
+        line = root.find(".//Trajectory[@name='vut unbraked']//Polyline")
+        vertices = line.findall("Vertex")
+        times_s = np.array([float(vertex.get("time")) for vertex in vertices]) + one.time_s[0]
+        found = [vertex.find(".//WorldPosition") for vertex in vertices]
+        yaw_rad = np.array([float(place.get("h")) for place in found])
+        at_m = np.array([[float(place.get(axis)) for axis in "xy"] for place in found])
+        motion, body = one.encounter.vut_motion, one.encounter.vut
+        middle_m, yaw_deg = motion.path.at(motion.distance_m(times_s))
+        np.testing.assert_allclose(np.degrees(np.sin(yaw_rad - np.radians(yaw_deg))), 0, atol=1e-3)
+        ahead = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
+        np.testing.assert_allclose(at_m, middle_m + reference_ahead_m(body) * ahead, atol=1e-5)
+        turns = np.abs(np.diff(yaw_deg)) > 0.1
+        steps_s = np.diff(times_s)
+        assert bool(turns.any()) == is_dense
+        assert steps_s[turns].max(initial=0.0) < 0.0201
+        if not is_dense:
+            assert len(times_s) == len(one.time_s) + 1  # 0.2 s behind the impact
 
 
 @pytest.mark.long

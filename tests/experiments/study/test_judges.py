@@ -3,12 +3,19 @@
 import importlib.util
 import json
 import re
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
+import carla_recordings
+import carla_server
 import numpy as np
 import pytest
 
-from experiments.export import carla, opendrive, openlabel, openscenario
+from experiments.export import carla, carla_run, opendrive, openlabel, openscenario
+from experiments.export.watched import find_run
 from experiments.study import judges
 from geometry.errors import MissingExtraError
 
@@ -93,6 +100,31 @@ def test_carlas_classes_turn_cameras_as_ours(monkeypatch):
         carla, "to_carla", lambda layout: write(layout).replace('"pitch": -', '"pitch": ')
     )
     assert not judges.judge_carla().is_passed
+
+
+def test_the_script_for_carla_runs_on_its_package(tmp_path):
+    """CARLA's own values and names; a server that stands in, for there is none."""
+    uv = shutil.which("uv")
+    blueprint = "walker.pedestrian.0005"
+    run = find_run(carla_recordings.RUNS[blueprint], carla_recordings.SCENE)
+    script, out = tmp_path / "drive.py", tmp_path / "recording"
+    text = carla_run.to_carla_run(carla_recordings.TWO, carla_recordings.SCENE, run)
+    script.write_text(text, encoding="utf-8")
+    python = f"{sys.version_info.major}.{sys.version_info.minor}"
+    base = [uv, "run", "--quiet", "--isolated", "--no-project", "--python", python]
+    base += ["--with", *judges.APART["carla"], "--with", "numpy", "python"]
+    if uv is None or subprocess.run([*base, "-c", ""], check=False).returncode:
+        pytest.skip("uv cannot make an environment with carla")
+    server = Path(carla_server.__file__)
+    done = subprocess.run(
+        [*base, str(server), str(script), str(out)], capture_output=True, check=True, text=True
+    )
+    answer = json.loads(done.stdout)
+    assert answer["missing"] == []
+    assert answer["tags"] == {"Pedestrians": 12, "Rider": 13, "Bicycle": 19}
+    assert answer["off"] < 1e-6  # of single precision
+    assert answer["log"] == [[True, 0.1], [False, None]]
+    carla_recordings.compare(out, run, blueprint)
 
 
 needs_scip = pytest.mark.skipif(
