@@ -127,6 +127,6 @@ def test_a_lens_that_distorts_is_refused_and_not_passed_over(field, tmp_path):
     with pytest.raises(InputError) as caught:
         load_catalogue(path)
     assert str(caught.value) == (
-        f"{path}: cameras.a.{field}: got 0.1; expected no such field: cameras that are planned are "
-        "ideal pinholes"
+        f"{path}: cameras.a.{field}: got 0.1; expected no such field here, but lens = {{model = "
+        '"brown-conrady", k1 = ..}'
     )

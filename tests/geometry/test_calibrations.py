@@ -10,10 +10,10 @@ from strategies import numbers, poses
 from experiments.export.calibration import of_calibrated
 from experiments.export.opencv import opencv_text
 from experiments.export.ros import ros_text
+from geometry.calibrations import read_cameras
 from geometry.errors import InputError
 from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, TsaiRadial
 from geometry.poses import camera_rotation
-from placement.recordings.calibrations import read_cameras
 
 TERMS = st.tuples(*[numbers(-0.3, 0.3)] * 5)
 
