@@ -258,7 +258,7 @@ def pixel_rays(
     return in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)  # 33 MB each at 1080 rows
 def pixel_grid(camera: CameraModel) -> FloatArray:
     """Points (height, width, 2) at depth 1 that the middles of all pixels show; NaN: none."""
     rows, columns = np.indices((camera.height_px, camera.width_px)).reshape(2, -1) + 0.5

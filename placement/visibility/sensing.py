@@ -214,7 +214,7 @@ def _may_detect(
 def _may_show(
     world: World, eye: FloatArray, candidate: CandidatePose, height_px: float, turned_rad: float
 ) -> BoolArray:
-    """Views (n_views,) whose body may be so high in the picture of a lens; maybe turned a little."""
+    """Views (n_views,) whose body may be so high through a lens, maybe turned a little."""
     views, camera = world.views, candidate.sensor
     assert isinstance(camera, CameraModel)
     offsets = views.middle_m - eye
