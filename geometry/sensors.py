@@ -192,7 +192,7 @@ def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
     bodies grow with them. :func:`is_shown` tells which these are.
     """
     lens = camera.lens or BrownConrady()
-    points = at_depth_1 @ _roll(camera)
+    points = at_depth_1 @ roll_axes(camera)
     radius = np.hypot(points[:, 0], points[:, 1])
     with np.errstate(invalid="ignore"):
         beyond = np.maximum(1.0, radius / (_reach(camera) * (1.0 - 1.0e-12)))[:, None]
@@ -238,7 +238,7 @@ def picture_rays(columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel)
     lens = camera.lens or BrownConrady()
     scale = camera.focal_length_px * np.array([1.0, camera.pixel_aspect or 1.0])
     shown = (np.stack(np.broadcast_arrays(columns_px, rows_px), axis=-1) - camera.middle_px) / scale
-    rays = lens.undistort(shown) @ _roll(camera).T
+    rays = lens.undistort(shown) @ roll_axes(camera).T
     rays[~is_shown(rays, camera)] = np.nan
     return rays
 
@@ -291,8 +291,8 @@ def sharpest_px_per_rad(camera: CameraModel) -> float:
     return float(_MARGIN / np.linalg.svd(turns, compute_uv=False)[:, 1].min())
 
 
-def _roll(camera: CameraModel) -> FloatArray:
-    """Points (n, 2) in the axes of a level camera, times this: in those of the picture."""
+def roll_axes(camera: CameraModel) -> FloatArray:
+    """Points (n, 2) in the axes of a level camera times this, (2, 2), are in the picture's."""
     roll_rad = math.radians(camera.roll_deg or 0.0)
     cos, sin = math.cos(roll_rad), math.sin(roll_rad)
     return np.array([[cos, -sin], [sin, cos]])

@@ -86,7 +86,8 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
     """How finely cameras see the ground around a junction, where nothing drives or parks.
 
     Cells of a square metre, up to 45 m around the middle, one metre above the road. Pixels per
-    metre across the line of sight are focal length over depth. LiDARs take no pictures.
+    metre across the line of sight are focal length over depth; through a lens they are what it
+    shows of ten centimetres. LiDARs take no pictures.
     """
     import shapely
 
@@ -105,7 +106,10 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
             continue
         mount = unit.pose.position_m - origin
         is_open = is_in_sight(caster, mount, points - origin, near_m=camera.near_m)
-        finest = camera.focal_length_px / _depth_in_picture(points, unit)
+        if camera.is_pinhole:
+            finest = camera.focal_length_px / _depth_in_picture(points, unit)
+        else:
+            finest = _lens_density(points, unit)
         density = np.maximum(density, is_open * finest)
     is_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
     return GroundCoverage(
@@ -116,9 +120,24 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
     )
 
 
+def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
+    """Pixels per metre across the line of sight at points (n, 3); 0 outside of the picture."""
+    assert isinstance(unit.sensor, CameraModel)
+    east, north = (points_m - unit.pose.position_m)[:, :2].T
+    across = np.stack([-north, east, np.zeros_like(east)], axis=1)
+    across *= 0.5 * _ACROSS_M / np.maximum(np.hypot(east, north), 1.0e-6)[:, None]
+    ends = [
+        project_points(points_m + one, unit.pose, unit.sensor)[:, :2] for one in (across, -across)
+    ]
+    density = np.linalg.norm(ends[1] - ends[0], axis=1) / _ACROSS_M
+    is_inside = np.isfinite(_depth_in_picture(points_m, unit)) & np.isfinite(density)
+    return np.where(is_inside, density, 0.0)
+
+
 # ---------- private ground
 
 
+_ACROSS_M = 0.1  # whose pixels are counted
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 
 

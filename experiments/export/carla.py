@@ -7,6 +7,7 @@ from geometry.scene import Scene
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
+from .calibration import refuse_lenses
 from .formats import ExportFormat
 from .json import to_json_text
 
@@ -16,7 +17,9 @@ def to_carla(layout: Layout, scene: Scene | None = None) -> str:
 
     Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes them)
     and the transform, and "assumed" where the site is. CARLA's left-handed frame, metres, degrees.
+    Raises InputError for lenses that distort: CARLA's own parameters are of another kind.
     """
+    refuse_lenses(layout, "carla")
     doubts = {} if scene is None else assumed_sites(scene.notes)
     return to_json_text(
         [

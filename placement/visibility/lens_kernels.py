@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.kernels import kernel
-from geometry.sensors import SEEN_RAD, CameraModel
+from geometry.sensors import SEEN_RAD, CameraModel, roll_axes
 
 from .point_kernels import Array
 
@@ -24,9 +24,7 @@ def pack_lens(camera: CameraModel, rotation: FloatArray) -> FloatArray:
     `rotation` (3, 3) takes offsets, as rows, into the camera's frame, the roll aside.
     """
     lens = camera.lens
-    roll = math.radians(camera.roll_deg or 0.0)
-    turn = np.array([[math.cos(roll), -math.sin(roll)], [math.sin(roll), math.cos(roll)]])
-    axes = np.column_stack([rotation[:, :2] @ turn, rotation[:, 2]])
+    axes = np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
     focal_px = camera.focal_length_px
     reach = min(math.tan(SEEN_RAD), math.inf if lens is None else lens.reach)
     return np.array(
