@@ -247,10 +247,11 @@ def load_layout(
 ) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
 
-    Or from calibrations of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV, and in JSON written by hand, units may lie at latitudes and longitudes and look along
-    compass bearings, see :func:`placement.layout.unit_record`: that takes the `scene`. `sensors`
-    are models in addition to the catalogue's. Raises InputError if the file cannot be read, is of
-    another version, or a field is wrong.
+    Or from calibrations of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV,
+    and in JSON written by hand, units may lie at latitudes and longitudes and look along compass
+    bearings, see :func:`placement.layout.unit_record`: that takes the `scene`. `sensors` are models
+    in addition to the catalogue's. Raises InputError if the file cannot be read, is of another
+    version, or a field is wrong.
     """
     path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml", ".xml"):
