@@ -14,6 +14,9 @@ from geometry.sensors import SEEN_RAD, CameraModel, roll_axes
 from .point_kernels import Array
 
 _NEWTON_STEPS = 50
+_SLACK = 1.0e-6  # of a cosine
+# By so much of its size and so many pixels a body may reach beyond its corners.
+_BULGE, _MARGIN_PX = 0.1, 2.0
 _TERMS, _FOCAL, _MIDDLE, _SIZE, _LIMIT, _AXES = 0, 6, 8, 10, 12, 13
 N_NUMBERS = 22
 
@@ -111,80 +114,149 @@ def _area(box: FloatArray, first: int) -> float:
 
 
 @kernel
+def _box_hull(
+    lens: FloatArray, hull: FloatArray, min_depth_m: float, min_height_px: float, box: FloatArray
+) -> tuple[bool, bool]:
+    """If a body may be seen, and if all of it is in the picture, by its corners (n, 3).
+
+    The box around them goes to the first four numbers of `box`.
+    """
+    box[0], box[1], box[2], box[3] = np.inf, np.inf, -np.inf, -np.inf
+    is_inside, is_ahead = True, True
+    for corner in range(len(hull)):
+        column, row, ahead, shown = _project(
+            lens, hull[corner, 0], hull[corner, 1], hull[corner, 2], min_depth_m
+        )
+        _widen(box, 0, column, row)
+        is_inside &= shown
+        is_ahead &= ahead
+    if not is_ahead:
+        return True, False
+    # Its edges are bent: it may reach a little farther than its corners.
+    beyond = _BULGE * max(box[2] - box[0], box[3] - box[1]) + _MARGIN_PX
+    high = min(box[3], lens[_SIZE + 1]) - max(box[1], 0.0) + 2.0 * beyond
+    is_near = box[2] + beyond >= 0.0 and box[0] - beyond <= lens[_SIZE]
+    return is_near and high >= min_height_px, is_inside
+
+
+@kernel
+def _box_points(
+    lens: FloatArray,
+    points: FloatArray,
+    is_seen: Array,
+    is_whole: bool,
+    min_depth_m: float,
+    box: FloatArray,
+) -> tuple[bool, bool]:
+    """If the picture cuts a body off, and if the lens folds where it would show some of it.
+
+    Four boxes of its points (n, 3) go to `box`: of all, of those that are seen and in the picture,
+    of those in the picture, and of those that are seen.
+    """
+    box[0::4] = box[1::4] = np.inf
+    box[2::4] = box[3::4] = -np.inf
+    is_cut = is_folded = False
+    for point in range(len(points)):
+        column, row, is_ahead, is_shown = _project(
+            lens, points[point, 0], points[point, 1], points[point, 2], min_depth_m
+        )
+        _widen(box, 0, column, row)
+        if is_whole or is_seen[point]:
+            _widen(box, 12, column, row)
+            if is_shown:
+                _widen(box, 4, column, row)
+        if is_shown:
+            _widen(box, 8, column, row)
+            continue
+        is_cut = True
+        is_in_frame = 0.0 <= column <= lens[_SIZE] and 0.0 <= row <= lens[_SIZE + 1]
+        is_folded |= is_ahead and is_in_frame
+    return is_cut, is_folded
+
+
+@kernel
+def _share_inside(lens: FloatArray, is_folded: bool, box: FloatArray) -> float:
+    """Share of a body's box in the picture, of the boxes of :func:`_box_points`."""
+    whole = max(_area(box, 0), 1.0e-9)
+    if not is_folded:  # cut off by the picture's edges alone
+        box[8], box[9] = max(box[0], 0.0), max(box[1], 0.0)
+        box[10], box[11] = min(box[2], lens[_SIZE]), min(box[3], lens[_SIZE + 1])
+    return float(min(_area(box, 8) / whole, 1.0))
+
+
+@kernel
+def _offsets(axes: Array, view: int, eye: FloatArray, offsets: FloatArray) -> None:
+    """Offsets (n, 3) of a view's points, (n_views, 3, n), from the eye."""
+    for axis in range(3):
+        for point in range(len(offsets)):
+            offsets[point, axis] = axes[view, axis, point] - eye[axis]
+
+
+@kernel
+def _is_near(lens: FloatArray, cone: FloatArray, middle: FloatArray, radius: float) -> bool:
+    """True if a sphere around a middle, seen from the lens, reaches into the picture's cone."""
+    x, y, z = middle[0], middle[1], middle[2]
+    away = math.sqrt(x * x + y * y + z * z)
+    if away <= radius:
+        return True
+    sine = radius / away
+    cosine = math.sqrt(1.0 - sine * sine)
+    if cone[1] * cosine + cone[0] * sine < 0.0:  # wider than half a turn
+        return True
+    along = x * lens[_AXES + 6] + y * lens[_AXES + 7] + z * lens[_AXES + 8]
+    return bool(along >= (cone[0] * cosine - cone[1] * sine - _SLACK) * away)
+
+
+@kernel
 def box_through_lenses(
-    bodies: tuple[Array, Array, Array],
+    bodies: tuple[Array, Array, Array, Array],
     eye: Array,
     sight: tuple[Array, Array, Array],
-    lenses: Array,
-    cosines: Array,
+    cameras: tuple[Array, Array],
     least: tuple[float, float],
     found: tuple[Array, Array, Array, Array, Array],
 ) -> tuple[int, int]:
     """Boxes of bodies through lenses, of those that are seen whole apart from the others.
 
-    Bodies, sight and what is found are as for :func:`.point_kernels.box_bodies`, of bodies without
-    hulls; `lenses` (k, 22) are of :func:`pack_lens`, `cosines` (k, 2) cosine and sine of half of
-    the cone that holds each picture.
+    Bodies, sight and what is found are as for :func:`.point_kernels.box_bodies`. Cameras: lenses
+    (k, 22) of :func:`pack_lens`, and (k, 2) the cosine and sine of half the cone that holds each
+    picture.
     """
-    (points, middle, radius), (min_depth_m, min_height_px) = bodies, least
-    view_of_entry, is_visible, is_whole = sight
+    (points, hull, middle, radius), (min_depth_m, min_height_px) = bodies, least
+    (view_of_entry, is_visible, is_whole), (lenses, cones) = sight, cameras
     plain, plain_px, part, part_px, inside_share = found
-    # Of all points; of those that are seen and in the picture; of those in the picture.
-    box = np.empty(16)
+    box, centre = np.empty(16), np.empty(3)
+    every, corners = np.empty((points.shape[2], 3)), np.empty((hull.shape[2], 3))
     n_plain = n_part = 0
-    for entry in range(len(view_of_entry)):  # bodies, cameras, and the points of each body
+    for entry in range(len(view_of_entry)):  # bodies, and the cameras that may see each
         view = view_of_entry[entry]
-        x, y, z = middle[view, 0] - eye[0], middle[view, 1] - eye[1], middle[view, 2] - eye[2]
-        away = math.sqrt(x * x + y * y + z * z)
+        for axis in range(3):
+            centre[axis] = middle[view, axis] - eye[axis]
+        _offsets(hull, view, eye, corners)
+        _offsets(points, view, eye, every)
         for camera in range(len(lenses)):
             lens = lenses[camera]
-            along = x * lens[_AXES + 6] + y * lens[_AXES + 7] + z * lens[_AXES + 8]
-            if away > radius[view]:
-                # The cone around the picture's, wider by what the body takes up.
-                sine = radius[view] / away
-                cosine = math.sqrt(1.0 - sine * sine)
-                wide = cosines[camera, 0] * cosine - cosines[camera, 1] * sine
-                is_all = cosines[camera, 1] * cosine + cosines[camera, 0] * sine < 0.0
-                if not is_all and along < (wide - 1.0e-6) * away:
-                    continue
-            box[0::4] = box[1::4] = np.inf
-            box[2::4] = box[3::4] = -np.inf
-            is_cut = False
-            is_folded = False
-            for point in range(points.shape[2]):
-                px = points[view, 0, point] - eye[0]
-                py = points[view, 1, point] - eye[1]
-                pz = points[view, 2, point] - eye[2]
-                column, row, is_ahead, is_shown = _project(lens, px, py, pz, min_depth_m)
-                is_seen = is_whole[entry] or is_visible[entry, point]
-                _widen(box, 0, column, row)
-                is_cut |= not is_shown
-                if is_seen:
-                    _widen(box, 12, column, row)
-                if is_shown:
-                    _widen(box, 8, column, row)
-                    if is_seen:
-                        _widen(box, 4, column, row)
-                elif is_ahead:
-                    is_folded |= 0.0 <= column <= lens[_SIZE] and 0.0 <= row <= lens[_SIZE + 1]
-            seen, every = (4, 8) if is_cut else (12, 0)
+            if not _is_near(lens, cones[camera], centre, radius[view]):
+                continue
+            may_be, is_inside = _box_hull(lens, corners, min_depth_m, min_height_px, box)
+            if not may_be:
+                continue
+            high = box[3] - box[1]
+            if is_inside and is_whole[entry]:
+                if high >= min_height_px and high > 0.0:
+                    plain[n_plain, 0], plain[n_plain, 1] = camera, entry
+                    plain_px[n_plain] = box[:4]
+                    n_plain += 1
+                continue
+            is_cut, is_folded = _box_points(
+                lens, every, is_visible[entry], is_whole[entry], min_depth_m, box
+            )
+            seen, whole = (4, 8) if is_cut else (12, 0)
             high = box[seen + 3] - box[seen + 1]
             if not (high >= min_height_px and high > 0.0):
                 continue
-            if is_whole[entry] and not is_cut:
-                plain[n_plain, 0], plain[n_plain, 1] = camera, entry
-                plain_px[n_plain] = box[:4]
-                n_plain += 1
-                continue
             part[n_part, 0], part[n_part, 1] = camera, entry
-            part_px[n_part, :4], part_px[n_part, 4:] = box[seen : seen + 4], box[every : every + 4]
-            inside_share[n_part] = 1.0
-            if is_cut:
-                whole = max(_area(box, 0), 1.0e-9)
-                if not is_folded:  # cut off by the picture's edges alone
-                    box[8], box[9] = max(box[0], 0.0), max(box[1], 0.0)
-                    box[10] = min(box[2], lens[_SIZE])
-                    box[11] = min(box[3], lens[_SIZE + 1])
-                inside_share[n_part] = min(_area(box, 8) / whole, 1.0)
+            part_px[n_part, :4], part_px[n_part, 4:] = box[seen : seen + 4], box[whole : whole + 4]
+            inside_share[n_part] = _share_inside(lens, is_folded, box) if is_cut else 1.0
             n_part += 1
     return n_plain, n_part

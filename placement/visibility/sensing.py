@@ -297,11 +297,13 @@ def _box(
         turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen]
         half_rad = np.radians([0.5 * camera.diagonal_fov_deg for camera in cameras])
         n_plain, n_part = box_through_lenses(
-            (views.axes_m, views.middle_m, views.radius_m),
+            (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
             sensing.eye_m,
             seen,
-            np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)]),
-            np.stack([np.cos(half_rad), np.sin(half_rad)], axis=1),
+            (
+                np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)]),
+                np.stack([np.cos(half_rad), np.sin(half_rad)], axis=1),
+            ),
             (_MIN_DEPTH_M, sensing.detector.min_box_height_px),
             found,
         )

