@@ -47,11 +47,6 @@ class BrownConrady(
         """Radius at depth 1 up to which points are shown; may be infinite."""
         return math.sqrt(_brown_turn(self))
 
-    @property
-    def terms(self) -> tuple[float, ...]:
-        """Its kind and five numbers, for compiled loops."""
-        return (0.0, self.k1, self.k2, self.p1, self.p2, self.k3)
-
     def distort(self, points: FloatArray) -> FloatArray:
         """Points (n, 2) at depth 1 as the lens shows them; NaN where it would fold them back."""
         x, y = points.T
@@ -146,11 +141,6 @@ class TsaiRadial(
         """Radius at depth 1 up to which points are shown; may be infinite."""
         return 2.0 / 3.0 * self._turn
 
-    @property
-    def terms(self) -> tuple[float, ...]:
-        """Its kind and five numbers, for compiled loops."""
-        return (1.0, self.kappa, self._turn, 0.0, 0.0, 0.0)
-
     def distort(self, points: FloatArray) -> FloatArray:
         """Points (n, 2) at depth 1 as the lens shows them; not a number where it shows none."""
         radius = np.hypot(*points.T)
@@ -211,11 +201,6 @@ class Fisheye(
     def widest_rad(self) -> float:
         """Angle off the axis up to which points are shown, at most half a turn."""
         return min(_fisheye_turn(self), math.pi)
-
-    @property
-    def terms(self) -> tuple[float, ...]:
-        """Its kind and five numbers, for compiled loops."""
-        return (2.0, self.k1, self.k2, self.k3, self.k4, 0.0)
 
     @property
     def _powers(self) -> tuple[float, ...]:

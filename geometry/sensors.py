@@ -123,7 +123,7 @@ class CameraModel:
     def diagonal_fov_deg(self) -> float:
         """Full angle across the diagonal, in degrees: the image lies within this cone."""
         if not self.is_pinhole:
-            return float(np.degrees(2.0 * _angles_rad(border_rays(self), self).max()))
+            return _widest_fov_deg(self)
         half_diagonal_px = 0.5 * math.hypot(self.width_px, self.height_px)
         return math.degrees(2.0 * math.atan(half_diagonal_px / self.focal_length_px))
 
@@ -271,6 +271,11 @@ def border_rays(camera: CameraModel) -> FloatArray:
     steps = np.linspace(0.0, 1.0, _N_BORDER, endpoint=False)
     x = np.concatenate([steps, np.ones(_N_BORDER), 1.0 - steps, np.zeros(_N_BORDER)])
     return picture_rays(x * camera.width_px, np.roll(x, _N_BORDER) * camera.height_px, camera)
+
+
+@lru_cache(maxsize=64)
+def _widest_fov_deg(camera: CameraModel) -> float:
+    return float(np.degrees(2.0 * _angles_rad(border_rays(camera), camera).max()))
 
 
 @lru_cache(maxsize=64)

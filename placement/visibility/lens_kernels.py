@@ -4,74 +4,68 @@ Point by point and camera by camera: what the fast loops of :mod:`.point_kernels
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
-from geometry.arrays import FloatArray
+from geometry.arrays import FloatArray, freeze
 from geometry.kernels import kernel
+from geometry.lenses import BrownConrady
 from geometry.sensors import SEEN_RAD, CameraModel, roll_axes
 
 from .point_kernels import Array
 
-_NEWTON_STEPS = 50
 _SLACK = 1.0e-6  # of a cosine
 # By so much of its size and so many pixels a body may reach beyond its corners.
 _BULGE, _MARGIN_PX = 0.1, 2.0
-_TERMS, _FOCAL, _MIDDLE, _SIZE, _LIMIT, _AXES = 0, 6, 8, 10, 12, 13
-N_NUMBERS = 22
+_FOCAL, _MIDDLE, _SIZE, _TANGENTIAL, _LIMIT, _AXES, _SHARES = 0, 2, 4, 6, 8, 10, 19
+_N_SHARES = 2048
 
 
 def pack_lens(camera: CameraModel, rotation: FloatArray) -> FloatArray:
-    """Numbers of a camera for :func:`box_through_lenses`, (22,).
+    """Numbers of a camera for :func:`box_through_lenses`, (n,).
 
     `rotation` (3, 3) takes offsets, as rows, into the camera's frame, the roll aside.
     """
-    lens = camera.lens
+    numbers = _pack_model(camera).copy()
     axes = np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
+    numbers[_AXES:_SHARES] = axes.T.ravel()
+    return numbers
+
+
+@lru_cache(maxsize=64)
+def _pack_model(camera: CameraModel) -> FloatArray:
+    """Numbers of a camera that looks along z.
+
+    The radial part of the lens is a table: how far out a point is shown over how far out it lies,
+    by even steps of sqrt(1 - sin^2(angle) / sin^2(largest angle)). There it is smooth up to the
+    fold.
+    """
+    lens = camera.lens or BrownConrady()
+    tangential = 0.0, 0.0
+    reach = min(math.tan(SEEN_RAD), lens.reach * (1.0 - 1.0e-12))
+    if isinstance(lens, BrownConrady):
+        tangential = lens.p1, lens.p2
+        lens = BrownConrady(k1=lens.k1, k2=lens.k2, k3=lens.k3)
+    most = reach**2 / (1.0 + reach**2)
+    square = most * (1.0 - np.linspace(0.0, 1.0, _N_SHARES) ** 2)
+    radius = np.sqrt(square / (1.0 - square)).clip(1.0e-9, reach)
+    shares = lens.distort(np.stack([radius, np.zeros_like(radius)], axis=1))[:, 0] / radius
     focal_px = camera.focal_length_px
-    reach = min(math.tan(SEEN_RAD), math.inf if lens is None else lens.reach)
-    return np.array(
-        [
-            *((0.0,) * 6 if lens is None else lens.terms),
-            *(focal_px, focal_px * (camera.pixel_aspect or 1.0)),
-            *camera.middle_px,
-            *(camera.width_px, camera.height_px),
-            reach,
-            *axes.T.ravel(),
-        ]
+    return freeze(
+        np.array(
+            [
+                *(focal_px, focal_px * (camera.pixel_aspect or 1.0)),
+                *camera.middle_px,
+                *(camera.width_px, camera.height_px),
+                *tangential,
+                *(reach, 1.0 / most),
+                *np.eye(3).ravel(),
+                *shares,
+                shares[-1],  # to interpolate at the last one
+            ]
+        )
     )
-
-
-@kernel
-def _bend(lens: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """A point at depth 1 as a lens shows it; it is one that the lens shows."""
-    kind, square = lens[0], x * x + y * y
-    if kind == 0.0:  # Brown and Conrady
-        radial = 1.0 + square * (lens[1] + square * (lens[2] + square * lens[5]))
-        across, p1, p2 = 2.0 * x * y, lens[3], lens[4]
-        return (
-            x * radial + p1 * across + p2 * (square + 2.0 * x * x),
-            y * radial + p2 * across + p1 * (square + 2.0 * y * y),
-        )
-    radius = math.sqrt(square)
-    if radius == 0.0:
-        return x, y
-    if kind == 2.0:  # a fisheye
-        angle = math.atan(radius)
-        bent = angle * angle
-        shown = angle * (
-            1.0 + bent * (lens[1] + bent * (lens[2] + bent * (lens[3] + bent * lens[4])))
-        )
-        return x * shown / radius, y * shown / radius
-    kappa, turn = lens[1], lens[2]
-    shown = min(radius, turn)  # Tsai: a cubic
-    for _ in range(_NEWTON_STEPS):
-        slope = max(1.0 + 3.0 * kappa * shown * shown, 1.0e-6)
-        step = (shown * (1.0 + kappa * shown * shown) - radius) / slope
-        shown = min(max(shown - step, 0.0), turn)
-        if not abs(step) > 1.0e-14 * (1.0 + shown):
-            break
-    return x * shown / radius, y * shown / radius
 
 
 @kernel
@@ -82,18 +76,27 @@ def _project(
 
     As :func:`geometry.sensors.shown_points`; what is not ahead is taken to be a little.
     """
-    axes = lens[_AXES:]
-    depth = x * axes[6] + y * axes[7] + z * axes[8]
+    depth = x * lens[_AXES + 6] + y * lens[_AXES + 7] + z * lens[_AXES + 8]
     is_ahead = depth > min_depth_m
-    depth = max(depth, min_depth_m)
-    right = (x * axes[0] + y * axes[1] + z * axes[2]) / depth
-    down = (x * axes[3] + y * axes[4] + z * axes[5]) / depth
-    beyond = math.sqrt(right * right + down * down) / lens[_LIMIT]
-    is_shown = is_ahead and beyond <= 1.0
-    beyond = max(beyond, 1.0)
-    right, down = _bend(lens, right / beyond, down / beyond)
-    column = lens[_MIDDLE] + lens[_FOCAL] * right * beyond
-    row = lens[_MIDDLE + 1] + lens[_FOCAL + 1] * down * beyond
+    per_depth = 1.0 / max(depth, min_depth_m)
+    right = (x * lens[_AXES] + y * lens[_AXES + 1] + z * lens[_AXES + 2]) * per_depth
+    down = (x * lens[_AXES + 3] + y * lens[_AXES + 4] + z * lens[_AXES + 5]) * per_depth
+    square, beyond = right * right + down * down, 1.0
+    is_shown = is_ahead
+    if square > lens[_LIMIT] * lens[_LIMIT]:  # straight on from the farthest that is shown
+        beyond = math.sqrt(square) / lens[_LIMIT]
+        right, down, square = right / beyond, down / beyond, lens[_LIMIT] * lens[_LIMIT]
+        is_shown = False
+    place = 1.0 - square / (1.0 + square) * lens[_LIMIT + 1]
+    place = math.sqrt(max(place, 0.0)) * (_N_SHARES - 1)
+    step = int(place)
+    first, second = lens[_SHARES + step], lens[_SHARES + step + 1]
+    share = first + (place - step) * (second - first)
+    p1, p2, across = lens[_TANGENTIAL], lens[_TANGENTIAL + 1], 2.0 * right * down
+    column = right * share + p1 * across + p2 * (square + 2.0 * right * right)
+    row = down * share + p2 * across + p1 * (square + 2.0 * down * down)
+    column = lens[_MIDDLE] + lens[_FOCAL] * column * beyond
+    row = lens[_MIDDLE + 1] + lens[_FOCAL + 1] * row * beyond
     width, height = lens[_SIZE], lens[_SIZE + 1]
     is_shown = is_shown and 0.0 <= column <= width and 0.0 <= row <= height
     return column, row, is_ahead, is_shown
@@ -175,6 +178,20 @@ def _box_points(
 
 
 @kernel
+def _box_seen(
+    lens: FloatArray, points: FloatArray, is_seen: Array, min_depth_m: float, box: FloatArray
+) -> None:
+    """The last of the boxes of :func:`_box_points`, of a body that is all in the picture."""
+    box[12], box[13], box[14], box[15] = np.inf, np.inf, -np.inf, -np.inf
+    for point in range(len(points)):
+        if is_seen[point]:
+            column, row, _, _ = _project(
+                lens, points[point, 0], points[point, 1], points[point, 2], min_depth_m
+            )
+            _widen(box, 12, column, row)
+
+
+@kernel
 def _share_inside(lens: FloatArray, is_folded: bool, box: FloatArray) -> float:
     """Share of a body's box in the picture, of the boxes of :func:`_box_points`."""
     whole = max(_area(box, 0), 1.0e-9)
@@ -219,7 +236,7 @@ def box_through_lenses(
     """Boxes of bodies through lenses, of those that are seen whole apart from the others.
 
     Bodies, sight and what is found are as for :func:`.point_kernels.box_bodies`. Cameras: lenses
-    (k, 22) of :func:`pack_lens`, and (k, 2) the cosine and sine of half the cone that holds each
+    (k, n) of :func:`pack_lens`, and (k, 2) the cosine and sine of half the cone that holds each
     picture.
     """
     (points, hull, middle, radius), (min_depth_m, min_height_px) = bodies, least
@@ -248,9 +265,13 @@ def box_through_lenses(
                     plain_px[n_plain] = box[:4]
                     n_plain += 1
                 continue
-            is_cut, is_folded = _box_points(
-                lens, every, is_visible[entry], is_whole[entry], min_depth_m, box
-            )
+            if is_inside:
+                _box_seen(lens, every, is_visible[entry], min_depth_m, box)
+                is_cut = is_folded = False
+            else:
+                is_cut, is_folded = _box_points(
+                    lens, every, is_visible[entry], is_whole[entry], min_depth_m, box
+                )
             seen, whole = (4, 8) if is_cut else (12, 0)
             high = box[seen + 3] - box[seen + 1]
             if not (high >= min_height_px and high > 0.0):
