@@ -7,6 +7,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from msgspec import to_builtins
+
 from .errors import InputError, refuse
 from .files import load_toml, pick, read_tables
 from .lidar import LidarModel, load_lidars
@@ -18,7 +20,8 @@ _KINDS: dict[str, type[CameraModel] | type[LidarModel]] = {
     "lidar": LidarModel,
 }
 SENSOR_KINDS = tuple(_KINDS)
-_LENS_FIELDS = ("lens", "distortion", "distortion_coefficients", "kappa1") + (
+_LENS_FIELDS = (
+    *("distortion", "distortion_coefficients", "kappa", "kappa1"),
     *("k1", "k2", "k3", "k4", "p1", "p2"),
 )
 
@@ -39,7 +42,7 @@ def load_catalogue(path: str | Path) -> dict[str, Sensor]:
         if group not in ("cameras", "lidars") or not isinstance(entries, Mapping):
             refuse(f"{path}: {group}", "it", expected)
     for name, entry in table.get("cameras", {}).items():
-        _check_pinhole(entry, f"{path}: cameras.{name}")
+        _check_lens(entry, f"{path}: cameras.{name}")
     for kind, group in (("camera", "cameras"), ("lidar", "lidars")):
         models |= read_tables(table.get(group, {}), _KINDS[kind], str(path))
     if not models:
@@ -50,14 +53,14 @@ def load_catalogue(path: str | Path) -> dict[str, Sensor]:
 def read_sensor(name: str, entry: Any, kind: str, source: str) -> Sensor:
     """Sensor model of a kind from its fields; `source` names the file in messages."""
     if kind == "camera":
-        _check_pinhole(entry, f"{source}: {name}")
+        _check_lens(entry, f"{source}: {name}")
     return read_tables({name: entry}, _KINDS[kind], source)[name]
 
 
-def _check_pinhole(entry: Any, where: str) -> None:
-    """Refuse fields of lenses that distort: other fields of no meaning are passed over."""
+def _check_lens(entry: Any, where: str) -> None:
+    """Refuse a lens's terms outside of its table: other fields of no meaning are passed over."""
     if isinstance(entry, Mapping) and (named := [one for one in _LENS_FIELDS if one in entry]):
-        expected = "no such field: cameras that are planned are ideal pinholes"
+        expected = 'no such field here, but lens = {model = "brown-conrady", k1 = ..}'
         raise InputError(f"{where}.{named[0]}", entry[named[0]], expected)
 
 
@@ -68,6 +71,8 @@ def own_sensor_record(sensor: Sensor) -> dict[str, Any] | None:
     if sensor.name in known:
         return None
     fields = {key: value for key, value in asdict(sensor).items() if value is not None}
+    if "lens" in fields:
+        fields["lens"] = to_builtins(fields["lens"])
     return {"kind": kind} | {key: value for key, value in fields.items() if key != "name"}
 
 

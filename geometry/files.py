@@ -356,7 +356,7 @@ def _input_error(
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         return InputError(_join(where, f"{shown}.{missing[1]}"), Unquoted("nothing"), "a value")
     if unknown := re.match(r"Object contains unknown field `(.*?)`", message):
-        known = ", ".join(field.encode_name for field in _plain(node).fields)
+        known = ", ".join(field.encode_name for field in _plain(_of_tag(node, value)).fields)
         return InputError(here, unknown[1], f"one of {known}")
     return InputError(here, value, _expected(node, is_other_type=", got " in message))
 
@@ -372,13 +372,18 @@ def _members(node: msgspec.inspect.UnionType) -> list[Any]:
     return [one for one in node.types if not isinstance(one, msgspec.inspect.NoneType)]
 
 
+def _of_tag(node: Any, value: Any) -> Any:
+    """The one of several types of tables that a field of a table names; else the same."""
+    if not isinstance(node, msgspec.inspect.UnionType) or len(_members(node)) == 1:
+        return node
+    return next(one for one in _members(node) if one.tag == value[one.tag_field])
+
+
 def _step_into(node: Any, step: re.Match[str], value: Any) -> Any:
     if isinstance(node, msgspec.inspect.UnionType) and len(_members(node)) > 1:
-        by_tag = {one.tag: one for one in _members(node)}  # tables that one field tells apart
-        tag_field = _members(node)[0].tag_field
-        if step[1] == tag_field:
-            return msgspec.inspect.LiteralType(tuple(by_tag))
-        node = by_tag[value[tag_field]]
+        if step[1] == _members(node)[0].tag_field:
+            return msgspec.inspect.LiteralType(tuple(one.tag for one in _members(node)))
+        node = _of_tag(node, value)
     node = _plain(node)
     if step[1] is not None:
         return next(field.type for field in node.fields if field.encode_name == step[1])

@@ -1,22 +1,36 @@
-"""Calibrated cameras whose lenses distort: Brown-Conrady's model, Tsai's one term, fisheyes.
+"""Lenses that distort: Brown-Conrady's model, Tsai's one term, fisheyes; and calibrated cameras.
 
-Cameras that are placed are ideal pinholes (:mod:`geometry.sensors`); these are read from files, to
-compare what real cameras recorded.
+Points are at depth 1 along the optical axis: x right and y down, over the depth. A lens shows what
+lies up to some angle off its axis, its :attr:`reach`; farther out its polynomial would fold the
+picture back.
 """
 
+import math
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, set_arrays
 from .errors import InputError
 
 _NEWTON_STEPS = 50
+_NEAR = 1.0e-13  # of a shown point: where Newton's method ends
+_LEAST_STEP = 1.0e-4  # share of a step of its
+_FOUND = 1.0e-10  # what is farther off is not shown
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BrownConrady:
+class BrownConrady(
+    Struct,
+    frozen=True,
+    kw_only=True,
+    omit_defaults=True,
+    forbid_unknown_fields=True,
+    tag_field="model",
+    tag="brown-conrady",
+):
     """Radial and tangential distortion; all zeros: none. Order and signs as in OpenCV.
 
     D. Brown, "Decentering distortion of lenses", 1966.
@@ -27,6 +41,11 @@ class BrownConrady:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """Radius at depth 1 up to which points are shown; may be infinite."""
+        return math.sqrt(_brown_turn(self))
 
     def distort(self, points: FloatArray) -> FloatArray:
         """Points (n, 2) at depth 1 as the lens shows them; NaN where it would fold them back."""
@@ -41,14 +60,68 @@ class BrownConrady:
             ],
             axis=1,
         )
-        # Where r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops rising, by the square of r.
-        turn = _first_turn([7.0 * self.k3, 5.0 * self.k2, 3.0 * self.k1, 1.0])
-        distorted[square > turn] = np.nan
+        distorted[square > _brown_turn(self)] = np.nan
         return distorted
 
+    def undistort(self, points: FloatArray) -> FloatArray:
+        """The inverse of :meth:`distort`, (n, 2); NaN where the lens shows nothing.
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TsaiRadial:
+        By Newton's method with shorter steps where they lead away: within its reach the lens is the
+        slope of a convex function, so that there is but one solution.
+        """
+        found = points / np.maximum(1.0, _radius(points)[:, None] / min(self.reach, 1.0))
+        lacks = self.distort(found) - points
+        step = _solve(self._slopes(found), lacks)
+        off, factor = _radius(lacks), np.ones(len(found))
+        for _ in range(2 * _NEWTON_STEPS):
+            left = np.flatnonzero((off > _NEAR) & (factor > _LEAST_STEP))
+            if not len(left):
+                break
+            tried = found[left] - factor[left, None] * step[left]
+            lacks = self.distort(tried) - points[left]
+            is_better = _radius(lacks) < off[left]  # not where the step left the reach
+            better = left[is_better]
+            found[better], off[better] = tried[is_better], _radius(lacks[is_better])
+            step[better] = _solve(self._slopes(found[better]), lacks[is_better])
+            factor[left] = np.where(is_better, 1.0, 0.5 * factor[left])
+        found[~(off <= _FOUND)] = np.nan
+        return found
+
+    def _slopes(self, points: FloatArray) -> FloatArray:
+        """Derivatives of :meth:`distort`, (3, n): of column by x, of either by the other, row."""
+        x, y = points.T
+        square = x**2 + y**2
+        radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+        rise = 2.0 * (self.k1 + square * (2.0 * self.k2 + square * 3.0 * self.k3))
+        return np.stack(
+            [
+                radial + x * x * rise + 2.0 * self.p1 * y + 6.0 * self.p2 * x,
+                x * y * rise + 2.0 * self.p1 * x + 2.0 * self.p2 * y,
+                radial + y * y * rise + 6.0 * self.p1 * y + 2.0 * self.p2 * x,
+            ]
+        )
+
+    def shown_at(self, angle_rad: float) -> float:
+        """Distance from the middle at which a ray at an angle off the axis is shown, radially."""
+        square = math.tan(angle_rad) ** 2
+        radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+        return math.tan(angle_rad) * radial
+
+    def angle_of(self, shown: float) -> float:
+        """The inverse of :meth:`shown_at`; not a number where the lens shows nothing."""
+        radial = BrownConrady(k1=self.k1, k2=self.k2, k3=self.k3)
+        return math.atan(float(radial.undistort(np.array([[shown, 0.0]]))[0, 0]))
+
+
+class TsaiRadial(
+    Struct,
+    frozen=True,
+    kw_only=True,
+    omit_defaults=True,
+    forbid_unknown_fields=True,
+    tag_field="model",
+    tag="tsai",
+):
     """Radial distortion by one term: undistorted = distorted x (1 + kappa r_distorted^2).
 
     R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine vision
@@ -58,11 +131,20 @@ class TsaiRadial:
 
     kappa: float
 
+    @property
+    def _turn(self) -> float:
+        """With kappa < 0 the cubic r + kappa r^3 rises up to this shown radius only."""
+        return math.inf if self.kappa >= 0.0 else (-1.0 / (3.0 * self.kappa)) ** 0.5
+
+    @property
+    def reach(self) -> float:
+        """Radius at depth 1 up to which points are shown; may be infinite."""
+        return 2.0 / 3.0 * self._turn
+
     def distort(self, points: FloatArray) -> FloatArray:
         """Points (n, 2) at depth 1 as the lens shows them; not a number where it shows none."""
         radius = np.hypot(*points.T)
-        # With kappa < 0 the cubic r + kappa r^3 rises up to this radius only.
-        turn = np.inf if self.kappa >= 0.0 else (-1.0 / (3.0 * self.kappa)) ** 0.5
+        turn = self._turn
         shown = np.minimum(radius, turn)
         for _ in range(_NEWTON_STEPS):
             slope = np.maximum(1.0 + 3.0 * self.kappa * shown**2, 1.0e-6)
@@ -75,12 +157,29 @@ class TsaiRadial:
         return np.asarray(np.where(off[:, None], np.nan, points * share[:, None]))
 
     def undistort(self, points: FloatArray) -> FloatArray:
-        """The inverse of :meth:`distort`, (n, 2)."""
-        return np.asarray(points * (1.0 + self.kappa * (points**2).sum(axis=1, keepdims=True)))
+        """The inverse of :meth:`distort`, (n, 2); NaN where the lens shows nothing."""
+        square = (points**2).sum(axis=1, keepdims=True)
+        found = np.asarray(points * (1.0 + self.kappa * square))
+        return np.where(square > self._turn**2, np.nan, found)
+
+    def shown_at(self, angle_rad: float) -> float:
+        """Distance from the middle at which a ray at an angle off the axis is shown."""
+        return float(self.distort(np.array([[math.tan(angle_rad), 0.0]]))[0, 0])
+
+    def angle_of(self, shown: float) -> float:
+        """The inverse of :meth:`shown_at`; not a number where the lens shows nothing."""
+        return math.atan(float(self.undistort(np.array([[shown, 0.0]]))[0, 0]))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fisheye:
+class Fisheye(
+    Struct,
+    frozen=True,
+    kw_only=True,
+    omit_defaults=True,
+    forbid_unknown_fields=True,
+    tag_field="model",
+    tag="fisheye",
+):
     """A fisheye: an angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
 
     J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional,
@@ -92,15 +191,101 @@ class Fisheye:
     k3: float = 0.0
     k4: float = 0.0
 
+    @property
+    def reach(self) -> float:
+        """Radius at depth 1 up to which points are shown; infinite from a right angle on."""
+        angle = self.widest_rad
+        return math.tan(angle) if angle < 0.5 * math.pi else math.inf
+
+    @property
+    def widest_rad(self) -> float:
+        """Angle off the axis up to which points are shown, at most half a turn."""
+        return min(_fisheye_turn(self), math.pi)
+
+    @property
+    def _powers(self) -> tuple[float, ...]:
+        return (self.k4, 0.0, self.k3, 0.0, self.k2, 0.0, self.k1, 0.0, 1.0, 0.0)
+
     def distort(self, points: FloatArray) -> FloatArray:
         """Points (n, 2) at depth 1 as the lens shows them; not a number where it shows none."""
         radius = np.hypot(*points.T)
         angle = np.arctan(radius)
-        terms = (self.k4, 0.0, self.k3, 0.0, self.k2, 0.0, self.k1, 0.0, 1.0, 0.0)
-        shown = np.polyval(terms, angle)
+        shown = np.polyval(self._powers, angle)
         share = np.divide(shown, radius, out=np.ones_like(radius), where=radius > 0.0)
-        share[angle > _first_turn(np.polyder(terms))] = np.nan
+        share[angle > _fisheye_turn(self)] = np.nan
         return np.asarray(points * share[:, None])
+
+    def undistort(self, points: FloatArray) -> FloatArray:
+        """The inverse of :meth:`distort`, (n, 2); NaN where the lens shows nothing.
+
+        Nor has a ray at a right angle or more to the axis a point at depth 1.
+        """
+        shown = _radius(points)
+        angle = self._angles(shown)
+        radius = np.where(angle < 0.5 * np.pi, np.tan(angle), np.nan)
+        share = np.divide(radius, shown, out=np.ones_like(radius), where=shown > 0.0)
+        return np.asarray(points * share[:, None])
+
+    def shown_at(self, angle_rad: float) -> float:
+        """Distance from the middle at which a ray at an angle off the axis is shown."""
+        return float(np.polyval(self._powers, angle_rad))
+
+    def angle_of(self, shown: float) -> float:
+        """The inverse of :meth:`shown_at`; not a number where the lens shows nothing."""
+        return float(self._angles(np.array([shown]))[0])
+
+    def _angles(self, shown: FloatArray) -> FloatArray:
+        """Angles (n,) at which the lens shows rays so far from the middle, by Newton's method.
+
+        Where a step leaves the interval that is left, it is halved. NaN: the lens shows none there.
+        """
+        powers, widest = self._powers, self.widest_rad
+        low, high = np.zeros_like(shown), np.full_like(shown, widest)
+        angle = np.minimum(shown, widest)
+        for _ in range(2 * _NEWTON_STEPS):
+            lacks = np.polyval(powers, angle) - shown
+            low, high = np.where(lacks <= 0.0, angle, low), np.where(lacks >= 0.0, angle, high)
+            slope = np.polyval(np.polyder(powers), angle)
+            there = angle - np.divide(
+                lacks, slope, out=np.full_like(lacks, np.inf), where=slope > 0
+            )
+            angle = np.where((there >= low) & (there <= high), there, 0.5 * (low + high))
+            if not (abs(lacks) > _NEAR).any():
+                break
+        off = ~(abs(np.polyval(powers, angle) - shown) <= _FOUND)
+        return np.where(off, np.nan, angle)
+
+
+def _radius(points: FloatArray) -> FloatArray:
+    return np.asarray(np.hypot(points[:, 0], points[:, 1]))
+
+
+def _solve(slopes: FloatArray, values: FloatArray) -> FloatArray:
+    """Solutions (n, 2) of symmetric equations, (3, n): first, mixed and last coefficient."""
+    first, mixed, last = slopes
+    x, y = values.T
+    solved = np.stack([last * x - mixed * y, first * y - mixed * x]) / (first * last - mixed**2)
+    return np.asarray(solved.T)
+
+
+@cache
+def _brown_turn(lens: BrownConrady) -> float:
+    """Square of the radius up to which a lens of Brown and Conrady keeps points in their order.
+
+    Where r (1 + k1 r^2 + k2 r^4 + k3 r^6) stops rising; with tangential terms, whose derivatives
+    are at most 6 |p| r, a little before, where it may still rise across and around.
+    """
+    bend = 6.0 * math.hypot(lens.p1, lens.p2)
+    if bend == 0.0:
+        return _first_turn([7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0])
+    ahead = [7.0 * lens.k3, 0.0, 5.0 * lens.k2, 0.0, 3.0 * lens.k1, -bend, 1.0]
+    around = [lens.k3, 0.0, lens.k2, 0.0, lens.k1, -bend, 1.0]
+    return min(_first_turn(ahead), _first_turn(around)) ** 2
+
+
+@cache
+def _fisheye_turn(lens: Fisheye) -> float:
+    return _first_turn(np.polyder(lens._powers))
 
 
 def _first_turn(slope: ArrayLike) -> float:
@@ -112,6 +297,11 @@ def _first_turn(slope: ArrayLike) -> float:
 
 
 Lens = BrownConrady | TsaiRadial | Fisheye
+
+
+def widest_rad(lens: Lens) -> float:
+    """Angle off the axis up to which a lens shows anything; only a fisheye's may exceed 90."""
+    return lens.widest_rad if isinstance(lens, Fisheye) else math.atan(lens.reach)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib.resources import files
 from typing import Annotated
 
@@ -10,20 +10,34 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray
-from .errors import InputError, check_field, refuse
+from .arrays import BoolArray, FloatArray, freeze
+from .errors import InputError, Unquoted, check_field, refuse
 from .files import load_toml, read_table
+from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial, widest_rad
 from .poses import Pose, camera_rotation
+
+SEEN_RAD = 1.5
+"""Angle off the axis beyond which pictures through lenses are not looked at: about 86 degrees."""
+
+
+_N_BORDER = 64
+_MARGIN = 1.02  # for what lies between the points that are tried
+_SHARES = Meta(description="[x, y] in widths and heights of the picture")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:
-    """An ideal pinhole camera with square pixels and a centred principal point."""
+    """A camera: an ideal pinhole with square pixels and its axis in the middle, or a lens.
+
+    With a lens the field of view is what the picture shows: half a width from the principal point
+    is a ray at half of `horizontal_fov_deg`, tangential terms aside.
+    """
 
     name: str  #: in the catalogue
     width_px: int
     height_px: int
-    horizontal_fov_deg: float  #: full angle across the width, more than 0 and less than 180
+    #: full angle across the width, more than 0 and less than 180; of a fisheye maybe more
+    horizontal_fov_deg: float
     frame_rate_hz: float  #: images per second
     near_m: float  #: what is nearer to the lens is not drawn: housing, bracket and pole
     price_eur: float  #: of one unit
@@ -31,6 +45,11 @@ class CameraModel:
     fov_range_deg: (
         Annotated[tuple[float, float], Meta(description="[low, high] in degrees")] | None
     ) = None
+    lens: Lens | None = None  #: how it distorts; None: not at all
+    #: where the axis meets the picture, in widths and heights of it; None: in its middle
+    principal_point: Annotated[tuple[float, float], _SHARES] | None = None
+    pixel_aspect: float | None = None  #: focal length in rows over that in columns; None: 1
+    roll_deg: float | None = None  #: turn about the axis, clockwise seen from behind; None: 0
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)
@@ -42,33 +61,69 @@ class CameraModel:
         if self.width_px * self.height_px > limits.camera_pixels:
             got = f"{self.width_px} times {self.height_px} pixels"
             refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
-        check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < 180.0, "0 < degrees < 180")
+        most_deg, why = 180.0, ""
+        if self.has_lens and self.lens is not None:
+            most_deg = min(360.0, 2.0 * math.degrees(widest_rad(self.lens)))
+            why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
+        expected = f"0 < degrees < {most_deg:g}{why}"
+        check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)
+        for field, low, high in (("pixel_aspect", 0.5, 2.0), ("roll_deg", -180.0, 180.0)):
+            value = getattr(self, field)
+            check(field, value is None or low <= value <= high, f"{low:g} .. {high:g}")
+        if self.principal_point is not None:
+            is_inside = all(0.0 <= share <= 1.0 for share in self.principal_point)
+            check("principal_point", is_inside, "[x, y] in the picture, 0 .. 1")
         for field in ("frame_rate_hz", "near_m"):
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
         is_price = 0.0 <= self.price_eur <= limits.price_eur
         check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
         if self.fov_range_deg is not None:
             low, high = self.fov_range_deg
-            if not 0.0 < low < high < 180.0:
-                expected = "[low, high] in degrees, 0 < low < high < 180"
+            if not 0.0 < low < high < most_deg:
+                expected = f"[low, high] in degrees, 0 < low < high < {most_deg:g}"
                 raise InputError(f"{self.name}.fov_range_deg", [low, high], expected)
             is_reached = low <= self.horizontal_fov_deg <= high
             expected = f"{low:g} .. {high:g} degrees, its fov_range_deg"
             check("horizontal_fov_deg", is_reached, expected)
 
     @property
+    def has_lens(self) -> bool:
+        """True if a lens without any distortion would show another field of view."""
+        return self.lens not in (None, BrownConrady(), TsaiRadial(kappa=0.0))
+
+    @property
+    def is_pinhole(self) -> bool:
+        """True if it is an ideal one, with square pixels and its axis level in the middle."""
+        is_plain = self.principal_point in (None, (0.5, 0.5)) and self.pixel_aspect in (None, 1.0)
+        return is_plain and not self.roll_deg and not self.has_lens
+
+    @property
     def focal_length_px(self) -> float:
-        """Focal length in pixels."""
+        """Focal length in pixels, in columns."""
+        if self.has_lens and self.lens is not None:
+            half_rad = math.radians(0.5 * self.horizontal_fov_deg)
+            return 0.5 * self.width_px / self.lens.shown_at(half_rad)
         return 0.5 * self.width_px / math.tan(math.radians(0.5 * self.horizontal_fov_deg))
+
+    @property
+    def middle_px(self) -> tuple[float, float]:
+        """Principal point: column and row; the first pixel's middle is at 0.5, 0.5."""
+        x, y = self.principal_point or (0.5, 0.5)
+        return x * self.width_px, y * self.height_px
 
     @property
     def vertical_fov_deg(self) -> float:
         """Full angle across the height, in degrees."""
+        if not self.is_pinhole:
+            rays = picture_rays(self.middle_px[0], [0.0, float(self.height_px)], self)
+            return float(np.degrees(_angles_rad(rays, self).sum()))
         return math.degrees(2.0 * math.atan(0.5 * self.height_px / self.focal_length_px))
 
     @property
     def diagonal_fov_deg(self) -> float:
         """Full angle across the diagonal, in degrees: the image lies within this cone."""
+        if not self.is_pinhole:
+            return _widest_fov_deg(self)
         half_diagonal_px = 0.5 * math.hypot(self.width_px, self.height_px)
         return math.degrees(2.0 * math.atan(half_diagonal_px / self.focal_length_px))
 
@@ -86,12 +141,85 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     return replace(camera, horizontal_fov_deg=float(fov_deg))
 
 
+class _Assumed(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    frame_rate_hz: float
+    near_m: float
+    price_eur: float
+
+
+def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
+    """Sensor and pose of a calibrated camera; ``data/calibrated.toml`` has what its file does not.
+
+    Raises InputError: half a width from its principal point the lens shows nothing.
+    """
+    name_of_file = "calibrated.toml"
+    table = load_toml(files(__package__) / "data" / name_of_file)
+    assumed = read_table(table, _Assumed, name_of_file)
+    right, _, ahead = camera.R_camera_world
+    yaw_deg, pitch_deg = np.degrees(
+        [np.arctan2(ahead[1], ahead[0]), np.arcsin(ahead[2].clip(-1, 1))]
+    )
+    level = camera_rotation(yaw_deg, pitch_deg)
+    half_rad = camera.lens.angle_of(0.5 * camera.width_px / camera.fx_px)
+    if not half_rad > 0.0:
+        got = Unquoted("a lens that folds the picture before its edge")
+        raise InputError(f"{name}: distortion", got, "one that shows half a width from its middle")
+    model = CameraModel(
+        name=name,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        horizontal_fov_deg=math.degrees(2.0 * half_rad),
+        lens=camera.lens,
+        principal_point=(
+            (camera.cx_px + 0.5) / camera.width_px,
+            (camera.cy_px + 0.5) / camera.height_px,
+        ),
+        pixel_aspect=camera.fy_px / camera.fx_px,
+        roll_deg=math.degrees(math.atan2(right @ level[:, 1], right @ level[:, 0])),
+        frame_rate_hz=assumed.frame_rate_hz,
+        near_m=assumed.near_m,
+        price_eur=assumed.price_eur,
+    )
+    return model, Pose(
+        position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg)
+    )
+
+
+def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
+    """Columns and rows (n, 2) of points (n, 2) at depth 1 in the picture's axes, through the lens.
+
+    Beyond what is shown they lie straight on, as seen from the principal point: so boxes around
+    bodies grow with them. :func:`is_shown` tells which these are.
+    """
+    lens = camera.lens or BrownConrady()
+    points = at_depth_1 @ roll_axes(camera)
+    radius = np.hypot(points[:, 0], points[:, 1])
+    with np.errstate(invalid="ignore"):
+        beyond = np.maximum(1.0, radius / (_reach(camera) * (1.0 - 1.0e-12)))[:, None]
+        shown = lens.distort(points / beyond) * beyond
+    scale = camera.focal_length_px * np.array([1.0, camera.pixel_aspect or 1.0])
+    return np.asarray(shown * scale + camera.middle_px)
+
+
+def is_shown(at_depth_1: FloatArray, camera: CameraModel) -> BoolArray:
+    """True of points (n, 2) at depth 1 that a lens shows, if the picture is large enough."""
+    return np.asarray(np.hypot(at_depth_1[:, 0], at_depth_1[:, 1]) <= _reach(camera))
+
+
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
-    """Columns and rows [px] and depths [m] of points (n, 3) in an image; NaN behind the camera."""
+    """Columns and rows [px] and depths [m] of points (n, 3) in an image; NaN behind the camera.
+
+    And where a lens shows nothing.
+    """
     offsets = np.asarray(points_m, dtype=np.float64) - pose.position_m
     in_camera = offsets @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
     depth = in_camera[:, 2]
     safe = np.where(depth > 0.0, depth, np.nan)
+    if not camera.is_pinhole:
+        at_depth_1 = in_camera[:, :2] / safe[:, None]
+        shown = shown_points(at_depth_1, camera)
+        shown[~is_shown(at_depth_1, camera)] = np.nan
+        return np.column_stack([shown, depth])
     return np.stack(
         [
             0.5 * camera.width_px + camera.focal_length_px * in_camera[:, 0] / safe,
@@ -102,21 +230,88 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
     )
 
 
+def picture_rays(columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel) -> FloatArray:
+    """Points (n, 2) at depth 1, right and down, that points of a picture show; NaN: none.
+
+    The inverse of :func:`shown_points`.
+    """
+    lens = camera.lens or BrownConrady()
+    scale = camera.focal_length_px * np.array([1.0, camera.pixel_aspect or 1.0])
+    shown = (np.stack(np.broadcast_arrays(columns_px, rows_px), axis=-1) - camera.middle_px) / scale
+    rays = lens.undistort(shown) @ roll_axes(camera).T
+    rays[~is_shown(rays, camera)] = np.nan
+    return rays
+
+
 def pixel_rays(
     columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
 ) -> FloatArray:
     """Directions (n, 3) through pixels' centres, world frame; 1 along the optical axis."""
     columns = np.asarray(columns_px, dtype=np.float64) + 0.5
     rows = np.asarray(rows_px, dtype=np.float64) + 0.5
-    in_camera = np.stack(
-        [
-            (columns - 0.5 * camera.width_px) / camera.focal_length_px,
-            (rows - 0.5 * camera.height_px) / camera.focal_length_px,
-            np.ones_like(columns),
-        ],
-        axis=1,
-    )
+    if camera.is_pinhole:
+        across = (columns - 0.5 * camera.width_px) / camera.focal_length_px
+        down = (rows - 0.5 * camera.height_px) / camera.focal_length_px
+    else:
+        across, down = picture_rays(columns, rows, camera).T
+    in_camera = np.stack([across, down, np.ones_like(columns)], axis=1)
     return in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
+
+
+@lru_cache(maxsize=4)  # 33 MB each at 1080 rows
+def pixel_grid(camera: CameraModel) -> FloatArray:
+    """Points (height, width, 2) at depth 1 that the middles of all pixels show; NaN: none."""
+    rows, columns = np.indices((camera.height_px, camera.width_px)).reshape(2, -1) + 0.5
+    rays = picture_rays(columns, rows, camera)
+    return freeze(rays.reshape(camera.height_px, camera.width_px, 2))
+
+
+def border_rays(camera: CameraModel) -> FloatArray:
+    """Points (n, 2) at depth 1 along the picture's edge, clockwise; NaN where there is none."""
+    steps = np.linspace(0.0, 1.0, _N_BORDER, endpoint=False)
+    x = np.concatenate([steps, np.ones(_N_BORDER), 1.0 - steps, np.zeros(_N_BORDER)])
+    return picture_rays(x * camera.width_px, np.roll(x, _N_BORDER) * camera.height_px, camera)
+
+
+@lru_cache(maxsize=64)
+def _widest_fov_deg(camera: CameraModel) -> float:
+    return float(np.degrees(2.0 * _angles_rad(border_rays(camera), camera).max()))
+
+
+@lru_cache(maxsize=64)
+def sharpest_px_per_rad(camera: CameraModel) -> float:
+    """Most pixels that an angle of one radian takes up anywhere in the picture of a lens."""
+    x, y = np.meshgrid(
+        *(np.linspace(0.0, side, _N_BORDER) for side in (camera.width_px, camera.height_px))
+    )
+    ways = []
+    for column, row in ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5)):
+        inwards = np.where(x < camera.middle_px[0], column, -column)
+        down = np.where(y < camera.middle_px[1], row, -row)
+        rays = picture_rays((x + inwards).ravel(), (y + down).ravel(), camera)
+        way = np.column_stack([rays, np.ones(len(rays))])
+        ways.append(way / np.linalg.norm(way, axis=1, keepdims=True))
+    turns = np.stack([ways[1] - ways[0], ways[2] - ways[0]], axis=2) / 0.5
+    turns = turns[np.isfinite(turns).all(axis=(1, 2))]
+    return float(_MARGIN / np.linalg.svd(turns, compute_uv=False)[:, 1].min())
+
+
+def roll_axes(camera: CameraModel) -> FloatArray:
+    """Points (n, 2) in the axes of a level camera times this, (2, 2), are in the picture's."""
+    roll_rad = math.radians(camera.roll_deg or 0.0)
+    cos, sin = math.cos(roll_rad), math.sin(roll_rad)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def _reach(camera: CameraModel) -> float:
+    reach = math.inf if camera.lens is None else camera.lens.reach
+    return min(reach, math.tan(SEEN_RAD))
+
+
+def _angles_rad(rays: FloatArray, camera: CameraModel) -> FloatArray:
+    """Angles (n,) of rays off the axis; where there is none, the most that is shown."""
+    angle = np.arctan(np.hypot(rays[:, 0], rays[:, 1]))
+    return np.where(np.isnan(angle), math.atan(_reach(camera)), angle)
 
 
 # ---------- largest values of sensors and sites

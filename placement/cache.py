@@ -61,6 +61,8 @@ class Fingerprints:
             for field in fields(value):  # type: ignore[arg-type]
                 digest.update(field.name.encode() + self._digest(getattr(value, field.name)))
             self._known[id(value)] = (value, digest.digest())
+        elif isinstance(value, msgspec.Struct):
+            digest.update(self._digest(msgspec.structs.asdict(value)))
         elif isinstance(value, Mapping):
             for key, item in value.items():
                 digest.update(self._digest(key) + self._digest(item))
@@ -305,7 +307,7 @@ _PLAIN = (bool, int, float, str, NoneType)
 
 
 def to_bytes(value: object) -> bytes:
-    """A value of dataclasses, tuples, arrays, numbers and text as bytes; TypeError for another."""
+    """A value of dataclasses, Structs, tuples, arrays, numbers, text as bytes; else TypeError."""
     writer = _Writer()
     root = writer.plain(value)
     return msgspec.msgpack.encode((writer.objects, writer.arrays, root))
@@ -354,9 +356,9 @@ class _Writer:
         return len(self.arrays) - 1
 
     def _add_object(self, value: Any) -> int:
-        if not is_dataclass(value):
+        if not isinstance(value, msgspec.Struct) and not is_dataclass(value):
             raise TypeError(f"a value that cannot be cached: {value!r}")
-        parts = [self.plain(getattr(value, one.name)) for one in fields(value) if one.init]
+        parts = [self.plain(getattr(value, name)) for name, _ in _fields(value.__class__)]
         self.objects.append((type(value).__name__, parts))
         return len(self.objects) - 1
 
@@ -402,14 +404,14 @@ class _Reader:
     def _object(self, place: int, hint: type) -> Any:
         if place not in self._made:
             name, parts = self._objects[place]
-            kind: Any = hint if is_dataclass(hint) else self._classes[name]
+            kind: Any = hint if _has_fields(hint) else self._classes[name]
             values = zip(parts, _fields(kind), strict=True)
             found = kind(**{field: self.value(part, of) for part, (field, of) in values})
             if kind.__name__ != name:
                 raise ValueError(f"its content is of another kind: {name}")
             self._made[place] = found
         found = self._made[place]
-        if is_dataclass(hint) and type(found) is not hint:
+        if _has_fields(hint) and type(found) is not hint:
             raise ValueError(f"its content is of another kind: {type(found).__name__}")
         return found
 
@@ -421,8 +423,14 @@ def _array(dtype: str, shape: list[int], is_writeable: bool, content: bytes) -> 
     return array.copy() if is_writeable else array
 
 
+def _has_fields(kind: type) -> bool:
+    return is_dataclass(kind) or issubclass(kind, msgspec.Struct)
+
+
 @cache
 def _fields(kind: type) -> tuple[tuple[str, Any], ...]:
-    """Names and type hints of the fields with which a dataclass is made."""
+    """Names and type hints of the fields with which a dataclass or Struct is made."""
     hints = get_type_hints(kind)
-    return tuple((one.name, hints[one.name]) for one in fields(kind) if one.init)
+    if issubclass(kind, msgspec.Struct):
+        return tuple((name, hints[name]) for name in kind.__struct_fields__)
+    return tuple((one.name, hints[one.name]) for one in fields(kind) if one.init)  # type: ignore[arg-type]

@@ -108,7 +108,11 @@ class GroundSurvey:
             mount_m = unit.pose.position_m - self._origin_m
             points_m = self._points_m[shown] - self._origin_m
             is_open = is_in_sight(self._caster, mount_m, points_m, near_m=camera.near_m)
-            found[shown] = is_open * (camera.focal_length_px / depth_m[shown])
+            if camera.is_pinhole:
+                finest = camera.focal_length_px / depth_m[shown]
+            else:
+                finest = _lens_density(self._points_m[shown], unit)
+            found[shown] = is_open * finest
         return found.reshape(self.is_road.shape)
 
 
@@ -116,7 +120,8 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
     """How finely cameras see the ground around a junction, where nothing drives or parks.
 
     Cells of a square metre, up to 45 m around the middle, one metre above the road. Pixels per
-    metre across the line of sight are focal length over depth. LiDARs take no pictures.
+    metre across the line of sight are focal length over depth; through a lens they are what it
+    shows of ten centimetres. LiDARs take no pictures.
     """
     survey = GroundSurvey(scene)
     density = np.zeros(survey.is_road.shape)
@@ -130,7 +135,24 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
     )
 
 
+def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
+    """Pixels per metre across the line of sight at points (n, 3); 0 outside of the picture."""
+    assert isinstance(unit.sensor, CameraModel)
+    east, north = (points_m - unit.pose.position_m)[:, :2].T
+    across = np.stack([-north, east, np.zeros_like(east)], axis=1)
+    across *= 0.5 * _ACROSS_M / np.maximum(np.hypot(east, north), 1.0e-6)[:, None]
+    ends = [
+        project_points(points_m + one, unit.pose, unit.sensor)[:, :2] for one in (across, -across)
+    ]
+    density = np.linalg.norm(ends[1] - ends[0], axis=1) / _ACROSS_M
+    is_inside = np.isfinite(_depth_in_picture(points_m, unit)) & np.isfinite(density)
+    return np.where(is_inside, density, 0.0)
+
+
 # ---------- private ground
+
+
+_ACROSS_M = 0.1  # whose pixels are counted
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 
 

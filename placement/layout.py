@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import Point3
+from geometry.calibrations import read_cameras
 from geometry.catalogue import (
     SENSOR_KINDS,
     Sensor,
@@ -35,7 +36,7 @@ from geometry.maps.place_lists import (
 )
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
-from geometry.sensors import CameraModel, with_fov
+from geometry.sensors import CameraModel, calibrated_sensor, with_fov
 from geometry.study_scene import load_study_scene
 from geometry.terrain import ground_height_m
 
@@ -246,17 +247,29 @@ def load_layout(
 ) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
 
-    In a CSV, and in JSON written by hand, units may lie at latitudes and longitudes and look along
-    compass bearings, see :func:`placement.layout.unit_record`: that takes the `scene`. `sensors`
-    are models in addition to the catalogue's. Raises InputError if the file cannot be read, is of
-    another version, or a field is wrong.
+    Or from calibrations of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV,
+    and in JSON written by hand, units may lie at latitudes and longitudes and look along compass
+    bearings, see :func:`placement.layout.unit_record`: that takes the `scene`. `sensors` are models
+    in addition to the catalogue's. Raises InputError if the file cannot be read, is of another
+    version, or a field is wrong.
     """
     path = Path(path)
+    if path.suffix.lower() in (".yaml", ".yml", ".xml"):
+        return _from_calibrations(path)
     if path.suffix.lower() == ".csv":
         rows = read_layout_rows(path)
         return _from_list(path.stem, rows, str(path), scene, sensors or {})
     text = read_text(path, "JSON")
     return read_layout(text, where=str(path), name=path.stem, scene=scene, sensors=sensors)
+
+
+def _from_calibrations(path: Path) -> Layout:
+    """Layout of the cameras of a calibration, with their lenses, at no known site."""
+    units = []
+    for name, camera in read_cameras(path).items():
+        sensor, pose = calibrated_sensor(name, camera)
+        units.append(CandidatePose(id=name, site_id="", pose=pose, sensor=sensor))
+    return Layout(name=path.stem, units=tuple(units))
 
 
 def _from_list(

@@ -776,7 +776,7 @@ _FILE_STORAGE = (
 
 
 def _read_calibration(path: Path) -> Any:
-    from placement.recordings.calibrations import read_cameras, read_opencv_camera
+    from geometry.calibrations import read_cameras, read_opencv_camera
 
     if path.name == "intrinsic.xml":
         read_opencv_camera(path, path.with_name("extrinsic.xml"), width_px=1242, height_px=375)
@@ -1130,10 +1130,10 @@ READERS: Mapping[str, Reader] = {
         read=_read_calibration,
         seeds=_calibrations,
         covers=(
-            "placement.recordings.calibrations.read_cameras",
-            "placement.recordings.calibrations.read_tsai",
-            "placement.recordings.calibrations.read_kitti_camera",
-            "placement.recordings.calibrations.read_opencv_camera",
+            "geometry.calibrations.read_cameras",
+            "geometry.calibrations.read_tsai",
+            "geometry.calibrations.read_kitti_camera",
+            "geometry.calibrations.read_opencv_camera",
         ),
         share=2,
     ),

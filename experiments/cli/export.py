@@ -141,7 +141,7 @@ def export(
 
 def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> str:
     """Cameras of a calibration in another format."""
-    from placement.recordings.calibrations import read_cameras
+    from geometry.calibrations import read_cameras
 
     from ..export.calibration import of_calibrated
     from ..export.opencv import opencv_text

@@ -12,7 +12,7 @@ from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, Lens
 from geometry.notes import assumed_sites
 from geometry.poses import Pose, body_rotation, camera_rotation
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
+from geometry.sensors import CameraModel, roll_axes
 from placement.layout import Layout
 
 N_DISTORTION = 5
@@ -85,8 +85,9 @@ def calibrations(layout: Layout, format_name: str) -> list[Calibration]:
             width_px=unit.sensor.width_px,
             height_px=unit.sensor.height_px,
             camera_matrix=camera_matrix(unit.sensor),
-            world_to_camera=camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg).T,
+            world_to_camera=_camera_axes(unit.pose, unit.sensor).T,
             position_m=unit.pose.position_m,
+            lens=unit.sensor.lens or BrownConrady(),
         )
         for unit in layout.units
         if isinstance(unit.sensor, CameraModel)
@@ -117,8 +118,28 @@ def camera_matrix(camera: CameraModel) -> FloatArray:
     the principal point is half a pixel farther there.
     """
     focal_px = camera.focal_length_px
+    if not camera.is_pinhole:
+        x_px, y_px = camera.middle_px
+        aspect = camera.pixel_aspect or 1.0
+        return _matrix(focal_px, focal_px * aspect, x_px - 0.5, y_px - 0.5)
     middle_px = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
     return _matrix(focal_px, focal_px, *middle_px)
+
+
+def _camera_axes(pose: Pose, camera: CameraModel) -> FloatArray:
+    """Rotation from a camera's frame to the world, with its roll."""
+    rotation = camera_rotation(pose.yaw_deg, pose.pitch_deg)
+    if not camera.roll_deg:
+        return rotation
+    return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
+
+
+def refuse_lenses(layout: Layout, format_name: str) -> None:
+    """Raise InputError if a camera of a layout is no pinhole: the format has no other."""
+    for unit in layout.units:
+        if isinstance(unit.sensor, CameraModel) and not unit.sensor.is_pinhole:
+            got = Unquoted(f"{unit.id}, whose lens, principal point or roll it cannot carry")
+            raise InputError(format_name, got, "ideal pinholes; opencv and ros have lenses")
 
 
 def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:
@@ -126,8 +147,9 @@ def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:
 
     A camera's is x right, y down, z ahead; a LiDAR's x ahead, y left, z up.
     """
-    rotation = camera_rotation if isinstance(sensor, CameraModel) else body_rotation
-    return quaternion(rotation(pose.yaw_deg, pose.pitch_deg))
+    if isinstance(sensor, CameraModel):
+        return quaternion(_camera_axes(pose, sensor))
+    return quaternion(body_rotation(pose.yaw_deg, pose.pitch_deg))
 
 
 def plain(values: FloatArray) -> list[float]:

@@ -12,6 +12,7 @@ from geometry.terrain import terrain_of
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
+from .calibration import refuse_lenses
 from .formats import ExportFormat
 from .json import to_json_text
 from .places import metric_points
@@ -23,7 +24,9 @@ def to_carla(layout: Layout, scene: Scene | None = None) -> str:
     Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes them)
     and the transform, and "assumed" where the site is. CARLA's left-handed frame, metres, degrees,
     from the zero of the map that the scene was made from, if it is in metres.
+    Raises InputError for lenses that distort: CARLA's own parameters are of another kind.
     """
+    refuse_lenses(layout, "carla")
     doubts = {} if scene is None else assumed_sites(scene.notes)
     return to_json_text(
         [

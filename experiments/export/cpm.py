@@ -1,5 +1,6 @@
 """Layouts as collective perception messages (CPM): sensors, and what they detect in a run."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,7 @@ from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.frames import parse_crs, to_carla_yaw
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
+from geometry.sensors import SEEN_RAD, CameraModel
 from geometry.terrain import on_ground, terrain_of
 from placement.candidates import CandidatePose, is_ring
 from placement.detectors import load_detector
@@ -269,6 +270,8 @@ def _radial_shape(
         sensor.focal_length_px * adult_px_m if isinstance(sensor, CameraModel) else sensor.range_m
     )
     half_deg = 0.5 * sensor.horizontal_fov_deg
+    if isinstance(sensor, CameraModel) and not sensor.is_pinhole:
+        half_deg = min(half_deg, math.degrees(SEEN_RAD))
     half_vertical_deg = 0.5 * sensor.vertical_fov_deg
     lowest_deg = highest_deg = unit.pose.pitch_deg
     is_old = release == RELEASES[0]  # V2.2.1 turned the angles' zero and sense

@@ -18,7 +18,7 @@ from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
-from .calibration import Calibration, calibrations, plain, sensor_quaternion
+from .calibration import Calibration, calibrations, lens_coefficients, plain, sensor_quaternion
 from .formats import ExportFormat
 from .watched import WatchedRun
 
@@ -30,6 +30,7 @@ _COLOURS = {
     "vru": (0.9, 0.5, 0.1, 0.9), "seen": (0.1, 0.8, 0.2, 1.0), "other": (0.6, 0.6, 0.65, 1.0),
 }  # fmt: skip
 _FRUSTUM_M = 4.0  # how far ahead its far side is drawn
+_WIDEST_DEG = 150.0  # of what is drawn: the sides of wider ones would be kilometres away
 _NANO = 1_000_000_000
 
 
@@ -126,9 +127,7 @@ def _units(m: Any, units: Sequence[CandidatePose]) -> Iterator[Any]:
             ball = m.SpherePrimitive(pose=_pose(m, position_m), size=size, color=_colour(m, "unit"))
             yield _entity(m, unit.id, spheres=[ball], texts=[label])
             continue
-        half = 0.5 * np.array([unit.sensor.width_px, unit.sensor.height_px])
-        x_m, y_m = _FRUSTUM_M * half / unit.sensor.focal_length_px
-        corners = [[x * x_m, y * y_m, _FRUSTUM_M] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        corners = _corners(unit.sensor)
         frustum = m.LinePrimitive(
             type=m.LinePrimitiveLineType.LineList,
             pose=_pose(m, position_m, sensor_quaternion(unit.pose, unit.sensor)),
@@ -138,6 +137,16 @@ def _units(m: Any, units: Sequence[CandidatePose]) -> Iterator[Any]:
             color=_colour(m, "unit"),
         )
         yield _entity(m, unit.id, lines=[frustum], texts=[label])
+
+
+def _corners(camera: CameraModel) -> list[list[float]]:
+    """Corners of a pinhole's picture; of the angles that a lens shows across and up."""
+    half = 0.5 * np.array([camera.width_px, camera.height_px])
+    x_m, y_m = _FRUSTUM_M * half / camera.focal_length_px
+    if not camera.is_pinhole:
+        fovs_deg = np.minimum([camera.horizontal_fov_deg, camera.vertical_fov_deg], _WIDEST_DEG)
+        x_m, y_m = _FRUSTUM_M * np.tan(np.radians(0.5 * fovs_deg))
+    return [[x * x_m, y * y_m, _FRUSTUM_M] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
 
 
 def _vector(m: Any, values: Any) -> Any:
@@ -155,13 +164,14 @@ def _pose(m: Any, position_m: Any, quaternion: Sequence[float] = (0.0, 0.0, 0.0,
 
 
 def _calibration(m: Any, camera: Calibration) -> Any:
+    is_fisheye, terms = lens_coefficients(camera)
     return m.CameraCalibration(
         timestamp=m.Timestamp(0),
         frame_id=camera.id,
         width=camera.width_px,
         height=camera.height_px,
-        distortion_model="plumb_bob",
-        D=[0.0] * 5,
+        distortion_model="kannala_brandt" if is_fisheye else "plumb_bob",
+        D=plain(terms),
         K=plain(camera.camera_matrix),
         R=plain(np.eye(3)),
         P=plain(np.column_stack([camera.camera_matrix, np.zeros(3)])),

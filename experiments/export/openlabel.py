@@ -4,6 +4,8 @@ from dataclasses import asdict
 
 import numpy as np
 
+from geometry.errors import InputError, Unquoted
+from geometry.lenses import BrownConrady
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose
 from placement.layout import Layout
@@ -63,6 +65,12 @@ def _stream(unit: CandidatePose) -> dict[str, object]:
         kind = "camera"
         projection = plain(np.column_stack([camera_matrix(sensor), np.zeros(3)]))
         distortion = [0.0] * N_DISTORTION
+        if isinstance(sensor.lens, BrownConrady):
+            lens = sensor.lens
+            distortion = [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]
+        elif sensor.lens is not None:
+            got = Unquoted(f"{unit.id}, whose lens is of another kind")
+            raise InputError("openlabel", got, "pinholes, or lenses of Brown and Conrady")
         properties = {
             "intrinsics_pinhole": {
                 "width_px": sensor.width_px,

@@ -12,6 +12,7 @@ from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from placement.layout import Layout
 
+from .calibration import refuse_lenses
 from .formats import ExportFormat
 
 _APERTURE_MM = 36.0  # only its ratio to the focal length counts
@@ -27,8 +28,9 @@ def to_usd(layout: Layout, scene: Scene) -> str:
     /World/Units a Camera per unit - focal length and apertures in tenths of a unit of the stage, so
     that fields of view are ours -, of LiDARs a frame (Xform: x ahead, y left, z up). Ids that USD
     allows no names are in the attribute "placeRsus:id". Not in it: materials, road users. Raises
-    MissingExtraError if usd-core is not installed.
+    MissingExtraError if usd-core is not installed, and InputError for lenses that distort.
     """
+    refuse_lenses(layout, "usd")
     try:
         usd, geom, gf, sdf = (
             importlib.import_module(f"pxr.{name}") for name in ("Usd", "UsdGeom", "Gf", "Sdf")

@@ -21,6 +21,7 @@ from geometry.lidar import LidarModel
 from geometry.notes import assumed_sites
 from geometry.poses import camera_rotation
 from geometry.scene import Lane, Scene, thing_footprint
+from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, above_ground, is_in_view, is_ring
 from placement.layout import Layout
 from placement.setting import Setting
@@ -134,11 +135,14 @@ def ground_footprint(
     """Footprint of a unit's image on the road plane, if nothing stood on it.
 
     A convex polygon, (n, 2), counter-clockwise, up to `max_range_m` from the foot of the camera and
-    up to `max_depth_m` along its axis; empty if it sees no ground there. Of a LiDAR that opens half
+    up to `max_depth_m` along its axis; empty if it sees no ground there. Through a lens it need not
+    be convex, and both limits are of the distance from the foot. Of a LiDAR that opens half
     a turn or more it is the outer one of :func:`.sensors.ground_rings`. World frame. [m]
     """
     if is_wide(unit):
         return ground_rings(unit, max_range_m=max_range_m)[0]
+    if isinstance(unit.sensor, CameraModel) and not unit.sensor.is_pinhole:
+        return _lens_footprint(unit, max_range_m=min(max_range_m, max_depth_m))
     position = unit.pose.position_m
     angles = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
     corners = position[:2] + max_range_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -157,6 +161,22 @@ def ground_footprint(
         inside = (corners - position[:2]) @ normal[:2] - position[2] * normal[2]
         corners = _clip(corners, inside)
     return corners
+
+
+def _lens_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
+    """Ground between the nearest and the farthest point that a lens shows, bearing by bearing."""
+    away_m = np.arange(0.25, max_range_m + 0.25, 0.25)
+    bearing = np.radians(unit.pose.yaw_deg + np.arange(-180.0, 180.0))
+    ways = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    ground = unit.pose.position_m[:2] + away_m[None, :, None] * ways[:, None]
+    points = np.concatenate([ground, np.zeros((*ground.shape[:2], 1))], axis=2)
+    is_seen = is_in_view(unit, points.reshape(-1, 3)).reshape(ground.shape[:2])
+    rows = np.flatnonzero(is_seen.any(axis=1))
+    near, far = (
+        is_seen.argmax(axis=1)[rows],
+        is_seen.shape[1] - 1 - is_seen[:, ::-1].argmax(axis=1)[rows],
+    )
+    return np.concatenate([ground[rows, far], ground[rows, near][::-1]])
 
 
 def plot_plan(

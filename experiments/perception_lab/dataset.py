@@ -42,7 +42,7 @@ from placement.recordings.files import read_labels
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
-from ..export.calibration import calibrations, camera_matrix
+from ..export.calibration import calibrations, camera_matrix, refuse_lenses
 from ..progress import StageProgress
 from ..results.record import Record
 from .drawing import DEPTHS, DRAW, MASKS, DatasetWish, DrawTask, Viewer, draw_all
@@ -218,6 +218,7 @@ def _build_record(
     setting: Setting, layout: Layout, viewers: Sequence[Viewer], wish: DatasetWish, seed: int
 ) -> DatasetRecord:
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
+    refuse_lenses(layout, "dataset")  # its records have no place for them
     by_id = {found.id: found for found in calibrations(layout, "dataset")} if cameras else {}
     units = [
         DatasetUnit(

@@ -25,6 +25,7 @@ from geometry.sensors import CameraModel
 from geometry.weather import Weather
 
 from ..detectors import VRU_CLASSES, Evidence, aspects_deg
+from .lens_pixels import see_through_lens
 from .pixels import Image, Placed, Sights, blank_sights, see
 from .surroundings import (
     Solid,
@@ -158,28 +159,29 @@ def _perceive(
     )
     distance_m = np.empty(n_frames)
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
-        body = surroundings.vrus[vru_index]
-        standing, parked = surroundings.statics[static_index].meshes
+        body, static_solid = surroundings.vrus[vru_index], surroundings.statics[static_index]
         frames = slice(start[sights.start], start[sights.stop])
         driving = slice(vehicle_start[frames.start], vehicle_start[frames.stop])
-        see(
-            image,
-            min_height_px,
-            body.meshes[0].skin,
-            body.hull_m,
-            standing.tree,
-            parked.tree,
-            surroundings.vehicle_trees,
-            Sights(
-                vru=vru.take(sights),
-                static=static.take(sights),
-                frame_start=start[sights.start : sights.stop + 1] - start[sights.start],
-                vehicles=vehicles.take(driving),
-                vehicle_kind=vehicle_kind[driving],
-                vehicle_start=vehicle_start[frames.start : frames.stop + 1] - driving.start,
-            ),
-            seen.take(sights, frames),
+        placed = Sights(
+            vru=vru.take(sights),
+            static=static.take(sights),
+            frame_start=start[sights.start : sights.stop + 1] - start[sights.start],
+            vehicles=vehicles.take(driving),
+            vehicle_kind=vehicle_kind[driving],
+            vehicle_start=vehicle_start[frames.start : frames.stop + 1] - driving.start,
         )
+        if camera.is_pinhole:
+            standing, parked = static_solid.meshes
+            see(
+                *(image, min_height_px, body.meshes[0].skin, body.hull_m),
+                *(standing.tree, parked.tree, surroundings.vehicle_trees),
+                *(placed, seen.take(sights, frames)),
+            )
+        else:
+            see_through_lens(
+                *(camera, min_height_px, body, static_solid, surroundings.vehicles),
+                *(placed, seen.take(sights, frames)),
+            )
         of_kind = order[frames]
         distance_m[of_kind] = _distances_m(pose, station.vru_poses[of_kind], body.hull_m)
     sight = station.sight_of_frame

@@ -155,7 +155,7 @@ def add_glare(
         lamps, project_points(places, pose, camera), away, blocked, strict=True
     ):
         column, row, depth = place.tolist()
-        if is_hidden or not depth > camera.near_m:
+        if is_hidden or not depth > camera.near_m or math.isnan(column):  # or beyond a lens's reach
             continue
         distance = float(np.linalg.norm(way))
         intensity = float(lamp.intensity_cd(-way[:, None] / np.float32(distance))[0])

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from geometry.actors import PlacedActor
-from geometry.arrays import IntArray
+from geometry.arrays import FloatArray, IntArray
 from geometry.files import take_number
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
+from geometry.sensors import CameraModel, picture_rays, pixel_grid
 from geometry.weather import Weather
 from scenarios.runs import Run
 
@@ -143,7 +143,33 @@ def blank_surfaces(*size: int) -> Surfaces:
 
 
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
-    """Shades and surfaces of rays (n, 3) from the camera, one metre deep, in the world's axes."""
+    """Shades and surfaces of rays (n, 3) from the camera, one metre deep, in the world's axes.
+
+    Where a lens shows nothing rays are zeros, and it is dark.
+    """
+    lit = np.flatnonzero(ways.any(axis=1)) if not shot.camera.is_pinhole else np.arange(0)
+    if not shot.camera.is_pinhole and len(lit) < len(ways):
+        return _among_dark(lit, len(ways), *_shade_lit(shot, ways[lit]))
+    return _shade_lit(shot, ways)
+
+
+def _among_dark(
+    lit: IntArray, n: int, shades: Shades, surfaces: Surfaces
+) -> tuple[Shades, Surfaces]:
+    """Shades and surfaces of `n` rays, of which those that are `lit` have some."""
+    dark = Shades(
+        np.zeros((n, 3), dtype=np.float32),
+        np.full(n, -1, dtype=np.int32),
+        np.full(n, np.inf, dtype=np.float32),
+    )
+    blank = blank_surfaces(n)
+    for whole, part in zip((*dark, *blank), (*shades, *surfaces), strict=True):
+        whole[lit] = part
+    return dark, blank
+
+
+def _shade_lit(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
+    """Shades and surfaces of rays (n, 3), of which none is zero."""
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
     near = np.float32(camera.near_m) / length  # rays start where drawing starts
@@ -175,12 +201,21 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
 def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
     """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
     right, ahead = ray_parts(shot, rows, columns)
+    if ahead.ndim == 3:
+        return ahead.reshape(-1, 3)
     return (ahead[:, None] + right).reshape(-1, 3)
 
 
 def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, FloatRays]:
-    """Parts (n, 3) by column and by row whose sums are the rays of a tile's pixels."""
+    """Parts (n, 3) by column and by row whose sums are the rays of a tile's pixels.
+
+    Through a lens they are no such sums: the second is (h, w, 3), the rays; the first is empty.
+    """
     camera = shot.camera
+    if not camera.is_pinhole:
+        at_depth_1 = pixel_grid(camera)[rows, columns]
+        rays = _lens_rays(shot, at_depth_1.reshape(-1, 2)).reshape(*at_depth_1.shape[:2], 3)
+        return np.empty((0, 3), dtype=np.float32), rays
     focal = camera.focal_length_px
     across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
     down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
@@ -194,12 +229,22 @@ def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, Float
 def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRays:
     """Rays through points of the image, one metre deep, (n, 3)."""
     camera = shot.camera
+    if not camera.is_pinhole:
+        return _lens_rays(shot, picture_rays(columns_px, rows_px, camera))
     in_camera = np.empty((len(columns_px), 3), dtype=np.float32)
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
     in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
     in_camera[:, 2] = 1.0
     rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
     return in_camera @ rotation.T.astype(np.float32)
+
+
+def _lens_rays(shot: Shot, at_depth_1: FloatArray) -> FloatRays:
+    """Rays (n, 3) of points (n, 2) at depth 1; zeros where a lens shows nothing."""
+    in_camera = np.column_stack([at_depth_1, np.ones(len(at_depth_1))])
+    in_camera[np.isnan(at_depth_1).any(axis=1)] = 0.0
+    rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
+    return np.asarray((in_camera @ rotation.T).astype(np.float32))
 
 
 def _find_hits(

@@ -22,6 +22,7 @@ from geometry.lidar import LidarModel
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.sensors import CameraModel
+from geometry.sensors import pixel_rays as look_through
 from geometry.weather import Weather
 from scenarios.runs import Run
 
@@ -200,6 +201,8 @@ def add_moving(
 
     def rays(part: IntArray) -> FloatRays:
         rows, columns = np.divmod(part, window.width)
+        if ahead.ndim == 3:
+            return ahead[rows, columns]
         return ahead[rows] + right[columns]
 
     def shade(part: IntArray) -> None:
@@ -417,13 +420,18 @@ def silhouette(
 ) -> BoolArray:
     """Pixels (h, w) of a window that the VRU covers where nothing hides it."""
     vru = place_mesh(build_moving_meshes(run, frame_index, with_vut=False)[-1], pose.position_m)
-    right, down, ahead = camera_rotation(pose.yaw_deg, pose.pitch_deg).T.astype(np.float32)
-    focal = camera.focal_length_px
-    across = np.arange(window.width) + (window.left + 0.5 - 0.5 * camera.width_px)
-    below = np.arange(window.height) + (window.top + 0.5 - 0.5 * camera.height_px)
-    columns = (across / focal).astype(np.float32)[None, :, None] * right
-    rows = (below / focal).astype(np.float32)[:, None, None] * down
-    ways = np.ascontiguousarray((ahead + rows + columns).reshape(-1, 3))
+    if camera.is_pinhole:
+        right, down, ahead = camera_rotation(pose.yaw_deg, pose.pitch_deg).T.astype(np.float32)
+        focal = camera.focal_length_px
+        across = np.arange(window.width) + (window.left + 0.5 - 0.5 * camera.width_px)
+        below = np.arange(window.height) + (window.top + 0.5 - 0.5 * camera.height_px)
+        columns = (across / focal).astype(np.float32)[None, :, None] * right
+        rows = (below / focal).astype(np.float32)[:, None, None] * down
+        ways = np.ascontiguousarray((ahead + rows + columns).reshape(-1, 3))
+    else:
+        rows_px, columns_px = np.indices((window.height, window.width)).reshape(2, -1)
+        where = columns_px + window.left, rows_px + window.top
+        ways = np.nan_to_num(look_through(*where, pose, camera).astype(np.float32))
     _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
     return (triangle >= 0).reshape(window.height, window.width)
 
@@ -455,6 +463,7 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
         height_px=window.height,
         horizontal_fov_deg=math.degrees(2.0 * half),
         fov_range_deg=None,
+        lens=None,
     )
 
 
@@ -462,14 +471,26 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
 
 
 Point = tuple[float, float, float]  # or a way: in the axes of the world, from the camera
-# Depths in pixels (h, w), and the parts of their rays by column (w, 3) and by row (h, 3).
+# Depths in pixels (h, w), and the parts of their rays by column (w, 3) and by row (h, 3); through a
+# lens nothing, and the rays (h, w, 3).
 View = tuple[FloatRays, FloatRays, FloatRays]
 
 
 @kernel
 def _ray(view: View, row: int, column: int) -> Point:
     """The ray through the middle of a pixel, one metre deep."""
-    _, right, ahead = view
+    return _sum_ray(view[1], view[2], row, column)
+
+
+@kernel
+def _sum_ray(right: FloatRays, ahead: FloatRays, row: int, column: int) -> Point:
+    """As :func:`_ray`; only arguments tell the compiler how many axes they have."""
+    if ahead.ndim == 3:
+        return (
+            float(ahead[row, column, 0]),
+            float(ahead[row, column, 1]),
+            float(ahead[row, column, 2]),
+        )
     return (
         float(ahead[row, 0]) + right[column, 0],
         float(ahead[row, 1]) + right[column, 1],

@@ -12,7 +12,7 @@ from geometry.catalogue import Sensor
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
 from geometry.poses import body_rotation, camera_rotation
-from geometry.sensors import CameraModel
+from geometry.sensors import CameraModel, sharpest_px_per_rad
 
 from ..candidates import CandidatePose
 from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
@@ -20,6 +20,7 @@ from .casting import Sight, World, cast_sight
 
 _MIN_DEPTH_M = 0.01  # points next to or behind the lens are projected far outside the image
 _SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
+_SLACK_M = 1.0e-3  # of a sphere around a body
 _FORESEEN_RAD = 0.06  # by which mounts may be turned from world to world: three times one degree
 _WIDEST_RAD = 1.5  # half of a lens
 _PAIRS = 1 << 21  # of sensors and entries that are looked at together
@@ -92,10 +93,15 @@ class Sensing:
 
     def _boxes(self, candidates: Sequence[CandidatePose]) -> Iterator["_Boxes"]:
         """Boxes in the cameras among the candidates, some of these at a time."""
-        rows = [i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)]
+        cameras = [i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)]
+        is_bent = [_has_lens(candidates[row]) for row in cameras]
         step = max(1, _PAIRS // max(1, len(self.distance_m)))
-        for first in range(0, len(rows), step):
-            yield _box(self, candidates, np.array(rows[first : first + step]))
+        for through_lenses in (False, True):
+            rows = [
+                row for row, bent in zip(cameras, is_bent, strict=True) if bent == through_lenses
+            ]
+            for first in range(0, len(rows), step):
+                yield _box(self, candidates, np.array(rows[first : first + step]), through_lenses)
 
     def _least_height_px(self) -> FloatArray:
         """Height of the box of each entry from which on it is detected, if nothing hides any of it.
@@ -184,9 +190,15 @@ def _may_detect(
             may_detect |= distance <= 2.0 * world.radius_m + candidate.sensor.range_m
         else:
             least_px.setdefault(detector.min_box_height_px, []).append(candidate)
-    for height_px, candidates in least_px.items():
+    for height_px, listed in least_px.items():
         from .point_kernels import find_views
 
+        candidates = [candidate for candidate in listed if not _has_lens(candidate)]
+        for candidate in listed:
+            if _has_lens(candidate):
+                may_detect |= _may_show(world, eye, candidate, height_px, turned_rad)
+        if not candidates:
+            continue
         find_views(
             views.middle_m,
             views.radius_m,
@@ -199,6 +211,26 @@ def _may_detect(
     return may_detect
 
 
+def _may_show(
+    world: World, eye: FloatArray, candidate: CandidatePose, height_px: float, turned_rad: float
+) -> BoolArray:
+    """Views (n_views,) whose body may be so high through a lens, maybe turned a little."""
+    views, camera = world.views, candidate.sensor
+    assert isinstance(camera, CameraModel)
+    offsets = views.middle_m - eye
+    away = np.linalg.norm(offsets, axis=1)
+    spread = np.arcsin(np.minimum(1.0, (views.radius_m + _SLACK_M) / np.maximum(away, 1.0e-6)))
+    half_rad = np.radians(0.5 * camera.diagonal_fov_deg) + spread + turned_rad
+    ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
+    may_show: BoolArray = offsets @ ahead >= (np.cos(np.minimum(half_rad, np.pi)) - _SLACK) * away
+    may_show &= 2.0 * spread * sharpest_px_per_rad(camera) >= height_px * (1.0 - turned_rad)
+    return may_show
+
+
+def _has_lens(candidate: CandidatePose) -> bool:
+    return isinstance(candidate.sensor, CameraModel) and not candidate.sensor.is_pinhole
+
+
 def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
     """Distance from a mount beyond which a sensor detects no VRU, however its lens is set, in m.
 
@@ -208,10 +240,12 @@ def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
     if isinstance(sensor, LidarModel):
         return extent_m + sensor.range_m
     fovs_deg = sensor.fov_range_deg or (sensor.horizontal_fov_deg,)
-    return extent_m + max(
-        max_distance_m(replace(sensor, horizontal_fov_deg=fov), detector, vru_height_m=extent_m)
-        for fov in fovs_deg  # convex in the focal length: the farthest is at either end
-    )
+    cameras = [replace(sensor, horizontal_fov_deg=fov) for fov in fovs_deg]
+    farthest_m = [max_distance_m(one, detector, vru_height_m=extent_m) for one in cameras]
+    if sensor.is_pinhole:
+        return extent_m + max(farthest_m)  # convex in the focal length: it is at either end
+    focal_px = [one.focal_length_px for one in cameras]
+    return float(extent_m + max(np.divide(farthest_m, focal_px)) * max(focal_px))
 
 
 def max_distance_m(
@@ -220,11 +254,13 @@ def max_distance_m(
     """Distance beyond which no VRU is high enough in the image to be detected, in m.
 
     A body of extent h whose nearest point is at distance d from the lens spans at most h / d * f /
-    cos^2(e) pixels, where e is the largest angle off the optical axis. Infinite if the detector
-    takes boxes of any height.
+    cos^2(e) pixels, where e is the largest angle off the optical axis; through a lens h / d times
+    the most pixels that a radian takes up. Infinite if the detector takes boxes of any height.
     """
     if detector.min_box_height_px == 0.0:
         return np.inf
+    if not camera.is_pinhole:
+        return vru_height_m * sharpest_px_per_rad(camera) / detector.min_box_height_px
     stretch = 1.0 / np.cos(np.radians(0.5 * camera.diagonal_fov_deg)) ** 2
     return float(vru_height_m * camera.focal_length_px * stretch / detector.min_box_height_px)
 
@@ -242,24 +278,46 @@ class _Boxes:
     inside_share: FloatArray  # (n,): how much of their boxes is inside the image
 
 
-def _box(sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray) -> _Boxes:
-    """Boxes in some of the candidates, all of them cameras."""
-    from .point_kernels import box_bodies
-
+def _box(
+    sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray, through_lenses: bool
+) -> _Boxes:
+    """Boxes in some of the candidates, all of them cameras, and all with a lens or all without."""
     views, sight = sensing.world.views, sensing.sight
     chosen = [candidates[row] for row in rows.tolist()]
     n = len(chosen) * len(sight.view_index)
     plain, part = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
     plain_px, part_px = np.empty((n, 4), np.float32), np.empty((n, 8), np.float32)
     inside_share = np.empty(n)
-    n_plain, n_part = box_bodies(
-        (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
-        sensing.eye_m.astype(np.float32),
-        (sight.view_index, sight.is_visible, sight.is_whole),
-        (_lenses(chosen), len(chosen)),
-        (np.float32(_MIN_DEPTH_M), sensing.detector.min_box_height_px),
-        (plain, plain_px, part, part_px, inside_share),
-    )
+    seen = (sight.view_index, sight.is_visible, sight.is_whole)
+    found = (plain, plain_px, part, part_px, inside_share)
+    if through_lenses:
+        from .lens_kernels import box_through_lenses, pack_lens
+
+        cameras = [one.sensor for one in chosen if isinstance(one.sensor, CameraModel)]
+        turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen]
+        half_rad = np.radians([0.5 * camera.diagonal_fov_deg for camera in cameras])
+        n_plain, n_part = box_through_lenses(
+            (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
+            sensing.eye_m,
+            seen,
+            (
+                np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)]),
+                np.stack([np.cos(half_rad), np.sin(half_rad)], axis=1),
+            ),
+            (_MIN_DEPTH_M, sensing.detector.min_box_height_px),
+            found,
+        )
+    else:
+        from .point_kernels import box_bodies
+
+        n_plain, n_part = box_bodies(
+            (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
+            sensing.eye_m.astype(np.float32),
+            seen,
+            (_lenses(chosen), len(chosen)),
+            (np.float32(_MIN_DEPTH_M), sensing.detector.min_box_height_px),
+            found,
+        )
     # Copies: what was set aside for the most that there could be is given back.
     return _Boxes(
         plain=np.column_stack([rows[plain[:n_plain, 0]], plain[:n_plain, 1]]),

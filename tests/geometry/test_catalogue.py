@@ -1,3 +1,6 @@
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,9 @@ from geometry.catalogue import (
     read_sensor,
 )
 from geometry.errors import InputError
+from geometry.lenses import BrownConrady
+from geometry.sensors import CameraModel
+from placement.cache import Fingerprints, from_bytes, to_bytes
 
 
 @pytest.mark.parametrize(
@@ -127,6 +133,75 @@ def test_a_lens_that_distorts_is_refused_and_not_passed_over(field, tmp_path):
     with pytest.raises(InputError) as caught:
         load_catalogue(path)
     assert str(caught.value) == (
-        f"{path}: cameras.a.{field}: got 0.1; expected no such field: cameras that are planned are "
-        "ideal pinholes"
+        f"{path}: cameras.a.{field}: got 0.1; expected no such field here, but lens = {{model = "
+        '"brown-conrady", k1 = ..}'
     )
+
+
+LENS = {"model": "fisheye", "k1": -0.02, "k2": 0.003}
+
+
+def test_a_camera_with_a_lens_is_read_and_written_again(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        OWN + 'lens = {model = "brown-conrady", k1 = -0.1, p1 = 0.001}\nroll_deg = 2.0\n'
+    )
+    (camera,) = load_catalogue(path).values()
+    assert camera.lens == BrownConrady(k1=-0.1, p1=0.001)
+    assert not camera.is_pinhole
+    record = own_sensor_record(camera)
+    assert record["lens"] == {"model": "brown-conrady", "k1": -0.1, "p1": 0.001}
+    assert read_sensor("mine", json.loads(json.dumps(record)), "camera", "a layout") == camera
+    assert from_bytes(to_bytes(camera), CameraModel) == camera
+    assert Fingerprints().of(camera) != Fingerprints().of(replace(camera, lens=None))
+
+
+def test_a_field_of_view_is_what_a_fisheye_shows():
+    camera = read_sensor("a", {**ENTRY, "lens": {"model": "fisheye"}}, "camera", "f.toml")
+    # Equidistant: half a width is the focal length times half of the angle.
+    assert camera.focal_length_px == pytest.approx(960.0 / np.radians(30.0))
+    assert camera.vertical_fov_deg == pytest.approx(60.0 * 1080 / 1920)
+    assert camera.diagonal_fov_deg == pytest.approx(60.0 * np.hypot(1920, 1080) / 1920)
+    wide = {**ENTRY, "horizontal_fov_deg": 190.0, "lens": {"model": "fisheye"}}
+    assert read_sensor("a", wide, "camera", "f").focal_length_px == pytest.approx(
+        960 / np.radians(95)
+    )
+    zero = read_sensor("a", {**ENTRY, "lens": {"model": "tsai", "kappa": 0.0}}, "camera", "f.toml")
+    assert zero.is_pinhole
+    assert zero.focal_length_px == read_sensor("a", ENTRY, "camera", "f.toml").focal_length_px
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"lens": {"model": "pinhole"}},
+            "f.toml: a.lens.model: got 'pinhole'; expected one of brown-conrady, tsai, fisheye",
+        ),
+        ({"lens": LENS | {"k9": 1}}, "f.toml: a.lens: got 'k9'; expected one of k1, k2, k3, k4"),
+        ({"lens": {"k1": 1.0}}, "f.toml: a.lens.model: got nothing; expected a value"),
+        ({"lens": 3}, "f.toml: a.lens: got 3; expected a table"),
+        ({"lens": {"model": "tsai"}}, "f.toml: a.lens.kappa: got nothing; expected a value"),
+        ({"lens": LENS | {"k1": "x"}}, "f.toml: a.lens.k1: got 'x'; expected a finite number"),
+        (
+            {"lens": {"model": "fisheye", "k1": -1.5}},
+            "a.horizontal_fov_deg: got 60.0; expected 0 < degrees < 54.019: farther out its lens "
+            "shows nothing",
+        ),
+        (
+            {"lens": LENS, "fov_range_deg": [30, 400]},
+            "a.fov_range_deg: got [30.0, 400.0]; expected [low, high] in degrees, 0 < low",
+        ),
+        (
+            {"principal_point": [0.5, 3]},
+            "a.principal_point: got (0.5, 3.0); expected [x, y] in",
+        ),
+        ({"principal_point": 3}, "f.toml: a.principal_point: got 3; expected [x, y] in"),
+        ({"pixel_aspect": 0.0}, "a.pixel_aspect: got 0.0; expected 0.5 .. 2"),
+        ({"roll_deg": 200.0}, "a.roll_deg: got 200.0; expected -180 .. 180"),
+    ],
+)
+def test_a_lens_that_cannot_be_is_refused_in_one_line(change, message):
+    with pytest.raises(InputError) as caught:
+        read_sensor("a", {**ENTRY, **change}, "camera", "f.toml")
+    assert str(caught.value).startswith(message)

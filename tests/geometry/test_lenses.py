@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -13,10 +15,17 @@ from geometry.lenses import (
     TsaiRadial,
     ground_points,
     project_distorted,
+    widest_rad,
 )
 from geometry.poses import camera_rotation
-from geometry.sensors import project_points
+from geometry.sensors import is_shown, picture_rays, project_points, shown_points
 
+TERMS = st.tuples(*[numbers(-0.4, 0.4)] * 2, *[numbers(-0.02, 0.02)] * 2, numbers(-0.2, 0.2))
+LENSES = st.one_of(
+    TERMS.map(lambda k: BrownConrady(k1=k[0], k2=k[1], p1=k[2], p2=k[3], k3=k[4])),
+    numbers(-0.4, 0.4).map(lambda kappa: TsaiRadial(kappa=kappa)),
+    TERMS.map(lambda k: Fisheye(k1=0.5 * k[0], k2=0.5 * k[1], k3=k[2], k4=k[4] / 20.0)),
+)
 POINTS = np.random.default_rng(1).uniform([-8, -8, -2], [8, 8, 6], (200, 3))
 
 
@@ -145,3 +154,60 @@ def test_a_fisheye_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, t
         np.hypot(*in_camera[:, :2].T) < 0.3 * in_camera[:, 2]
     )  # so near the axis these terms turn nothing round
     assert shown[straight].all()
+
+
+@given(LENSES, st.integers(0, 2**32 - 1))
+def test_to_distort_what_is_undistorted_changes_nothing_over_the_picture(lens, seed):
+    shown = np.random.default_rng(seed).uniform(-1.5, 1.5, (200, 2))
+    rays = lens.undistort(shown)
+    lit = np.isfinite(rays).all(axis=1)
+    assert np.abs(lens.distort(rays[lit]) - shown[lit]).max(initial=0.0) < 1e-9
+    # And all the picture has rays up to where the edge of what the lens shows comes nearest.
+    turn = np.linspace(0.0, 2.0 * np.pi, 720)
+    edge = min(lens.reach, 14.0) * (1.0 - 1e-9) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    nearest = np.hypot(*lens.distort(edge).T).min()
+    assert lit[np.hypot(*shown.T) < 0.98 * nearest].all()
+
+
+@given(LENSES, st.integers(0, 2**32 - 1))
+def test_to_undistort_what_is_distorted_finds_the_ray_again(lens, seed):
+    rng = np.random.default_rng(seed)
+    radius, turn = 0.98 * min(lens.reach, 3.0) * rng.random(200), rng.uniform(0.0, 7.0, 200)
+    rays = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
+    shown = lens.distort(rays)
+    assert np.isfinite(shown).all()
+    found = lens.undistort(shown)
+    assert np.abs(found - rays).max() < 1e-6
+
+
+@given(LENSES, numbers(0.05, 0.9))
+def test_the_angle_of_what_a_lens_shows_is_the_one_it_shows(lens, share):
+    angle = share * min(widest_rad(lens), 1.3)
+    assert lens.angle_of(lens.shown_at(angle)) == pytest.approx(angle, abs=1e-8)
+
+
+@given(cameras(), LENSES, numbers(0.1, 0.95), numbers(-30.0, 30.0), st.integers(0, 2**32 - 1))
+def test_every_point_of_a_picture_is_where_its_ray_is_projected(camera, lens, share, roll, seed):
+    most_deg = min(2.0 * np.degrees(widest_rad(lens)), 150.0)
+    camera = replace(
+        camera,
+        lens=lens,
+        horizontal_fov_deg=share * most_deg,
+        principal_point=(0.45, 0.52),
+        pixel_aspect=1.03,
+        roll_deg=roll,
+    )
+    size = np.array([camera.width_px, camera.height_px])
+    pixels = np.random.default_rng(seed).random((100, 2)) * size
+    rays = picture_rays(*pixels.T, camera)
+    lit = np.isfinite(rays).all(axis=1)
+    assert is_shown(rays[lit], camera).all()
+    again = shown_points(rays[lit], camera)
+    assert np.abs((again - pixels[lit]) / camera.focal_length_px).max(initial=0.0) < 1e-9
+    # Half a width from the middle is half of the field of view.
+    edge_px = camera.middle_px[0] + 0.5 * camera.width_px
+    middle = picture_rays([edge_px], [camera.middle_px[1]], camera)
+    if isinstance(lens, BrownConrady) and (lens.p1 or lens.p2):
+        return
+    angle = np.degrees(np.arctan(np.hypot(*middle.reshape(2))))
+    assert angle == pytest.approx(0.5 * camera.horizontal_fov_deg, abs=1e-6)

@@ -17,13 +17,13 @@ from experiments.study.reality.projection import (
     pets_tracks,
     tilted,
 )
+from geometry.calibrations import read_opencv_camera, read_tsai
 from geometry.files import load_toml
 from geometry.image_boxes import box_height_px
 from geometry.lenses import TsaiRadial, project_distorted
 from geometry.sensors import project_points
 from placement.detectors import load_detector
 from placement.detectors.evidence import linked_noise
-from placement.recordings.calibrations import read_opencv_camera, read_tsai
 from placement.recordings.formats import read_wildtrack
 
 TSAI = (  # 7 m above the road, looking along it

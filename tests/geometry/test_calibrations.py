@@ -1,20 +1,27 @@
 """Calibrations with lenses, read, written and read again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from readers import READERS
+from scipy.spatial.transform import Rotation
 from strategies import numbers, poses
 
-from experiments.export.calibration import of_calibrated
+from experiments.export.calibration import calibrations, of_calibrated
 from experiments.export.opencv import opencv_text
 from experiments.export.ros import ros_text
+from geometry.calibrations import read_cameras
+from geometry.catalogue import own_sensor_record, read_sensor
 from geometry.errors import InputError
-from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, TsaiRadial
-from geometry.poses import camera_rotation
-from placement.recordings.calibrations import read_cameras
+from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, TsaiRadial, project_distorted
+from geometry.poses import Pose, camera_rotation
+from geometry.sensors import project_points
+from placement.layout import layout_from_records, layout_records, load_layout
 
+POSE = Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0)
 TERMS = st.tuples(*[numbers(-0.3, 0.3)] * 5)
 
 
@@ -106,3 +113,54 @@ def test_what_is_wrong_in_a_calibration_is_one_line(old, new, words, tmp_path):
         read_cameras(path)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@given(pose=poses(), terms=TERMS, is_fisheye=st.booleans(), roll=numbers(-20.0, 20.0))
+def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
+    pose, terms, is_fisheye, roll, tmp_path_factory
+):
+    k1, k2, k3, k4, _ = (0.3 * term for term in terms)
+    lens = (
+        Fisheye(k1=k1, k2=k2, k3=k3, k4=k4)
+        if is_fisheye
+        else BrownConrady(k1=k1, k2=k2, p1=0.05 * k3, p2=0.05 * k4)
+    )
+    camera = camera_with(lens, pose)
+    turn = Rotation.from_euler("z", -roll, degrees=True).as_matrix()
+    camera = replace(camera, R_camera_world=turn @ camera.R_camera_world)
+    assume(np.isfinite(lens.angle_of(640.0 / 900.0)))
+    path = tmp_path_factory.mktemp("layout") / "cameras.yaml"
+    path.write_text(opencv_text([of_calibrated("north", camera)], "one"))
+    layout = load_layout(path)
+    (unit,) = layout.units
+    assert unit.sensor.lens == lens
+    assert unit.sensor.focal_length_px == pytest.approx(900.0, rel=1e-9)
+    ahead = camera.R_camera_world[2]
+    points = camera.position_m + 12.0 * ahead + np.random.default_rng(2).uniform(-8, 8, (300, 3))
+    theirs, ours = project_distorted(points, camera), project_points(points, unit.pose, unit.sensor)
+    # A calibration's first pixel is at 0, here at 0.5.
+    both = np.isfinite(ours[:, 0])
+    assert both.any()
+    assert ours[both, :2] - 0.5 == pytest.approx(theirs[both, :2], abs=1e-4)
+    # It is written down again as a layout, and as a calibration.
+    again = layout_from_records(
+        "again",
+        layout_records(layout),
+        "here",
+        sensors={"north": read_sensor("north", own_sensor_record(unit.sensor), "camera", "here")},
+    )
+    assert again.units[0].sensor == unit.sensor
+    (found,) = calibrations(layout, "opencv")
+    assert found.lens == lens
+    assert found.camera_matrix[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([900, 880, 633, 361.5])
+    assert found.world_to_camera == pytest.approx(camera.R_camera_world, abs=1e-6)
+
+
+def test_a_calibration_that_folds_before_its_edge_is_no_layout(tmp_path):
+    camera = camera_with(BrownConrady(k1=-0.9), POSE)
+    path = tmp_path / "folds.yaml"
+    path.write_text(opencv_text([of_calibrated("north", camera)], "one"))
+    with pytest.raises(
+        InputError, match="north: distortion: got a lens that folds the picture bef"
+    ):
+        load_layout(path)

@@ -11,14 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
-from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
-from geometry.untrusted_files import read_xml
-
-from .files import read_lines
-from .formats import xml_number
+from .arrays import FloatArray
+from .errors import InputError, Unquoted
+from .files import parse_number, read_text
+from .lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
+from .untrusted_files import read_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -207,22 +204,26 @@ def read_kitti_camera(path: Path, *, width_px: int, height_px: int) -> Calibrate
     The file does not say how large the pictures are. Raises InputError if the matrix is missing, or
     is no camera's.
     """
-    names = ("name", *(f"number {index}" for index in range(1, 13)))
-    for fields in read_lines(path, names, separator=None, least=2):
-        if fields.words["name"].rstrip(":") == "P2":
-            break
-    else:
+    lines = [text.split() for text in read_text(path, "text").splitlines()]
+    row = next(
+        (row for row, words in enumerate(lines) if words and words[0].rstrip(":") == "P2"), None
+    )
+    if row is None:
         raise InputError(str(path), Unquoted("no P2"), "a line P2: with 12 numbers")
-    if len(fields.words) != len(names):
-        got = Unquoted(f"{len(fields.words) - 1} numbers")
-        raise InputError(f"{fields.place}: P2", got, "12 numbers")
-    P = np.array([fields.number(name) for name in names[1:]]).reshape(3, 4)
+    where, words = f"{path}:{row + 1}: P2", lines[row][1:]
+    if len(words) != 12:
+        raise InputError(where, Unquoted(f"{len(words)} numbers"), "12 numbers")
+    numbers = [
+        parse_number(word, f"{where}: number {index}", least=-_MOST, most=_MOST)
+        for index, word in enumerate(words, start=1)
+    ]
+    P = np.array(numbers).reshape(3, 4)
     K = P[:, :3]
     is_camera = K[0, 0] > 1.0e-3 and K[1, 1] > 1.0e-3
     if not (is_camera and np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1])):
-        raise InputError(f"{fields.place}: P2", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
+        raise InputError(where, K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
     return _calibrated(
-        f"{fields.place}: P2",
+        where,
         width_px=width_px,
         height_px=height_px,
         fx_px=K[0, 0],
@@ -276,7 +277,13 @@ def _attributes(
     element = root.find(tag)
     if element is None:
         raise InputError(f"{path}: {tag}", Unquoted("nothing"), f"<{tag} {'= '.join(names)}=>")
-    return {name: xml_number(element, name, f"{path}: {tag}") for name in names}
+    numbers = {}
+    for name in names:
+        word, here = element.get(name), f"{path}: {tag}: {name}"
+        if word is None:
+            raise InputError(here, Unquoted("nothing"), "a number")
+        numbers[name] = parse_number(word, here, least=-_MOST, most=_MOST)
+    return numbers
 
 
 def _turns(x: float, y: float, z: float) -> FloatArray:

@@ -1,0 +1,152 @@
+"""Pixels of a picture through a lens that show the VRU: a ray for each of them.
+
+Straight edges are bent there, so that :mod:`.pixels`, which draws triangles between straight edges,
+is of no use. A pixel's ray is that of its middle, undistorted.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.sensors import CameraModel, is_shown, pixel_grid, shown_points
+
+from .pixels import Placed, Seen, Sights
+from .surroundings import Solid
+
+_MIN_DEPTH_M = 1.0e-6
+_TOUCH_M = 1.0e-3  # what the VRU stands on does not hide it; more than rounding of rays
+# By so much of its size and so many pixels a body may reach beyond its corners as the lens bends
+# its edges; of one that takes up more of the picture all pixels are looked at.
+_BULGE, _MARGIN_PX, _LARGE = 0.1, 2.0, 0.4
+Window = tuple[int, int, int, int]
+
+
+class _Rays(NamedTuple):
+    """Pixels' rays, camera frame, one metre deep, and the depths at which they meet the VRU."""
+
+    columns: IntArray  # (n,)
+    rows: IntArray  # (n,)
+    ways: FloatArray  # (n, 3)
+    depth_m: FloatArray  # (n,)
+
+    def take(self, some: BoolArray) -> "_Rays":
+        """Some of them."""
+        return _Rays(self.columns[some], self.rows[some], self.ways[some], self.depth_m[some])
+
+
+def see_through_lens(
+    camera: CameraModel,
+    min_height_px: float,
+    vru: Solid,
+    static: Solid,
+    vehicles: tuple[Solid, ...],
+    sights: Sights,
+    seen: Seen,
+) -> None:
+    """Fill `seen`, which is blank: boxes and shares, as :func:`.pixels.see` does for pinholes."""
+    vertices = vru.meshes[0].vertices_m
+    for sight in range(len(sights.vru.shift)):
+        turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
+        window, seen.inside_share[sight] = _find_window(
+            camera, vertices @ turn.T + shift, min_height_px
+        )
+        rays = _meet(camera, vru, sights.vru, sight, window)
+        if not len(rays.columns):
+            continue
+        seen.amodal_px[sight] = _box(rays)
+        free = rays.take(~_is_hidden(camera, static, sights.static, sight, rays))
+        frames = slice(sights.frame_start[sight], sights.frame_start[sight + 1])
+        seen.visible_px[sight] = seen.frame_visible_px[frames] = _box(free)
+        share = len(free.columns) / len(rays.columns)
+        seen.visible_share[sight] = seen.frame_visible_share[frames] = share
+        if not len(free.columns):
+            continue
+        for frame in range(frames.start, frames.stop):
+            left = free
+            for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
+                vehicle = vehicles[sights.vehicle_kind[row]]
+                if len(left.columns) and _may_hide(vehicle, sights.vehicles, row, left):
+                    is_hidden = _is_hidden(camera, vehicle, sights.vehicles, row, left)
+                    left = left.take(~is_hidden)
+            if len(left.columns) < len(free.columns):
+                seen.frame_visible_px[frame] = _box(left)
+                seen.frame_visible_share[frame] = len(left.columns) / len(rays.columns)
+
+
+def _find_window(
+    camera: CameraModel, corners: FloatArray, min_height_px: float
+) -> tuple[Window, float]:
+    """Pixels that may show a body with corners (n, 3), camera frame; and its share inside.
+
+    Zeros if none may, or the part is not so high; all of them where the body reaches behind, or to
+    where the lens shows nothing. The share is that of its box, 0 where it reaches behind.
+    """
+    nothing, everything = (0, 0, 0, 0), (0, 0, camera.width_px, camera.height_px)
+    depth = corners[:, 2]
+    if (depth <= _MIN_DEPTH_M).all() or camera.height_px < min_height_px:
+        return nothing, 0.0
+    if (depth <= _MIN_DEPTH_M).any():
+        return everything, 0.0
+    at_depth_1 = corners[:, :2] / depth[:, None]
+    shown = shown_points(at_depth_1, camera)
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
+    inside = np.clip(np.minimum(high, size) - np.maximum(low, 0.0), 0.0, None)
+    share = float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
+    if not is_shown(at_depth_1, camera).all() or (high - low > _LARGE * size).any():
+        return everything, share
+    beyond = _BULGE * float((high - low).max()) + _MARGIN_PX
+    first = np.floor(np.clip(low - beyond, 0.0, size)).astype(int).tolist()
+    last = np.ceil(np.clip(high + beyond, 0.0, size)).astype(int).tolist()
+    if first[0] >= last[0] or last[1] - first[1] < min_height_px:
+        return nothing, share
+    return (*first, *last), share
+
+
+def _meet(camera: CameraModel, vru: Solid, placed: Placed, row: int, window: Window) -> _Rays:
+    """Rays of a window's pixels that meet the VRU."""
+    x_low, y_low, x_high, y_high = window
+    across = pixel_grid(camera)[y_low:y_high, x_low:x_high]
+    rows, columns = np.nonzero(np.isfinite(across[..., 0]))
+    at_depth_1 = across[rows, columns]
+    ways = np.column_stack([at_depth_1, np.ones(len(at_depth_1))])
+    rays = _Rays(columns + x_low, rows + y_low, ways, np.zeros(len(ways)))
+    depth_m = _cast(camera, vru, placed, row, ways)
+    return rays._replace(depth_m=depth_m).take(np.isfinite(depth_m))
+
+
+def _cast(
+    camera: CameraModel, solid: Solid, placed: Placed, row: int, ways: FloatArray
+) -> FloatArray:
+    """Depths (n,) at which rays first meet a body from the near limit on; infinite: nowhere."""
+    turn, shift = placed.turn[row], placed.shift[row]
+    near = camera.near_m / np.linalg.norm(ways, axis=1)
+    starts = (near[:, None] * ways - shift) @ turn
+    depth = solid.caster.first_hit(starts.astype(np.float32), (ways @ turn).astype(np.float32))
+    return np.asarray(depth.astype(np.float64) + near)
+
+
+def _is_hidden(
+    camera: CameraModel, solid: Solid, placed: Placed, row: int, rays: _Rays
+) -> BoolArray:
+    """Rays (n,) that meet a body before they meet the VRU."""
+    return _cast(camera, solid, placed, row, rays.ways) < rays.depth_m - _TOUCH_M
+
+
+def _may_hide(solid: Solid, placed: Placed, row: int, rays: _Rays) -> bool:
+    """False if no ray comes near a body, or none before it meets the VRU."""
+    reach_m = float(np.linalg.norm(solid.hull_m, axis=1).max())
+    length = np.linalg.norm(rays.ways, axis=1)
+    along = rays.ways @ placed.shift[row] / length
+    aside = placed.shift[row] @ placed.shift[row] - along**2
+    is_near = (aside <= reach_m**2) & (along - reach_m <= rays.depth_m * length)
+    return bool(is_near.any())
+
+
+def _box(rays: _Rays) -> FloatArray:
+    """Box around the rays' pixels, (4,); zeros if there are none."""
+    if not len(rays.columns):
+        return np.zeros(4)
+    columns, rows = rays.columns, rays.rows
+    return np.array([columns.min(), rows.min(), columns.max() + 1.0, rows.max() + 1.0])

@@ -1,0 +1,252 @@
+"""Boxes through lenses: by brute force over every pixel, and against pinholes and the table."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from lens_cameras import MODELS, random_camera
+
+from geometry.actors import MovingActor, PlacedActor, pick_actor
+from geometry.image_boxes import box_height_px
+from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
+from geometry.poses import Pose, camera_rotation
+from geometry.sensors import SEEN_RAD, is_shown, project_points
+from placement.candidates import CandidatePose, is_in_view
+from placement.detectors import GeometricDetector
+from placement.evaluator.perceive import perceive_from_roadside
+from placement.evaluator.surroundings import build_surroundings
+from placement.visibility.build import N_POINTS
+from placement.visibility.casting import build_world
+from placement.visibility.sensing import build_sensing, cast_for
+
+HOUSES = (
+    ((8.0, 8.0, 0.0), (16.0, 16.0, 6.0)),
+    ((-16.0, 7.0, 0.0), (-9.0, 14.0, 5.0)),
+    ((2.0, -12.0, 0.0), (2.3, -6.0, 1.2)),  # a low wall
+)
+MOUNT = Pose(position_m=np.array([-7.0, -7.0, 6.0]), yaw_deg=45.0, pitch_deg=-30.0)
+
+
+def made_runs(build_run, rng, n_frames=24):
+    """An adult and a cyclist who jump about, with a car that parks, one that drives and the VUT."""
+    car = PlacedActor(
+        actor=pick_actor("parked-car-small", "test"),
+        pose=Pose(position_m=np.array([1.0, 1.0, 0.0]), yaw_deg=10.0),
+    )
+    runs = []
+    for name, obstruction in (("adult", (car,)), ("cyclist", ())):
+        poses = [
+            np.column_stack([rng.uniform(-6, 6, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
+            for _ in range(3)
+        ]
+        run = build_run(pick_actor(name, "test"), poses[0], poses[1], obstruction)
+        van = MovingActor(
+            actor=pick_actor("parked-van", "test"),
+            position_m=poses[2][:, :2],
+            yaw_deg=poses[2][:, 2],
+        )
+        runs.append(replace(run, traffic=(van,)))
+    return runs
+
+
+@pytest.fixture(scope="module")
+def runs(build_run):
+    return made_runs(build_run, np.random.default_rng(7))
+
+
+@pytest.fixture(scope="module")
+def scene(build_scene):
+    square = np.array([[-20.0, -20.0], [20.0, -20.0], [20.0, 20.0], [-20.0, 20.0]])
+    return replace(build_scene(*HOUSES), outline_m=square)
+
+
+@pytest.fixture(scope="module")
+def surroundings(scene, runs):
+    return build_surroundings(scene, runs)
+
+
+# ---------- brute force: every pixel, every triangle, rays by OpenCV
+
+
+def opencv_rays(camera):
+    """Rays (h, w, 2) of all pixels by OpenCV's undistortion; NaN where it finds none."""
+    rows, columns = np.indices((camera.height_px, camera.width_px)) + 0.5
+    fx = camera.focal_length_px
+    x, y = camera.principal_point
+    K = np.array(
+        [
+            [fx, 0.0, x * camera.width_px],
+            [0.0, fx * camera.pixel_aspect, y * camera.height_px],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+    lens, criteria = camera.lens, (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
+    if isinstance(lens, Fisheye):
+        terms = np.array([lens.k1, lens.k2, lens.k3, lens.k4])
+        found = cv2.fisheye.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
+        again = cv2.fisheye.distortPoints(found[:, None], K, terms)[:, 0]
+    else:
+        terms = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
+        found = cv2.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
+        points = np.column_stack([found, np.ones(len(found))])
+        again = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, terms)[0][:, 0]
+    off = ~(np.abs(again - pixels[:, 0]).max(axis=1) < 1e-6)
+    off |= ~(np.hypot(*found.T) < min(lens.reach, np.tan(SEEN_RAD)))
+    found[off] = np.nan
+    roll = np.radians(camera.roll_deg)
+    level = np.stack(
+        [
+            np.cos(roll) * found[:, 0] - np.sin(roll) * found[:, 1],
+            np.sin(roll) * found[:, 0] + np.cos(roll) * found[:, 1],
+        ],
+        axis=-1,
+    )
+    return level.reshape(camera.height_px, camera.width_px, 2)
+
+
+def depths(ways, near, corners):
+    """Depths (n,) at which rays (n, 3), one deep, first meet triangles (m, 3, 3), by Cramer."""
+    first = np.full(len(ways), np.inf)
+    for a, b, c in corners:
+        across = np.cross(ways, c - a)
+        volume = across @ (b - a)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = -(across @ a) / volume
+            q = np.cross(-a, b - a)
+            v = (ways @ q) / volume
+            t = ((c - a) @ q) / volume
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t * np.linalg.norm(ways, axis=1) >= near)
+        first[hit] = np.minimum(first[hit], t[hit])
+    return first
+
+
+def corners_in_camera(solid, road_pose, pose):
+    """Corners (m, 3, 3) of a body at x, y, yaw and height, in the camera's frame."""
+    x, y, yaw, up = road_pose
+    cos, sin = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    corners = np.concatenate([mesh.vertices_m[mesh.triangles] for mesh in solid.meshes])
+    world = corners @ turn.T + [x, y, up]
+    return (world - pose.position_m) @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
+
+
+@pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])
+@pytest.mark.parametrize("seed", range(2))
+def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
+    rng = np.random.default_rng(seed)
+    small = random_camera(rng, replace(camera, width_px=72, height_px=54), model)
+    evidence = perceive_from_roadside(surroundings, MOUNT, small)
+    rays = opencv_rays(small)
+    lit = np.isfinite(rays[..., 0])
+    ways = np.column_stack([rays[lit], np.ones(lit.sum())])
+    n_seen = n_hidden = 0
+    for frame in range(0, 48, 3):
+        vru = surroundings.vrus[surroundings.vru_index[frame]]
+        static = surroundings.statics[surroundings.static_index[frame]]
+        others = [(static, surroundings.static_poses[frame])]
+        others.append((surroundings.vehicles[0], surroundings.vut_poses[frame]))
+        for kind, at in zip(
+            surroundings.traffic_index[frame], surroundings.traffic_poses[frame], strict=True
+        ):
+            others.append((surroundings.vehicles[kind], at))
+        body = corners_in_camera(vru, surroundings.vru_poses[frame], MOUNT)
+        depth = depths(ways, small.near_m, body)
+        before = np.full(len(ways), np.inf)
+        for solid, at in others:
+            before = np.minimum(
+                before, depths(ways, small.near_m, corners_in_camera(solid, at, MOUNT))
+            )
+        for name, mask in (
+            ("amodal_px", np.isfinite(depth)),
+            ("visible_px", np.isfinite(depth) & ~(before < depth - 1e-3)),
+        ):
+            picture = np.zeros(lit.shape, dtype=bool)
+            picture[lit] = mask
+            rows, columns = np.nonzero(picture)
+            expected = np.zeros(4)
+            if len(rows):
+                expected = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+            # A middle that rounding puts on either side of an edge moves a side by a pixel.
+            off = np.abs(getattr(evidence, name)[frame] - expected)
+            assert off.max() <= 1.0
+            n_seen += len(rows) > 0
+            n_hidden += int(off.sum() > 0)
+    assert n_seen > 8
+    assert n_hidden <= 2
+
+
+# ---------- pinholes
+
+
+def test_a_lens_that_does_next_to_nothing_shows_what_the_pinhole_does(surroundings, camera):
+    plain = perceive_from_roadside(surroundings, MOUNT, camera)
+    for lens in (BrownConrady(k1=1e-13), TsaiRadial(kappa=1e-13)):
+        bent = perceive_from_roadside(surroundings, MOUNT, replace(camera, lens=lens))
+        for name in ("amodal_px", "visible_px"):
+            off = np.abs(getattr(bent, name) - getattr(plain, name)).max(axis=1)
+            assert (off > 0.0).sum() <= 2
+            assert off.max() <= 1.0
+        assert bent.visible_share == pytest.approx(plain.visible_share, abs=0.02)
+        assert bent.inside_share == pytest.approx(plain.inside_share, abs=0.02)
+    assert (box_height_px(plain.visible_px) > 0.0).sum() > 20
+
+
+def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
+    plain = perceive_from_roadside(surroundings, MOUNT, camera)
+    zero = replace(camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0)
+    bent = perceive_from_roadside(surroundings, MOUNT, zero)
+    for name in ("amodal_px", "visible_px", "visible_share", "inside_share"):
+        assert np.array_equal(getattr(bent, name), getattr(plain, name))
+
+
+# ---------- table and evaluator
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("seed", range(3))
+def test_table_and_evaluator_agree_about_who_is_in_view(
+    scene, runs, surroundings, camera, model, seed
+):
+    """Where the one has a box of some size the other has nearly the same."""
+    rng = np.random.default_rng(100 + seed)
+    wide = camera
+    while wide.is_pinhole or wide.horizontal_fov_deg < 60.0:  # some lenses fold early
+        wide = random_camera(rng, replace(camera, width_px=640, height_px=480), model)
+    detector = GeometricDetector(min_iou=0.5, min_box_height_px=1.0, min_contrast=0.0)
+    world = build_world(scene, runs, n_points=N_POINTS, seed=0)
+    pose = replace(MOUNT, yaw_deg=float(rng.uniform(30.0, 60.0)))
+    unit = CandidatePose(id="a", site_id="", pose=pose, sensor=wide)
+    sight = cast_for(world, pose.position_m, [(unit, detector)])
+    parts = [
+        part for _, part in build_sensing(world, sight, pose.position_m, detector).evidence([unit])
+    ]
+    entry = np.concatenate([part.draw_index for part in parts])
+    boxes = np.zeros((len(sight.view_index) + 1, 4))
+    boxes[entry] = np.concatenate([part.amodal_px for part in parts])
+    table = boxes[sight.entry_of_frame]
+    drawn = perceive_from_roadside(surroundings, pose, wide)
+    # Those of whom somebody sees something; at the picture's edge a pixel or a point decides.
+    seen = box_height_px(drawn.visible_px) > 6.0
+    assert seen.sum() > 8
+    near = np.abs(table - drawn.amodal_px).max(axis=1)
+    assert (near[seen] <= 3.0 + 0.06 * box_height_px(drawn.amodal_px[seen])).mean() > 0.9
+    assert ((box_height_px(table) > 0.0) == (box_height_px(drawn.visible_px) > 0.0)).mean() > 0.9
+    # And in view is who the projection says.
+    feet = np.concatenate([run.vru_position_m for run in runs])
+    chest = np.column_stack([feet, np.full(len(feet), 1.0)])
+    inside = is_in_view(unit, chest)
+    assert (inside == (box_height_px(drawn.amodal_px) > 0.0)).mean() > 0.9
+
+
+def test_what_lies_beyond_the_fold_is_not_shown(camera):
+    lens = Fisheye(k1=-0.2)
+    folds = replace(camera, lens=lens, horizontal_fov_deg=110.0)
+    far = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians([0.0, 70.0, 75.0])]) * 10.0
+    level = Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0)
+    shown = project_points(far, level, folds)[:, 0]
+    turn = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising
+    assert turn == pytest.approx(73.97, abs=0.01)
+    assert np.isfinite(shown).tolist() == [True, True, False]
+    assert is_shown(np.array([[np.tan(np.radians(73.9)), 0.0]]), folds).all()

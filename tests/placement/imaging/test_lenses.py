@@ -1,0 +1,100 @@
+"""Pictures through lenses: against a pinhole's, along the same rays; and onto stills."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
+from geometry.poses import Pose
+from geometry.sensors import pixel_grid, pixel_rays, project_points
+from geometry.study_scene import load_study_scene
+from geometry.weather import load_weathers
+from placement.compute import Compute
+from placement.imaging import build_backdrop, draw_picture
+from placement.imaging.picture import whole_image
+from placement.imaging.stills import draw_onto, draw_still, silhouette
+
+CORNER = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
+LENSES = {
+    "brown-conrady": (BrownConrady(k1=-0.12, k2=0.01, p1=0.004), 100.0),
+    "tsai": (TsaiRadial(kappa=0.2), 80.0),
+    "fisheye": (Fisheye(k1=-0.03, k2=0.01), 110.0),
+}
+
+
+@pytest.fixture(scope="module")
+def backdrop(study_run):
+    return build_backdrop(load_study_scene(), study_run.obstruction)
+
+
+@pytest.fixture
+def draw(backdrop, study_run):
+    def draw_frame(camera):
+        frame = len(study_run.time_s) - 6
+        day, compute = load_weathers()["day"], Compute(seed=0, workers=1)
+        return draw_picture(
+            backdrop, study_run, frame, CORNER, camera, weather=day, compute=compute
+        )
+
+    return draw_frame
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(draw, small, model):
+    lens, fov_deg = LENSES[model]
+    camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens, roll_deg=4.0)
+    pinhole = replace(small, width_px=1200, height_px=1200, horizontal_fov_deg=130.0)
+    bent, straight = draw(camera), draw(pinhole)
+    rows, columns = np.indices(bent.instance.shape).reshape(2, -1)
+    ways = pixel_rays(columns, rows, CORNER, camera)
+    column, row, _ = project_points(CORNER.position_m + ways, CORNER, pinhole).T
+    inside = (column > 0) & (column < 1200) & (row > 0) & (row < 1200)
+    assert inside.mean() > 0.9
+    at = row[inside].astype(int), column[inside].astype(int)
+    same = bent.instance.ravel()[inside] == straight.instance[at]
+    assert same.mean() > 0.985  # a pixel of the one next to an edge of the other
+    near = np.isclose(bent.depth_m.ravel()[inside], straight.depth_m[at], rtol=0.03)
+    assert near.mean() > 0.97
+    off = np.abs(bent.rgb.reshape(-1, 3)[inside].astype(int) - straight.rgb[at]).mean(axis=1)
+    assert np.median(off) < 8.0
+
+
+def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
+    camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
+    picture = draw(camera)
+    dark = np.isnan(pixel_grid(camera)).any(axis=2)
+    assert 0.2 < dark.mean() < 0.8
+    assert (picture.instance[dark] == -1).all()
+    assert np.isinf(picture.depth_m[dark]).all()
+    assert picture.rgb[dark].mean() < 30.0
+    assert picture.rgb[~dark].mean() > 60.0
+
+
+@pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])
+def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
+    backdrop, study_run, small, draw, model
+):
+    lens, fov_deg = LENSES[model]
+    camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens)
+    day, compute = load_weathers()["day"], Compute(seed=0, workers=1)
+    still = draw_still(backdrop, CORNER, camera, weather=day, compute=compute)
+    frame = len(study_run.time_s) - 6
+    onto, anew = draw_onto(still, study_run, frame, compute=compute), draw(camera)
+    assert np.array_equal(onto.depth_m, anew.depth_m)
+    for name in ("vru", "vut"):
+        index = anew.names.index(name)
+        assert np.array_equal(onto.instance == index, anew.instance == index)
+    levels = np.abs(onto.rgb.astype(int) - anew.rgb.astype(int)).max(axis=2)
+    assert (levels > 1).mean() < 1e-3
+    mask = silhouette(study_run, frame, CORNER, camera, whole_image(camera))
+    vru = anew.instance == anew.names.index("vru")
+    assert vru.any()
+    assert not (vru & ~mask).any()
+
+
+def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
+    zero = replace(small, lens=BrownConrady(), principal_point=(0.5, 0.5), roll_deg=0.0)
+    plain, bent = draw(small), draw(zero)
+    for name in ("rgb", "instance", "depth_m"):
+        assert np.array_equal(getattr(plain, name), getattr(bent, name))

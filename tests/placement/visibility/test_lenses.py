@@ -1,0 +1,154 @@
+"""The table through lenses: by numpy, point by point, and against the pinhole's own loops."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lens_cameras import MODELS, random_camera
+from numpy_sensing import boxes
+
+from geometry.actors import PlacedActor
+from geometry.image_boxes import box_height_px
+from geometry.lenses import BrownConrady, TsaiRadial
+from geometry.poses import Pose, camera_rotation
+from geometry.sensors import is_shown, shown_points
+from placement.detectors import GeometricDetector, load_planning_detector
+from placement.visibility.build import N_POINTS
+from placement.visibility.casting import build_world, cast_sight
+from placement.visibility.sensing import build_sensing, cast_for
+
+WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=12.0, min_contrast=0.05)
+MOUNT = (1.0, -2.0, 6.0)
+
+
+@pytest.fixture(scope="module")
+def world(build_scene, build_run, actors):
+    rng = np.random.default_rng(3)
+    van = PlacedActor(
+        actor=actors["parked-van"], pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0)
+    )
+    runs = []
+    for body in ("adult", "child", "cyclist"):
+        vru = rng.uniform(-1.0, 1.0, (120, 3)) * [20.0, 20.0, 180.0]
+        vut = vru + [4.0, 3.0, 20.0]
+        runs.append(build_run(vru, vut, vru=body, obstruction=(van,), name=body))
+    return build_world(build_scene(*WALLS), runs, n_points=N_POINTS, seed=0)
+
+
+def sensing_of(world, near_m, detector=DETECTOR):
+    sight = cast_sight(
+        world, np.array(MOUNT), near_m=near_m, max_distance_m=1000.0, for_lidar=False
+    )
+    return build_sensing(world, sight, np.array(MOUNT), detector)
+
+
+def looks_of(mount, rng, cameras):
+    return [
+        mount(
+            f"{number}",
+            MOUNT,
+            yaw_deg=float(rng.uniform(-180.0, 180.0)),
+            pitch_deg=float(rng.uniform(-60.0, 10.0)),
+            camera=camera,
+        )
+        for number, camera in enumerate(cameras)
+    ]
+
+
+def evidence_of(sensing, candidate):
+    """What a camera sees of every entry, by numpy, whatever its picture shows."""
+    camera, sight, pose = candidate.sensor, sensing.sight, candidate.pose
+    points = sensing.world.views.points_m[sight.view_index].astype(float) - sensing.eye_m
+    right, down, depth = np.moveaxis(points @ camera_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0)
+    at = np.stack([right, down], axis=-1) / np.maximum(depth, 0.01)[..., None]
+    shown = shown_points(at.reshape(-1, 2), camera).reshape(at.shape)
+    columns, rows = np.moveaxis(shown, -1, 0)
+    in_picture = (columns >= 0) & (columns <= camera.width_px) & (rows >= 0)
+    in_picture &= (rows <= camera.height_px) & (depth > 0.01)
+    in_picture &= is_shown(at.reshape(-1, 2), camera).reshape(depth.shape)
+    is_cut = ~in_picture.all(axis=1)
+    hidden = ~sight.is_visible & ~sight.is_whole[:, None]
+    out = is_cut[:, None] & ~in_picture
+    return boxes(columns, rows, hidden | out), boxes(columns, rows, out)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("seed", range(3))
+def test_boxes_through_lenses_are_those_of_numpy(world, mount, small_camera, model, seed):
+    rng = np.random.default_rng(seed)
+    looks = looks_of(mount, rng, [random_camera(rng, small_camera, model) for _ in range(6)])
+    sensing = sensing_of(world, small_camera.near_m)
+    parts = list(sensing.evidence(looks))
+    n_seen = 0
+    for row, look in enumerate(looks):
+        visible, amodal = evidence_of(sensing, look)
+        high = box_height_px(visible)
+        for rows, part in parts:
+            some = rows == row
+            entries = part.draw_index[some]
+            # Of whole bodies the corners of the hull are projected: a lens bends what is between.
+            near = {"rtol": 1e-5, "atol": 0.2 if part is parts[0][1] else 1e-2}
+            np.testing.assert_allclose(part.visible_px[some], visible[entries], **near)
+            np.testing.assert_allclose(part.amodal_px[some], amodal[entries], **near)
+            n_seen += len(entries)
+        named = [part.draw_index[rows == row] for rows, part in parts]
+        sure = np.flatnonzero(high > DETECTOR.min_box_height_px + 0.01)
+        assert np.isin(sure, np.concatenate(named)).all()
+        assert (high[np.concatenate(named)] > DETECTOR.min_box_height_px - 0.01).all()
+    assert n_seen > 50
+
+
+@pytest.mark.parametrize("detector", ["geometric", "response"])
+def test_a_lens_that_does_next_to_nothing_detects_what_the_pinhole_does(
+    world, mount, small_camera, detector
+):
+    rng = np.random.default_rng(8)
+    fovs = [replace(small_camera, horizontal_fov_deg=fov) for fov in (40.0, 70.0, 110.0, 150.0)]
+    looks = looks_of(mount, rng, fovs)
+    sensing = sensing_of(world, small_camera.near_m, load_planning_detector(detector))
+    plain = sensing.detected(looks)
+    for lens in (BrownConrady(k1=1.0e-13), TsaiRadial(kappa=1.0e-13)):
+        bent = [replace(look, sensor=replace(look.sensor, lens=lens)) for look in looks]
+        assert not any(look.sensor.is_pinhole for look in bent)
+        found = sensing.detected(bent)
+        # Boxes that end within rounding of a limit aside.
+        assert (found != plain).sum() <= 2
+    assert plain.sum() > 20
+
+
+def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
+    rng = np.random.default_rng(9)
+    looks = looks_of(mount, rng, [small_camera] * 5)
+    zero = [
+        replace(look, sensor=replace(look.sensor, lens=BrownConrady(), roll_deg=0.0))
+        for look in looks
+    ]
+    sensing = sensing_of(world, small_camera.near_m)
+    assert np.array_equal(sensing.packed(looks), sensing.packed(zero))
+    assert sensing.packed(looks).any()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, model):
+    rng = np.random.default_rng(11)
+    looks = looks_of(mount, rng, [random_camera(rng, small_camera, model) for _ in range(8)])
+    every = sensing_of(world, small_camera.near_m).packed(looks)
+    for some in [[look] for look in looks] + [looks]:
+        sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
+        sensing = build_sensing(world, sight, np.array(MOUNT), DETECTOR)
+        rows = [looks.index(look) for look in some]
+        assert np.array_equal(sensing.packed(some), every[rows])
+    assert every.any()
+
+
+def test_evidence_says_how_much_of_a_body_the_picture_cuts_off(world, mount, small_camera):
+    rng = np.random.default_rng(2)
+    camera = random_camera(rng, small_camera, "fisheye")
+    ((_, plain), (_, part)) = sensing_of(world, 0.35).evidence(looks_of(mount, rng, [camera]))
+    assert (plain.inside_share == 1.0).all()
+    assert ((part.inside_share >= 0.0) & (part.inside_share <= 1.0)).all()
+    size = [camera.width_px, camera.height_px] * 2
+    is_cut = part.inside_share < 1.0
+    assert is_cut.any()
+    assert ((part.amodal_px[is_cut] >= 0.0) & (part.amodal_px[is_cut] <= size)).all()
