@@ -129,7 +129,7 @@ export function createSideView(holder, on) {
   function show(next, reach) {
     unit = next;
     reachM = reach ?? null;
-    width = Math.max(holder.clientWidth, 200);
+    width = Math.max(holder.clientWidth, 120);
     const [low, high] = unit.heightRange;
     if (active?.svg !== svg) topM = Math.min(high, Math.max(MOST_M, 1.3 * unit.heightM)) + 0.8;
     topM = Math.max(topM, Math.min(unit.heightM + 0.5, high + 0.5));

@@ -408,7 +408,7 @@ export function createMap(holder, on) {
     const [aim, unit, site] = ["aim", "unit", "site"].map((name) => event.target.closest(`[data-${name}]`)?.dataset[name]);
     drag = { from: [event.clientX, event.clientY], start: groundOf(event), middle: [...middle], isMoved: false, gesture: `${Date.now()}-${Math.random()}` };
     if (pickPoint) drag.kind = "pick";
-    else if (ruler) Object.assign(drag, { kind: "ruler", from: drag.from, wasOpen: ruler.isOpen });
+    else if (ruler) Object.assign(drag, { kind: "ruler", wasOpen: ruler.isOpen });
     else if (aim) Object.assign(drag, { kind: "aim", unit: aim, off: handle.aim.map((value, axis) => value - drag.start[axis]) });
     else if (unit) { Object.assign(drag, { kind: "unit", unit }); on.unit(unit); }
     else if (site) Object.assign(drag, { kind: "site", site: nearestSite(event) }); // marks overlap: not the upper one
@@ -497,7 +497,8 @@ export function createMap(holder, on) {
   let lastWheel = { at: -Infinity, isNotch: false };
   function wheel(event) {
     const mode = event.deltaMode; // before the deltas: else Firefox tells lines as pixels
-    const [dx, dy] = [event.deltaX, event.deltaY], now = performance.now();
+    const now = performance.now(), isAcross = event.shiftKey && event.deltaX === 0;
+    const [dx, dy] = isAcross ? [event.deltaY, 0] : [event.deltaX, event.deltaY];
     const isFirst = now - lastWheel.at > STREAM_MS;
     const isNotch = isFirst ? mode !== 0 || (dx === 0 && Math.abs(dy) >= NOTCH_PX) : lastWheel.isNotch;
     lastWheel = { at: now, isNotch };

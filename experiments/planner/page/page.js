@@ -152,7 +152,8 @@ function readState(message) {
   map.showUnits(unitsNow());
   showUnits();
   comparison.stateChanged();
-  played.old();
+  if (state.units.length) played.old();
+  else played.close();
   showSiteText();
   showCost();
   find("variant-name").value = state.variants[state.current].name;
@@ -506,7 +507,9 @@ async function play(index) {
     played.show(message, { title: `${run.title}${outcome ? `: ${outcome}` : ""} \u2013 ${what}`, isLost: outcome !== undefined });
     markPlayed();
   } catch (error) {
-    if (asked === wanted) notice(error.message);
+    if (asked !== wanted) return;
+    notice(error.message);
+    markPlayed();
   }
 }
 

@@ -75,7 +75,7 @@ export function partiesOf(message) {
   const { record, parties } = message;
   const rows = unpackBits(record.bits, parties.length, record.time.length);
   return parties.map((party, index) => ({
-    ...party, detected: rows[index], confirmed: record.confirmed[index], onset: record.onset[index], isAvoided: record.avoided[index],
+    ...party, name: party.kind === "vut" ? "the car" : party.name, detected: rows[index], confirmed: record.confirmed[index], onset: record.onset[index], isAvoided: record.avoided[index],
   }));
 }
 
@@ -112,8 +112,9 @@ export function sayWhy(message, isLost, idOf) {
   };
   const nearest = [...units].sort((a, b) => rank(a) - rank(b))[0];
   const reasons = explained.find((one) => one.unit === idOf(nearest.name))?.reasons ?? [];
-  const missed = reasons.length ? ` Of the ${inTime} frames that come in time it misses ${reasons.map((why) => `${why.frames} (${why.words})`).join(", ")}.` : "";
-  return countOf(nearest) ? `${nearest.name} comes nearest: it ${sayParty(nearest, record)}.${missed}` : `No unit sees the road user; take ${nearest.name}.${missed}`;
+  const missed = (who) => (reasons.length ? `f the ${inTime} frames that come in time, ${who} misses ${reasons.map((why) => `${why.frames} (${why.words})`).join(", ")}.` : "");
+  if (!countOf(nearest)) return `No unit sees the road user${reasons.length ? `: o${missed(nearest.name)}` : "."}`;
+  return `${nearest.name} comes nearest: it ${sayParty(nearest, record)}.${reasons.length ? ` O${missed("it")}` : ""}`;
 }
 
 // ---------- the strip below the plan
