@@ -139,7 +139,7 @@ def report(page: Path, out: Path) -> None:
 
 
 def _photograph_dialogs(page: Any, stem: Path) -> None:
-    """A camera that is turned on the compass beside a ruler; a lost run; a camera's picture of it."""
+    """A ruler and the chosen camera turned on the compass; a lost run; a camera's picture of it."""
     poles = [page.locator(f'[data-site="corner-{name}"]').bounding_box() for name in ("ne", "sw")]
     page.keyboard.press("m")
     for pole in poles:

@@ -905,7 +905,9 @@ def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(browser, serve):
         compass.scroll_into_view_if_needed()
         x, y = middle(compass)
         drag(page, (x + 30, y), (x + 38, y - 3))
-        assert float(compass.get_attribute("aria-valuenow")) == pytest.approx(85.5, abs=0.2)
+        assert float(compass.get_attribute("aria-valuenow")) == pytest.approx(
+            85.5, abs=1.0
+        )  # a pixel
         page.keyboard.down("Shift")
         page.mouse.move(x + 30, y - 13)
         page.keyboard.up("Shift")
