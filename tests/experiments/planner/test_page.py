@@ -1049,9 +1049,17 @@ def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting
         assert int(slider.get_attribute("max")) == len(run.time_s) - 1
 
         def apart_m():
-            """Between car and road user as the plan draws them, by the scale's bar."""
-            places = [middle(page.locator(f".played-{who}")) for who in ("car", "user")]
-            return np.hypot(*np.subtract(*places)) * scale_m(page)
+            """Between car and road user as the plan draws them, all at one moment."""
+            pixels, bar = page.evaluate(
+                """() => { const [a, b] = ["car", "user"].map((who) =>
+                    document.querySelector(`.played-${who}`).getBoundingClientRect());
+                const bar = document.querySelector('#plan path[d^="M12 "]');
+                return [Math.hypot(a.x + a.width / 2 - b.x - b.width / 2,
+                    a.y + a.height / 2 - b.y - b.height / 2),
+                    [bar.getAttribute("d"), bar.nextElementSibling.textContent]]; }"""
+            )
+            length, metres = (re.search(r"h([\d.]+)$", bar[0])[1], bar[1].split()[0])
+            return pixels * float(metres) / float(length)
 
         for frame in (0, len(run.time_s) // 2, len(run.time_s) - 1):
             slider.evaluate(
