@@ -106,12 +106,14 @@ export function sayWhy(message, isLost, idOf) {
     return first ? `Avoided now: ${first.name} ${sayParty(first, record)}.` : "Avoided now.";
   }
   if (!inTime) return "Lost whatever is mounted: no frame comes early enough to brake for.";
+  const reasonsOf = (party) => explained.find((one) => one.unit === idOf(party.name))?.reasons ?? [];
   const rank = (party) => {
+    if (!countOf(party)) return 1e7 + (reasonsOf(party).find((why) => why.words === "out of view")?.frames ?? 0); // it looks elsewhere
     const lateMs = late(party, record);
     return party.confirmed !== null && lateMs !== null && lateMs > 0 ? lateMs : party.confirmed !== null ? 1e6 : 1e7 - countOf(party);
   };
   const nearest = [...units].sort((a, b) => rank(a) - rank(b))[0];
-  const reasons = explained.find((one) => one.unit === idOf(nearest.name))?.reasons ?? [];
+  const reasons = reasonsOf(nearest);
   const missed = (who) => (reasons.length ? `f the ${inTime} frames that come in time, ${who} misses ${reasons.map((why) => `${why.frames} (${why.words})`).join(", ")}.` : "");
   if (!countOf(nearest)) return `No unit sees the road user${reasons.length ? `: o${missed(nearest.name)}` : "."}`;
   return `${nearest.name} comes nearest: it ${sayParty(nearest, record)}.${reasons.length ? ` O${missed("it")}` : ""}`;

@@ -480,7 +480,12 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         for opens in ("#show-help", "#background"):
             page.locator(opens).click()
             has_no_fault()
+        page.locator("#copy-variant").click()
+        page.locator("#compare").select_option("mine")
+        page.locator("#compare-units li").first.wait_for()
         page.locator("#lost button").first.click()
+        page.locator("#played").wait_for()
+        has_no_fault()
         page.locator("#played-why").click()
         page.locator("#run-why li").first.wait_for()
         page.locator("#picture-show").click()
