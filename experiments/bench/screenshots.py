@@ -134,8 +134,24 @@ def report(page: Path, out: Path) -> None:
 
 
 def _photograph_dialogs(page: Any, stem: Path) -> None:
-    """A lost run with the picture of a camera."""
+    """A ruler and the chosen camera turned on the compass; a lost run; a camera's picture of it."""
+    poles = [page.locator(f'[data-site="corner-{name}"]').bounding_box() for name in ("ne", "sw")]
+    page.keyboard.press("m")
+    for pole in poles:
+        page.mouse.click(pole["x"] + pole["width"] / 2, pole["y"] + pole["height"] / 2)
+    page.locator("#compass").drag_to(
+        page.locator("#compass"),
+        source_position={"x": 62, "y": 30},
+        target_position={"x": 90, "y": 40},  # away from the junction: runs are lost
+    )
+    page.wait_for_selector("#source.evaluator")
+    page.wait_for_selector("p:has(> #apr:not(.old)) + #source.evaluator")
+    _save(page, stem.with_name(f"{stem.name}-side-view.png"))
+    page.keyboard.press("Escape")
     page.locator("#lost button").first.click()
+    page.wait_for_selector("#played")
+    _save(page, stem.with_name(f"{stem.name}-run-on-plan.png"))
+    page.locator("#played-why").click()
     page.wait_for_selector("#run-why li")
     page.locator("#picture-show").click()
     page.wait_for_selector("#picture:not([hidden])")

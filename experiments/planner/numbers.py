@@ -73,6 +73,7 @@ def scene_record(
             {"id": run.id, "title": describe_run(axis, index), "frames": len(run.time_s)}
             for index, run in enumerate(setting.runs)
         ],
+        "cases": {run.case.name: run.case.title for run in setting.runs},
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
         "private": [] if ground is None else _private_areas(ground),
@@ -133,6 +134,7 @@ def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
         "heightM": float(unit.pose.position_m[2]) - foot_m,
         "heightRange": heights_m,
         "fovDeg": sensor.horizontal_fov_deg,
+        "verticalFovDeg": sensor.vertical_fov_deg,
         "fovRange": list(lens) if lens else None,
         "isRing": is_ring(sensor),
     }

@@ -97,12 +97,18 @@ class _Request(Struct, tag_field="do", forbid_unknown_fields=True):
 
 
 class AddUnit(_Request, tag="add"):
-    """Mount a sensor at a site; by default it looks at the middle of the junction."""
+    """Mount a sensor at a site; by default it looks at the middle of the junction.
+
+    A height that the site does not have is brought into its range: what is pasted may be from
+    another site.
+    """
 
     site: str
     sensor: str
     yaw_deg: float | None = None
     pitch_deg: float | None = None
+    height_m: float | None = None
+    fov_deg: float | None = None
 
 
 class ChangeUnit(_Request, tag="change"):
@@ -265,7 +271,10 @@ def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
     units, scene = state.variant.units, stock.scene
     site = _free_site(change.site, units, scene)
     sensor = pick(stock.models, change.sensor, "sensor")
-    height_m = float(np.clip(load_candidate_grid().heights_m.max(), *site.height_range_m))
+    if change.fov_deg is not None:
+        sensor = _with_lens(sensor, change.fov_deg)
+    wanted_m = load_candidate_grid().heights_m.max() if change.height_m is None else change.height_m
+    height_m = float(np.clip(_finite("height", wanted_m), *site.height_range_m))
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     east, north = middle - site.position_m[:2]
     towards_deg = math.degrees(math.atan2(north, east)) if east or north else 0.0
@@ -302,9 +311,7 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         if is_ring(sensor) != is_ring(unit.sensor):  # what scans all round is level by default
             pose = replace(pose, pitch_deg=0.0 if is_ring(sensor) else _DEFAULT_PITCH_DEG)
     if change.fov_deg is not UNSET:
-        if not isinstance(sensor, CameraModel):
-            raise InputError("lens", change.fov_deg, "nothing: only cameras have lenses")
-        sensor = with_fov(sensor, _finite("lens", change.fov_deg), "lens")
+        sensor = _with_lens(sensor, change.fov_deg)
     if change.site is not UNSET and change.site != site_id:
         site = _free_site(change.site, [other for other in units if other is not unit], scene)
         ground_m = float(ground_height_m(scene, pose.position_m[:2]))
@@ -319,6 +326,12 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         pose = replace(pose, pitch_deg=_pitch(change.pitch_deg))
     changed = replace(unit, site_id=site_id, pose=pose, sensor=sensor)
     return state.with_units([*units[:index], changed, *units[index + 1 :]])
+
+
+def _with_lens(sensor: Sensor, fov_deg: float) -> CameraModel:
+    if not isinstance(sensor, CameraModel):
+        raise InputError("lens", fov_deg, "nothing: only cameras have lenses")
+    return with_fov(sensor, _finite("lens", fov_deg), "lens")
 
 
 def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:

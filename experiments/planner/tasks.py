@@ -30,7 +30,7 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
 
-from ..parts.player import interactive_part
+from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
@@ -125,7 +125,14 @@ class Tasks:
             n_detected = n_in_time - len(look.frame_index)
             units.append({"unit": look.unit.id, "detected": n_detected, "reasons": words})
         shown = [{"index": n, "time": f"{at_s:.1f} s"} for n, at_s in enumerate(time_s)]
-        return {"run": run_id, "inTime": n_in_time, "frames": shown, "units": units}
+        played = {layout.name: evaluation}
+        return {
+            **{"run": run_id, "inTime": n_in_time, "frames": shown, "units": units},
+            **{
+                "record": run_record(setting.runs[index], index, played),
+                "parties": party_records(played),
+            },
+        }
 
     def _run_index(self, run_id: str) -> int:
         if run_id not in self.setting.axis.run_ids:

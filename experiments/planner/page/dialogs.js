@@ -148,7 +148,7 @@ export function openDialogs({ map, notice, scene, state, saved }) {
       dot.addEventListener("click", () => { select.value = one.id; mark(); });
       return dot;
     });
-    const mark = () => dots.forEach((dot, index) => dot.setAttribute("fill", index === select.selectedIndex ? "#D55E00" : "#0072B2"));
+    const mark = () => dots.forEach((dot, index) => dot.setAttribute("fill", index === select.selectedIndex ? "#000" : "#fff"));
     select.onchange = mark;
     mark();
     find("map-dialog").showModal();

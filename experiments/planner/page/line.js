@@ -54,7 +54,9 @@ export function openLine({ onMessage, onState, onSilence }) {
   connect();
   return {
     send(message) { flush(); put(message, false); },
+    isAsking: () => Boolean(sentAt || waiting),
     step(message) {
+      if (waiting && waiting.unit !== message.unit) flush(); // another unit's newest step is none of this one's
       if (sentAt && performance.now() - sentAt < PATIENCE_MS) waiting = message;
       else put(message, true);
     },

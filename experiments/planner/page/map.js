@@ -1,5 +1,6 @@
 // The junction from above: poles, sensors and their views, arms by the share that is avoided.
 
+import { createRunDrawing } from "./run.js";
 import { addPatterns, drawGround, drawScale, element, MARKS } from "./shared.js";
 
 const THIN = { "vector-effect": "non-scaling-stroke" };
@@ -8,11 +9,15 @@ export const bandColour = (band) => (band === 255 ? UNSEEN_COLOUR : BAND_COLOURS
 
 const FARTHEST_AIM_CM = 4500, NEAREST_AIM_CM = 150, SITE_REACH_PX = 26, DRAG_PX = 5;
 const MARK_PX = 21; // a sensor is drawn so far ahead of its pole, which stays free to press
-const WHEEL_STEP = 1.2, WHEEL_NOTCH = { 0: 100, 1: 3, 2: 1 }; // zoom of a notch; what a notch is in pixels, lines, pages
-const BAND_COLOURS = ["#08306b", "#0b559f", "#2b7bba", "#539ecd", "#89bedc", "#bad6eb"];
-const COARSE_COLOUR = "#e3e3c0", UNSEEN_COLOUR = "#f3a59a";
+const HANDLE_PX = 44; // the ring is never nearer to its pole: there a further unit is hung
+const WHEEL_STEP = 1.2, PINCH_PX = 38; // zoom of a notch; what a pinch turns to be as much
+const NOTCH_PX = 50, STREAM_MS = 250; // the first turn of a wheel is so much, that of a trackpad less; events that belong together
+const SNAP_PX = 10, FREE_REACH_M = 60;
+const BAND_COLOURS = ["#3f007d", "#54278f", "#6a51a3", "#807dba", "#9e9ac8", "#bcbddc"];
+const COARSE_COLOUR = "#e3e3c0", UNSEEN_COLOUR = "#8f8f8f";
 const AVOIDED_COLOUR = "#0072B2", LOST_COLOUR = "#D55E00";
 const AVOIDED_RGB = [0, 114, 178], MIDDLE_RGB = [225, 225, 225], LOST_RGB = [213, 94, 0];
+const LOCK = "M-5 0H5V7H-5ZM-3 0V-3A3 3 0 0 1 3 -3V0";
 const ARM_CM = 1400, SEEN_CM = 70;
 
 const degrees = (radians) => radians * 180 / Math.PI;
@@ -31,6 +36,34 @@ function aimOf(unit) {
 export function aimAt(place, heightM, point) {
   const [dx, dy] = [point[0] - place[0], point[1] - place[1]];
   return { yaw: degrees(Math.atan2(dy, dx)), pitch: -degrees(Math.atan2(100 * heightM, Math.hypot(dx, dy))) };
+}
+
+// Ground that a sensor could see if nothing stood there, as a path in centimetres: while it is turned.
+export function openView(unit, reachM = FREE_REACH_M) {
+  const height = unit.heightM, pitch = radians(unit.pitchDeg);
+  const ahead = []; // metres along and to the left of where it looks, around the edge of what it sees
+  const add = (along, left, up) => {
+    const level = Math.hypot(along, left) || 1e-9;
+    const share = up < 0 ? Math.min(height / -up, reachM / level) : reachM / level;
+    ahead.push([along * share, left * share]);
+  };
+  const steps = Array.from({ length: 13 }, (_, step) => step / 6 - 1);
+  if (unit.kind === "camera") {
+    const [wide, high] = [unit.fovDeg, unit.verticalFovDeg].map((angle) => Math.tan(radians(angle) / 2));
+    const ray = (left, up) => add(Math.cos(pitch) - up * high * Math.sin(pitch), left * wide, Math.sin(pitch) + up * high * Math.cos(pitch));
+    steps.forEach((step) => ray(step, 1));
+    steps.forEach((step) => ray(1, -step));
+    steps.forEach((step) => ray(-step, -1));
+    steps.forEach((step) => ray(-1, step));
+  } else {
+    const half = radians(Math.min(unit.fovDeg, 359.9)) / 2;
+    for (const edge of [1, -1]) {
+      const tilt = pitch + edge * radians(unit.verticalFovDeg) / 2;
+      steps.forEach((step) => add(Math.cos(edge * step * half), Math.sin(edge * step * half), Math.tan(Math.max(tilt, -1.57))));
+    }
+  }
+  const [cos, sin] = [Math.cos(radians(unit.yawDeg)), Math.sin(radians(unit.yawDeg))];
+  return "M" + ahead.map(([along, left]) => `${Math.round(unit.place[0] + 100 * (along * cos - left * sin))} ${Math.round(unit.place[1] + 100 * (along * sin + left * cos))}`).join("L") + "Z";
 }
 
 // The end of a way, before the place of the impact.
@@ -65,13 +98,13 @@ export function createMap(holder, on) {
   addPatterns(svg);
   addHatching(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
-  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "seen", "offered"].map((name) => [name, element("g", {}, ground)]));
+  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
   const marks = element("g", {}, svg);
-  const marked = Object.fromEntries(["arms", "names", "sites", "units", "drag", "scale"].map((name) => [name, element("g", {}, marks)]));
+  const marked = Object.fromEntries(["arms", "names", "other", "run", "sites", "units", "aim", "drag", "ruler", "scale"].map((name) => [name, element("g", {}, marks)]));
   marked.scale.setAttribute("font-size", 11);
   let scene = null, units = [], selected = null, chosenSite = null;
   let middle = [0, 0], half = 5000, width = 600, height = 400, perCm = 0.05, origin = [0, 0];
-  let drawn = [], placed = [], pickPoint = null, views = new Map();
+  let drawn = new Map(), placed = [], others = [], handle = null, pickPoint = null, views = new Map(), ruler = null;
   const at = ([x, y]) => [origin[0] + x * perCm, origin[1] - y * perCm];
   const put = (mark, place) => { const [x, y] = at(place); mark.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`); };
   const placeOf = ([x, y]) => {
@@ -79,6 +112,7 @@ export function createMap(holder, on) {
     return [(x - box.left - origin[0]) / perCm, (origin[1] - (y - box.top)) / perCm];
   };
   const groundOf = (event) => placeOf([event.clientX, event.clientY]);
+  const run = createRunDrawing({ ground: layers.run, marks: marked.run, at, put });
 
   function layOut() {
     [width, height] = [Math.max(holder.clientWidth, 200), Math.max(holder.clientHeight, 200)];
@@ -86,7 +120,10 @@ export function createMap(holder, on) {
     perCm = 0.5 * Math.min(width, height) / half;
     origin = [0.5 * width - middle[0] * perCm, 0.5 * height + middle[1] * perCm];
     ground.setAttribute("transform", `matrix(${perCm} 0 0 ${-perCm} ${origin[0]} ${origin[1]})`);
-    [...placed, ...drawn].forEach(({ mark, place }) => put(mark, place));
+    [...placed, ...others, ...drawn.values()].forEach(({ mark, place }) => put(mark, place));
+    putHandle();
+    drawRuler();
+    run.layOut();
     drawScale(marked.scale, width, height, perCm);
   }
 
@@ -133,7 +170,7 @@ export function createMap(holder, on) {
       element("circle", { r: 14, fill: "transparent" }, mark);
       element("circle", { r: 5, fill: site.isForbidden ? "#bbb" : "#fff", stroke: "#222", "stroke-width": 1.6, class: "dot" }, mark);
       element("title", { text: `${site.id}: ${site.kind}${site.isForbidden ? ", forbidden" : `, carries ${site.capacity}`}` }, mark);
-      mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); on.site(site.id); } });
+      mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); if (ruler) rule(site.place); else on.site(site.id); } });
       placed.push({ place: site.place, site, mark });
     });
     layOut();
@@ -199,36 +236,16 @@ export function createMap(holder, on) {
     units = next;
     layers.views.replaceChildren();
     marked.units.replaceChildren();
-    drawn = [];
-    const faint = Math.min(0.14, 1.2 / Math.max(units.length, 1));
+    drawn = new Map();
     units.forEach((unit) => {
-      const isSelected = unit.id === selected;
-      const view = element("path", { "fill-rule": "evenodd", fill: unit.colour, "fill-opacity": isSelected ? 0.3 : faint, stroke: unit.colour, "stroke-width": isSelected ? 2.2 : 0.9, "stroke-dasharray": unit.dash, "data-view": unit.id, ...THIN }, layers.views);
+      const view = element("path", { "fill-rule": "evenodd", fill: unit.colour, stroke: unit.colour, "stroke-dasharray": unit.dash, "data-view": unit.id, ...THIN }, layers.views);
       if (isSeenFrom(unit, views.get(unit.id))) view.setAttribute("d", views.get(unit.id).view);
-      const mark = element("g", { class: "unit", tabindex: 0, role: "button", "aria-pressed": isSelected, "aria-label": unit.title, "data-unit": unit.id }, marked.units);
-      const yaw = radians(unit.yawDeg);
-      const ahead = element("g", { transform: `translate(${(MARK_PX * Math.cos(yaw)).toFixed(1)} ${(-MARK_PX * Math.sin(yaw)).toFixed(1)})` }, mark);
-      element("line", { x2: (MARK_PX * Math.cos(yaw)).toFixed(1), y2: (-MARK_PX * Math.sin(yaw)).toFixed(1), stroke: "#000", "stroke-width": 1.6, "pointer-events": "none" }, mark);
-      mark.append(ahead);
-      element("circle", { r: 12, fill: "transparent" }, ahead);
-      element("title", { text: unit.title }, ahead);
-      element("path", { d: MARKS[unit.kind], transform: `rotate(${-unit.yawDeg})`, fill: isSelected ? unit.colour : "#fff", stroke: "#000", "stroke-width": isSelected ? 2 : 1.2 }, ahead);
-      if (units.length <= 40) element("text", { text: unit.name, x: 13 * Math.cos(yaw), y: -15 * Math.sin(yaw) + 4, "font-size": 12, "font-weight": 700, "text-anchor": Math.cos(yaw) > 0.3 ? "start" : Math.cos(yaw) < -0.3 ? "end" : "middle", "pointer-events": "none", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, ahead);
+      const mark = element("g", { class: "unit", tabindex: 0, role: "button", "data-unit": unit.id }, marked.units);
       mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); on.unit(unit.id); } });
-      drawn.push({ place: unit.place, mark });
+      drawn.set(unit.id, { place: unit.place, mark, view });
+      drawMark(unit);
     });
-    // Above all others, or it could not be dragged where many are mounted.
-    const unit = units.find((item) => item.id === selected);
-    if (unit) {
-      const aim = aimOf(unit);
-      const handle = element("g", { class: "unit aim", "data-aim": unit.id }, marked.units);
-      element("circle", { r: 16, fill: "transparent" }, handle);
-      element("circle", { r: 9, fill: "#fff", "fill-opacity": 0.8, stroke: "#000", "stroke-width": 2 }, handle);
-      element("circle", { r: 2.5, fill: "#000" }, handle);
-      element("title", { text: "drag to turn and tilt; with Shift to turn alone" }, handle);
-      drawn.push({ place: aim, mark: handle });
-      element("path", { d: `M${unit.place.join(" ")}L${aim.join(" ")}`, stroke: "#000", "stroke-width": 1.4, "stroke-dasharray": "2 3", ...THIN }, layers.views);
-    }
+    drawChosen();
     drawn.forEach(({ mark, place }) => put(mark, place));
     placed.filter((item) => item.site).forEach(({ site, mark }) => {
       const n = units.filter((unit) => unit.site === site.id).length;
@@ -237,13 +254,73 @@ export function createMap(holder, on) {
     if (focused) marked.units.querySelector(`[data-unit="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
   }
 
+  function drawMark(unit) {
+    const { mark, view } = drawn.get(unit.id), isSelected = unit.id === selected, yaw = radians(unit.yawDeg);
+    const faint = Math.min(0.14, 1.2 / Math.max(units.length, 1)), isOld = unit.isLive; // a view of before it was turned
+    for (const [name, value] of Object.entries({ "fill-opacity": isSelected ? isOld ? 0.15 : 0.3 : faint, "stroke-width": isSelected && !isOld ? 2.2 : 0.9 })) view.setAttribute(name, value);
+    mark.setAttribute("aria-pressed", isSelected);
+    mark.setAttribute("aria-label", `${unit.title}${unit.isLocked ? ", locked" : ""}`);
+    mark.classList.toggle("locked", unit.isLocked);
+    mark.replaceChildren();
+    const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)], [x, y] = [(MARK_PX * cos).toFixed(1), (-MARK_PX * sin).toFixed(1)];
+    const ahead = element("g", { transform: `translate(${x} ${y})` }, mark);
+    element("line", { x2: x, y2: y, stroke: "#000", "stroke-width": 1.6, "pointer-events": "none" }, mark);
+    mark.append(ahead);
+    element("circle", { r: 12, fill: "transparent" }, ahead);
+    element("title", { text: unit.title }, ahead);
+    element("path", { d: MARKS[unit.kind], transform: `rotate(${-unit.yawDeg})`, fill: isSelected ? unit.colour : "#fff", stroke: "#000", "stroke-width": isSelected ? 2 : 1.2 }, ahead);
+    if (unit.isLocked) element("path", { d: LOCK, class: "lock", transform: "translate(9 9)", fill: "#fff", stroke: "#000", "stroke-width": 1.6 }, ahead);
+    if (units.length <= 40) element("text", { text: unit.name, x: 13 * cos, y: -15 * sin + 4, "font-size": 12, "font-weight": 700, "text-anchor": cos > 0.3 ? "start" : cos < -0.3 ? "end" : "middle", "pointer-events": "none", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, ahead);
+  }
+
+  // The chosen one's view lies above all others, and so does its ring: it could not be dragged where many are mounted.
+  function drawChosen() {
+    layers.chosen.replaceChildren();
+    marked.aim.replaceChildren();
+    handle = null;
+    const unit = units.find((item) => item.id === selected);
+    if (!unit) return;
+    layers.views.append(drawn.get(unit.id).view);
+    const aim = aimOf(unit);
+    element("path", { d: `M${unit.place.join(" ")}L${aim.join(" ")}`, stroke: "#000", "stroke-width": 1.4, "stroke-dasharray": "2 3", "pointer-events": "none", ...THIN }, layers.chosen);
+    if (unit.isLive) element("path", { d: openView(unit, views.get(unit.id)?.reachM), class: "open-view", fill: "none", stroke: unit.colour, "stroke-width": 2, "stroke-dasharray": "6 4", "pointer-events": "none", ...THIN }, layers.chosen);
+    if (unit.isLocked) return;
+    const mark = element("g", { class: "unit aim", "data-aim": unit.id }, marked.aim);
+    element("circle", { r: 16, fill: "transparent" }, mark);
+    element("circle", { r: 9, fill: "#fff", "fill-opacity": 0.8, stroke: "#000", "stroke-width": 2 }, mark);
+    element("circle", { r: 2.5, fill: "#000" }, mark);
+    element("title", { text: "drag to turn and tilt; with Shift to turn alone" }, mark);
+    handle = { unit, aim, mark };
+    putHandle();
+  }
+
+  // Where the ring is: at the aim, but not upon the pole.
+  function handlePlace() {
+    const { unit, aim } = handle, least = HANDLE_PX / perCm;
+    if (Math.hypot(aim[0] - unit.place[0], aim[1] - unit.place[1]) >= least) return aim;
+    const yaw = radians(unit.yawDeg);
+    return [unit.place[0] + least * Math.cos(yaw), unit.place[1] + least * Math.sin(yaw)];
+  }
+  function putHandle() {
+    if (handle) put(handle.mark, handlePlace());
+  }
+
+  // One unit is turned: all others stay as they are drawn.
+  function turn(unit) {
+    const index = units.findIndex((item) => item.id === unit.id);
+    if (index < 0) return;
+    units[index] = unit;
+    drawMark(unit);
+    if (unit.id === selected) drawChosen();
+  }
+
   // A view that came before the unit was moved elsewhere is not drawn.
   const isSeenFrom = (unit, view) => Boolean(view) && view.place.every((value, axis) => value === unit.place[axis]);
 
   function showView(view) {
     views.set(view.unit, view);
     const unit = units.find((item) => item.id === view.unit);
-    if (unit && isSeenFrom(unit, view)) layers.views.querySelector(`[data-view="${CSS.escape(unit.id)}"]`)?.setAttribute("d", view.view);
+    if (unit && isSeenFrom(unit, view)) drawn.get(unit.id).view.setAttribute("d", view.view);
   }
 
   function showOffered(proposed) {
@@ -259,16 +336,55 @@ export function createMap(holder, on) {
     placed.filter((item) => item.site).forEach(({ site, mark }) => mark.querySelector(".dot").setAttribute("stroke-width", site.id === id ? 4 : 1.6));
   }
 
+  // Units of another variant that differ, and where those of this one are in it.
+  function showOther(differing) {
+    marked.other.replaceChildren();
+    others = differing.map(({ place, yawDeg, text }) => {
+      const mark = element("g", { class: "other" }, marked.other), yaw = radians(yawDeg);
+      const ahead = element("g", { transform: `translate(${(MARK_PX * Math.cos(yaw)).toFixed(1)} ${(-MARK_PX * Math.sin(yaw)).toFixed(1)})` }, mark);
+      element("path", { d: MARKS.camera, transform: `rotate(${-yawDeg}) scale(1.3)`, fill: "none", stroke: "#000", "stroke-width": 1.4, "stroke-dasharray": "2 2" }, ahead);
+      element("title", { text }, ahead);
+      return { place, mark };
+    });
+    others.forEach(({ mark, place }) => put(mark, place));
+  }
+
+  // ---------- the ruler
+
+  // Two presses, or a drag; poles are met exactly.
+  const ruled = (event) => nearestSite(event, SNAP_PX)?.place ?? groundOf(event);
+  function drawRuler() {
+    marked.ruler.replaceChildren();
+    if (!ruler?.from) return;
+    const [[x1, y1], [x2, y2]] = [at(ruler.from), at(ruler.to)];
+    for (const [stroke, width] of [["#fff", 5], ["#000", 2]]) element("path", { d: `M${x1} ${y1}L${x2} ${y2}`, stroke, "stroke-width": width }, marked.ruler);
+    for (const [cx, cy] of [[x1, y1], [x2, y2]]) element("circle", { cx, cy, r: 4, fill: "#fff", stroke: "#000", "stroke-width": 2 }, marked.ruler);
+    element("text", { text: `${rulerM().toFixed(2)} m`, x: (x1 + x2) / 2, y: (y1 + y2) / 2 - 8, "font-size": 14, "font-weight": 700, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 4 }, marked.ruler);
+  }
+  const rulerM = () => Math.hypot(ruler.to[0] - ruler.from[0], ruler.to[1] - ruler.from[1]) / 100;
+  function rule(place) {
+    if (ruler.isOpen) Object.assign(ruler, { to: place, isOpen: false });
+    else ruler = { from: place, to: place, isOpen: true };
+    drawRuler();
+    if (!ruler.isOpen) on.measured(rulerM());
+  }
+  function measure(isOn) {
+    ruler = isOn ? {} : null;
+    svg.classList.toggle("measuring", isOn);
+    drawRuler();
+    on.measuring(isOn);
+  }
+
   // ---------- the pointer
 
   let drag = null;
   const pointers = new Map();
 
-  function nearestSite(event) {
+  function nearestSite(event, reach = SITE_REACH_PX) {
     const box = svg.getBoundingClientRect();
     const here = [event.clientX - box.left, event.clientY - box.top];
     const near = scene.sites.map((site) => { const [x, y] = at(site.place); return { site, away: Math.hypot(x - here[0], y - here[1]) }; }).sort((a, b) => a.away - b.away)[0];
-    return near && near.away <= SITE_REACH_PX ? near.site : null;
+    return near && near.away <= reach ? near.site : null;
   }
 
   // Escape, or a second finger: what was begun is as if it had not been.
@@ -277,10 +393,11 @@ export function createMap(holder, on) {
     drag = null;
     marked.drag.replaceChildren();
     if (given?.kind === "pan") { middle = given.middle; layOut(); }
-    if (given?.kind === "aim" && given.isMoved) on.giveUp(given.gesture);
-    if (!given && !pickPoint) return false;
-    pickPoint = null;
-    return true;
+    if (given?.kind === "aim" && given.isMoved) on.giveUp(given.unit, given.gesture);
+    if (given?.kind === "ruler" || ruler?.isOpen) { ruler = {}; drawRuler(); return true; }
+    if (given || pickPoint) { pickPoint = null; return true; }
+    if (ruler) { measure(false); return true; }
+    return false;
   }
 
   function begin(event) {
@@ -291,10 +408,12 @@ export function createMap(holder, on) {
     const [aim, unit, site] = ["aim", "unit", "site"].map((name) => event.target.closest(`[data-${name}]`)?.dataset[name]);
     drag = { from: [event.clientX, event.clientY], start: groundOf(event), middle: [...middle], isMoved: false, gesture: `${Date.now()}-${Math.random()}` };
     if (pickPoint) drag.kind = "pick";
-    else if (aim) Object.assign(drag, { kind: "aim", unit: aim });
+    else if (ruler) Object.assign(drag, { kind: "ruler", wasOpen: ruler.isOpen });
+    else if (aim) Object.assign(drag, { kind: "aim", unit: aim, off: handle.aim.map((value, axis) => value - drag.start[axis]) });
     else if (unit) { Object.assign(drag, { kind: "unit", unit }); on.unit(unit); }
     else if (site) Object.assign(drag, { kind: "site", site: nearestSite(event) }); // marks overlap: not the upper one
     else drag.kind = "pan";
+    if (drag.kind === "ruler" && !ruler.isOpen) rule(ruled(event));
     svg.setPointerCapture(event.pointerId);
   }
 
@@ -311,11 +430,13 @@ export function createMap(holder, on) {
   function aimed(event) {
     const unit = units.find((item) => item.id === drag.unit);
     if (!unit) return null;
-    const aim = aimAt(unit.place, unit.heightM, groundOf(event));
+    const aim = aimAt(unit.place, unit.heightM, groundOf(event).map((value, axis) => value + drag.off[axis]));
+    aim.yaw = on.snapped(aim.yaw);
     return event.shiftKey || unit.isRing ? { yaw: aim.yaw } : aim;
   }
 
   function move(event) {
+    if (!drag && ruler?.isOpen) { ruler.to = ruled(event); drawRuler(); }
     if (!drag || !pointers.has(event.pointerId)) return;
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
     if (drag.kind === "pinch") {
@@ -328,7 +449,8 @@ export function createMap(holder, on) {
     const [dx, dy] = [event.clientX - drag.from[0], event.clientY - drag.from[1]];
     if (!drag.isMoved && Math.hypot(dx, dy) < DRAG_PX) return;
     drag.isMoved = true;
-    if (drag.kind === "pan") {
+    if (drag.kind === "ruler") { ruler.to = ruled(event); drawRuler(); }
+    else if (drag.kind === "pan") {
       middle = [drag.middle[0] - dx / perCm, drag.middle[1] + dy / perCm];
       layOut();
     } else if (drag.kind === "aim") {
@@ -338,7 +460,8 @@ export function createMap(holder, on) {
     else if (drag.kind === "unit") {
       const unit = units.find((item) => item.id === drag.unit);
       const site = nearestSite(event);
-      if (unit) line(unit.place, site ? site.place : groundOf(event));
+      if (unit?.isLocked) { on.refused(unit.id); drag = null; }
+      else if (unit) line(unit.place, site ? site.place : groundOf(event));
     }
   }
 
@@ -349,11 +472,13 @@ export function createMap(holder, on) {
     marked.drag.replaceChildren();
     if (!done || done.kind === "pinch" || event.type === "pointercancel") return;
     if (done.kind === "pick") { const pick = pickPoint; pickPoint = null; pick(groundOf(event)); return; }
+    if (done.kind === "ruler") { if (done.isMoved || done.wasOpen) rule(ruled(event)); return; }
+    if (done.kind === "pan" && !done.isMoved) { on.unit(viewUnder(event)); return; }
     if (done.kind === "site") {
       if (done.isMoved) {
         const height = on.heightOf(done.site);
         const aim = aimAt(done.site.place, height, groundOf(event));
-        on.hang(done.site.id, aim);
+        on.hang(done.site.id, { ...aim, yaw: on.snapped(aim.yaw) });
       } else on.site(done.site.id);
     } else if (done.kind === "unit" && done.isMoved) {
       const site = nearestSite(event);
@@ -361,10 +486,26 @@ export function createMap(holder, on) {
     }
   }
 
+  // Of the views at a place the next one after the chosen one; null: there is none.
+  function viewUnder(event) {
+    const under = document.elementsFromPoint(event.clientX, event.clientY).map((one) => one.dataset?.view);
+    const ids = units.map((unit) => unit.id).filter((id) => under.includes(id));
+    return ids.length ? ids[(ids.indexOf(selected) + 1) % ids.length] : null;
+  }
+
+  // A notch of a wheel zooms, and so does a pinch (which browsers tell as a wheel with Ctrl); two fingers of a trackpad pan.
+  let lastWheel = { at: -Infinity, isNotch: false };
   function wheel(event) {
-    const notches = [event.deltaX, event.deltaY].map((delta) => delta / WHEEL_NOTCH[event.deltaMode]);
-    if (Math.abs(notches[0]) > Math.abs(notches[1])) shift([60 * notches[0] / perCm, 0], [0, 0]);
-    else zoomBy(WHEEL_STEP ** -Math.min(Math.max(notches[1], -1), 1), groundOf(event));
+    const mode = event.deltaMode; // before the deltas: else Firefox tells lines as pixels
+    const now = performance.now(), isAcross = event.shiftKey && event.deltaX === 0;
+    const [dx, dy] = isAcross ? [event.deltaY, 0] : [event.deltaX, event.deltaY];
+    const isFirst = now - lastWheel.at > STREAM_MS;
+    const isNotch = isFirst ? mode !== 0 || (dx === 0 && Math.abs(dy) >= NOTCH_PX) : lastWheel.isNotch;
+    lastWheel = { at: now, isNotch };
+    const within = (value) => Math.min(Math.max(value, -1), 1);
+    if (event.ctrlKey || event.metaKey) zoomBy(WHEEL_STEP ** -within(mode ? dy : dy / PINCH_PX), groundOf(event));
+    else if (isNotch && Math.abs(dy) >= Math.abs(dx)) zoomBy(WHEEL_STEP ** -within(mode ? dy : dy / NOTCH_PX), groundOf(event));
+    else shift([(mode ? 40 : 1) * dx / perCm, -(mode ? 40 : 1) * dy / perCm], [0, 0]);
   }
 
   svg.addEventListener("pointerdown", begin);
@@ -375,7 +516,8 @@ export function createMap(holder, on) {
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showSeen, showCoverage, showImage, showUnits, showView, showOffered, showSite, zoomBy, giveUp,
+    showScene, showShares, showSeen, showCoverage, showImage, showUnits, showView, showOffered, showOther, showSite, turn, zoomBy, giveUp, measure, run,
+    isMeasuring: () => Boolean(ruler),
     select(id) { selected = id; showUnits(units); },
     whole,
     pick(then) { pickPoint = then; },

@@ -1,13 +1,19 @@
 // The planner's page: shows the messages of the session, and sends it what is done here.
 
+import { compareVariants } from "./compare.js";
 import { openDialogs } from "./dialogs.js";
+import { bearingOf, createCompass, createSideView, giveUpHandle } from "./handles.js";
 import { ask, openLine } from "./line.js";
 import { bandColour, createMap } from "./map.js";
+import { createPlayed } from "./run.js";
 import { element } from "./shared.js";
 
 const find = (id) => document.getElementById(id);
 const PATIENCE_MS = 120; // after a change, before the old number gives way to "computing"
 const MOST_LOST = 150;
+const STEP_DEG = 15; // of the snapping switch
+// Colours of sensors: none of them says anything else on this page (blue: avoided, orange: lost ..).
+const UNIT_COLOURS = ["#00795c", "#7a4a1e", "#4b6a00", "#00708a", "#8a6d00", "#5a5a5a"];
 const FIELDS = {
   yaw: { name: "yaw_deg", of: (unit) => unit.yawDeg, digits: 1 },
   pitch: { name: "pitch_deg", of: (unit) => unit.pitchDeg, digits: 1 },
@@ -15,19 +21,41 @@ const FIELDS = {
   fov: { name: "fov_deg", of: (unit) => unit.fovDeg, digits: 1 },
 };
 
-let scene = null, state = null, numbers = null, proposals = [], selected = null, offered = null;
+// `selected`: null is none, undefined the newest one, as soon as it is told.
+let scene = null, state = null, numbers = null, proposals = [], selected, offered = null;
 let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
 const line = openLine({ onMessage: read, onState: connected, onSilence: silent });
 const map = createMap(find("plan"), {
   site: chooseSite,
   unit: chooseUnit,
-  aim: (unit, aim, gesture) => put({ do: "change", unit, yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }), gesture }),
+  aim: (unit, aim, gesture) => change(unit, { yaw_deg: aim.yaw, ...(aim.pitch === undefined ? {} : { pitch_deg: Math.max(-90, aim.pitch) }) }, gesture),
   move: (unit, site) => line.send({ do: "change", unit, site }),
   hang: (site, aim) => hang(site, aim),
-  giveUp: (gesture) => line.send({ do: "revert", gesture }),
+  giveUp,
+  snapped,
+  refused,
   heightOf: (site) => Math.min(Math.max(8, site.low), site.high),
+  measured: (metres) => { find("ruler-text").textContent = `${metres.toFixed(2)} m`; },
+  measuring: (isOn) => {
+    find("ruler").setAttribute("aria-pressed", isOn);
+    find("ruler-text").textContent = isOn ? "Press on two places, or drag from one to the other; Escape ends it." : "";
+  },
 });
+const onHandles = {
+  turn: (unit, yaw_deg, gesture) => change(unit, { yaw_deg }, gesture),
+  tilt: (unit, pitch_deg, gesture) => change(unit, { pitch_deg }, gesture),
+  raise: (unit, height_m, gesture) => change(unit, { height_m }, gesture),
+  key: (key, name, by) => turnBy((unit) => ({
+    yaw: () => ({ yaw_deg: unit.yawDeg + by }),
+    tilt: () => ({ pitch_deg: within(unit.pitchDeg + by, [-90, 90]) }),
+    height: () => ({ height_m: within(unit.heightM + by, unit.heightRange) }),
+  }[name]()), `${name} ${key}`),
+  giveUp, snapped, refused,
+};
+const compass = createCompass(find("compass-holder"), onHandles), sideView = createSideView(find("side-holder"), onHandles);
+const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => markPlayed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? "avoided"); } });
+const comparison = compareVariants({ map, state: () => state, cases: () => scene.cases });
 const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
 
 // A plan that is in no file is gone with the page.
@@ -41,7 +69,7 @@ function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
     coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
-    problem: (message) => notice(message.text), notice: (message) => notice(message.text),
+    problem: (message) => { settle(); notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
 }
@@ -52,7 +80,7 @@ function connected(isOpen) {
   banner.hidden = isOpen;
   banner.textContent = isOpen ? "" : "The connection to place-rsus plan is lost; trying again. What you do now is not saved.";
   find("main").inert = !isOpen;
-  if (!isOpen) { numbers = null; showNumbers(); }
+  if (!isOpen) { numbers = null; live.clear(); showNumbers(); }
 }
 
 // What was asked for is not answered: no number is taken for that of what is shown.
@@ -88,7 +116,7 @@ function readScene(message) {
   document.title = `Plan at ${scene.title} - place-rsus`;
   map.showScene(scene);
   map.showShares(null);
-  if (isOther) selected = null;
+  if (isOther) { selected = undefined; played.close(); locked.clear(); }
   const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.kind})`, site.isForbidden]);
   options(find("site"), sites);
   options(find("why-site"), sites);
@@ -113,13 +141,19 @@ function fillGrid() {
 }
 
 function readState(message) {
+  keepLocks(message);
   state = message;
-  if (!state.units.some((unit) => unit.id === selected)) selected = state.units.at(-1)?.id ?? null;
+  if (selected === undefined) selected = state.units.at(-1)?.id ?? null;
+  else if (!state.units.some((unit) => unit.id === selected)) selected = null;
+  if (!line.isAsking()) live.clear();
   find("undo").disabled = !state.canUndo;
   find("redo").disabled = !state.canRedo;
   map.select(selected);
-  map.showUnits(state.units);
+  map.showUnits(unitsNow());
   showUnits();
+  comparison.stateChanged();
+  if (state.units.length) played.old();
+  else played.close();
   showSiteText();
   showCost();
   find("variant-name").value = state.variants[state.current].name;
@@ -137,6 +171,7 @@ function readNumbers(message) {
   showNumbers();
 }
 
+const within = (value, [low, high]) => Math.min(Math.max(value, low), high);
 const isCurrent = () => Boolean(numbers && state && numbers.revision === state.revision);
 
 function showNumbers() {
@@ -153,7 +188,9 @@ function showNumbers() {
   find("main").setAttribute("aria-busy", String(!isCurrent()));
   output.dataset.revision = isKnown ? numbers.revision : "";
   const isExact = isKnown && numbers.source === "evaluator";
-  find("beside").textContent = isExact ? `Together with the car's own sensors ${numbers.withVut}; by the car's own sensors alone ${numbers.vut}.${numbers.oneFails ? ` If the worst unit fails, ${numbers.oneFails} are left.` : ""}` : "";
+  // While it waits it keeps its lines: what is dragged below does not move away from the pointer.
+  find("beside").classList.toggle("waiting", !isExact);
+  if (isExact || !state?.units.length) find("beside").textContent = isExact ? `Together with the car's own sensors ${numbers.withVut}; by the car's own sensors alone ${numbers.vut}.${numbers.oneFails ? ` If the worst unit fails, ${numbers.oneFails} are left.` : ""}` : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
   fillShares("by-road-user", isKnown ? numbers.byRoadUser : null);
@@ -161,6 +198,7 @@ function showNumbers() {
   showPrivate();
   showUnits();
   showLost();
+  if (isExact) playAgain();
 }
 
 // ---------- private areas
@@ -206,7 +244,9 @@ function fillShares(id, shares) {
   body.replaceChildren();
   for (const [name, share] of Object.entries(shares || {})) {
     const row = element("tr", {}, body);
-    element("th", { scope: "row", text: name }, row);
+    const title = scene.cases[name] ?? "";
+    const named = element("th", { scope: "row", text: name, title }, row);
+    if (title) element("span", { class: "unseen", text: `: ${title}` }, named);
     element("td", { class: "number", text: share }, row);
   }
 }
@@ -236,7 +276,7 @@ function showUnits() {
     if (focused) list.querySelector(`[data-chip="${CSS.escape(focused)}"]`)?.focus();
   }
   state.units.forEach(({ id, title }, index) => {
-    const [button, text] = [list.children[index].firstChild, alone[id] ? `${id} ${alone[id]}` : id];
+    const [button, text] = [list.children[index].firstChild, `${id}${alone[id] ? ` ${alone[id]}` : ""}${locked.has(id) ? ", locked" : ""}`];
     if (button.textContent !== text) button.textContent = text;
     button.title = title;
     button.setAttribute("aria-pressed", id === selected);
@@ -244,14 +284,14 @@ function showUnits() {
   fillUnit();
 }
 
-const current = () => state?.units.find((unit) => unit.id === selected);
+const current = () => { const unit = state?.units.find((each) => each.id === selected); return unit && now(unit); };
 
 function fillUnit() {
   const unit = current();
   find("unit").hidden = !unit;
   if (!unit) return;
   const reach = map.viewOf(unit.id)?.reachM;
-  find("unit-text").textContent = `${unit.title}${unit.site ? `, at ${unit.site}` : ""}${reach ? `; its detector reaches ${reach.toFixed(0)} m` : ""}`;
+  find("unit-text").textContent = `${unit.title}${unit.site ? `, at ${unit.site}` : ""}; its detector reaches ${reach ? reach.toFixed(0) : "\u2026"} m`;
   for (const [id, field] of Object.entries(FIELDS)) {
     const value = Number(field.of(unit).toFixed(field.digits));
     for (const input of [find(id), find(`${id}-slide`)]) {
@@ -261,6 +301,12 @@ function fillUnit() {
       input.value = value;
     }
   }
+  compass.show(unit);
+  sideView.show(unit, reach);
+  find("bearing").textContent = `bearing ${bearingOf(unit.yawDeg).toFixed(1)}\u00b0`;
+  for (const field of find("unit").querySelectorAll("input:not(#snap), select, #remove")) field.disabled = unit.isLocked;
+  find("lock").setAttribute("aria-pressed", unit.isLocked);
+  find("lock").textContent = unit.isLocked ? "Unlock" : "Lock";
   find("fov-row").hidden = !unit.fovRange;
   find("unit-site").value = unit.site;
   find("unit-sensor").value = unit.sensor;
@@ -272,28 +318,133 @@ function readView(view) {
 }
 
 function chooseUnit(id) {
+  if (id === selected) return;
   selected = id;
   map.select(id);
   showUnits();
   showPrivate();
 }
 
-let typing = { id: "", gesture: "" };
+const NOT_TYPING = { id: "", gesture: "" };
+let typing = NOT_TYPING;
+
+// Escape while a slider is dragged or a number typed: what still comes of it counts no longer.
+function giveUpTyping() {
+  if (!typing.id || typing.isGivenUp) return false;
+  typing.isGivenUp = true;
+  giveUp(typing.unit, typing.gesture);
+  if (find(typing.id).type === "number") { const { id } = typing; typing = NOT_TYPING; find(id).value = FIELDS[id].of(current()).toFixed(FIELDS[id].digits); }
+  return true;
+}
 for (const [id, field] of Object.entries(FIELDS)) {
   for (const input of [find(id), find(`${id}-slide`)]) {
     input.addEventListener("input", () => {
       if (input.value === "" || !Number.isFinite(input.valueAsNumber) || !current()) return;
-      if (typing.id !== input.id) typing = { id: input.id, gesture: `${input.id} ${Date.now()}` };
-      put({ do: "change", unit: selected, [field.name]: input.valueAsNumber, gesture: typing.gesture });
+      if (typing.id !== input.id) typing = { id: input.id, unit: selected, gesture: `${input.id} ${Date.now()}` };
+      if (!typing.isGivenUp) change(selected, { [field.name]: input.valueAsNumber }, typing.gesture);
     });
-    input.addEventListener("change", () => { typing = { id: "", gesture: "" }; });
+    input.addEventListener("change", () => { const wasGivenUp = typing.isGivenUp; typing = NOT_TYPING; if (wasGivenUp) fillUnit(); });
     input.addEventListener("blur", fillUnit);
   }
 }
 find("unit").addEventListener("submit", (event) => event.preventDefault());
 find("unit-site").addEventListener("change", (event) => line.send({ do: "change", unit: selected, site: event.target.value }));
 find("unit-sensor").addEventListener("change", (event) => line.send({ do: "change", unit: selected, sensor: event.target.value }));
-find("remove").addEventListener("click", () => line.send({ do: "remove", unit: selected }));
+find("remove").addEventListener("click", remove);
+find("lock").addEventListener("click", toggleLock);
+find("copy-unit").addEventListener("click", copy);
+find("paste-unit").addEventListener("click", paste);
+
+function remove() {
+  if (!current() || refused(selected)) return;
+  const hasFocus = find("unit").contains(document.activeElement);
+  line.send({ do: "remove", unit: selected });
+  if (hasFocus) find("units-title").focus();
+}
+
+// ---------- what is turned is drawn at once; the session's answer comes later
+
+const live = new Map(); // by unit: what was asked for, and is not answered yet
+const TOLD_AS = { yaw_deg: "yawDeg", pitch_deg: "pitchDeg", height_m: "heightM", fov_deg: "fovDeg" };
+
+function now(unit) {
+  const asked = Object.entries(live.get(unit.id) ?? {}).map(([name, value]) => [TOLD_AS[name], value]);
+  const index = state.units.findIndex((each) => each.id === unit.id);
+  return { ...unit, ...Object.fromEntries(asked), colour: UNIT_COLOURS[index % UNIT_COLOURS.length], isLive: asked.length > 0, isLocked: locked.has(unit.id) };
+}
+const unitsNow = () => state?.units.map(now) ?? [];
+
+// Each step has all that those before it have asked for: of those that wait only the newest is sent.
+function change(id, changes, gesture) {
+  const unit = state.units.find((each) => each.id === id);
+  if (!unit || refused(id)) return;
+  if ("yaw_deg" in changes) changes.yaw_deg = 180 - ((((180 - changes.yaw_deg) % 360) + 360) % 360);
+  const asked = { ...live.get(id), ...changes };
+  const inRange = ([name, value]) => !(name === "height_m" && (value < unit.heightRange[0] || value > unit.heightRange[1])) && !(name === "fov_deg" && unit.fovRange && (value < unit.fovRange[0] || value > unit.fovRange[1])) && !(name === "pitch_deg" && Math.abs(value) > 90);
+  // What cannot be is sent, so that the answer says why, but not drawn.
+  if (Object.entries(asked).every(inRange)) live.set(id, asked);
+  line.step({ do: "change", unit: id, ...asked, gesture });
+  map.turn(now(unit));
+  if (id === selected) fillUnit();
+}
+
+// The session has refused something, or a gesture was given up: what it has told last is so.
+function settle() {
+  live.clear();
+  if (!state) return;
+  map.showUnits(unitsNow());
+  fillUnit();
+}
+
+function giveUp(unit, gesture) {
+  line.send({ do: "revert", gesture });
+  settle();
+}
+
+function snapped(yaw) {
+  return find("snap").checked ? STEP_DEG * Math.round(yaw / STEP_DEG) : yaw;
+}
+
+// ---------- locked units: of this page alone, by name
+
+const locked = new Set();
+
+function refused(id) {
+  if (locked.has(id)) notice(`${id} is locked: unlock it first (L).`);
+  return locked.has(id);
+}
+
+function toggleLock() {
+  if (!current()) return;
+  if (!locked.delete(selected)) locked.add(selected);
+  map.showUnits(unitsNow());
+  showUnits();
+}
+
+// The name of a unit that is gone may be another's next; that of another variant stays locked.
+function keepLocks(message) {
+  if (!state || message.current !== state.current || message.variants.length !== state.variants.length) return;
+  const ids = new Set(message.units.map((unit) => unit.id));
+  state.units.forEach((unit) => { if (!ids.has(unit.id)) locked.delete(unit.id); });
+}
+
+// ---------- copy and paste: the copy keeps height, lens and angles, on whichever pole
+
+let copied = null;
+
+function copy() {
+  const unit = current();
+  if (!unit) return;
+  copied = { sensor: unit.sensor, yaw_deg: unit.yawDeg, pitch_deg: unit.pitchDeg, height_m: unit.heightM, ...(unit.fovRange ? { fov_deg: unit.fovDeg } : {}) };
+  find("paste-unit").disabled = false;
+  notice(`${unit.id} is copied; Ctrl+V hangs the copy on the pole that is chosen.`);
+}
+
+function paste() {
+  if (!copied) { notice("Nothing is copied yet: choose a sensor and press Ctrl+C."); return; }
+  selected = undefined;
+  line.send({ do: "add", site: find("site").value, ...copied });
+}
 
 function chooseSite(id) {
   find("site").value = id;
@@ -314,7 +465,7 @@ function hang(site, aim) {
   const message = { do: "add", site, sensor: find("sensor").value };
   const isRing = scene.sensors.find((model) => model.name === message.sensor)?.isRing;
   if (aim) Object.assign(message, { yaw_deg: aim.yaw }, isRing ? {} : { pitch_deg: Math.max(-90, aim.pitch) }); // what scans all round stays level
-  selected = null; // the new one is the last
+  selected = undefined; // the new one is the last
   line.send(message);
 }
 find("site").addEventListener("change", (event) => chooseSite(event.target.value));
@@ -322,22 +473,57 @@ find("hang").addEventListener("click", () => hang(find("site").value));
 
 // ---------- lost runs
 
+let lostText = "";
 function showLost() {
   const list = find("lost");
   const isKnown = isCurrent() && numbers.source !== "none";
   const lost = isKnown ? numbers.lost.filter(([, , counts]) => counts) : [];
   const words = find("lost-filter").value.toLowerCase().split(/[\s,]+/).filter(Boolean);
   const shown = lost.filter(([index, outcome]) => words.every((word) => `${scene.runs[index].title} ${outcome}`.toLowerCase().includes(word)));
-  find("lost-text").textContent = !isKnown ? "" : lost.length === 0 ? "None: every run is avoided." : `${lost.length} of ${scene.runs.length}${words.length ? `, ${shown.length} of them as asked for` : ""}${shown.length > MOST_LOST ? `; the first ${MOST_LOST}` : ""}. Choose one to see why.`;
+  lostText = !isKnown ? "" : lost.length === 0 ? "None: every run is avoided." : `${lost.length} of ${scene.runs.length}${words.length ? `, ${shown.length} of them as asked for` : ""}${shown.length > MOST_LOST ? `; the first ${MOST_LOST}` : ""}. Choose one to see it on the plan, and why.`;
+  find("lost-text").textContent = lostText;
   list.replaceChildren(...shown.slice(0, MOST_LOST).map(([index, outcome]) => {
     const item = element("li", {});
-    const button = element("button", { type: "button", text: `${scene.runs[index].title}: ${outcome}` }, item);
-    button.addEventListener("click", () => dialogs.showRun(scene.runs[index], outcome));
+    const { id, title } = scene.runs[index], isPlayed = id === played.run();
+    const button = element("button", { type: "button", text: `${title}: ${outcome}`, title: scene.cases[title.split(" ")[0]] ?? "", "data-run": id, "aria-pressed": isPlayed }, item);
+    button.addEventListener("click", () => play(index));
     return item;
   }));
   list.hidden = !shown.length;
 }
 find("lost-filter").addEventListener("input", showLost);
+
+const playedIndex = () => scene.runs.findIndex((run) => run.id === played.run());
+const outcomeOf = (index) => (isCurrent() && numbers.lost ? numbers.lost.find(([lost]) => lost === index)?.[1] : undefined);
+let asked = ""; // the run and the layout that the plan waits for
+
+async function play(index) {
+  const run = scene.runs[index], wanted = asked = `${run.id} ${state.revision}`;
+  if (played.run() !== run.id) find("lost-text").textContent = `${run.title} is being looked up \u2026`;
+  try {
+    const message = await ask("explain", { run: run.id });
+    if (asked !== wanted) return;
+    const outcome = outcomeOf(index), { case: what } = message.record;
+    played.show(message, { title: `${run.title}${outcome ? `: ${outcome}` : ""} \u2013 ${what}`, isLost: outcome !== undefined });
+    markPlayed();
+  } catch (error) {
+    if (asked !== wanted) return;
+    notice(error.message);
+    markPlayed();
+  }
+}
+
+// The evaluator has judged what is shown: is the run that is played still lost, and why?
+let playedFor = 0;
+function playAgain() {
+  const index = playedIndex();
+  if (index >= 0 && playedFor !== state.revision) { playedFor = state.revision; play(index); }
+}
+
+function markPlayed() {
+  find("lost").querySelectorAll("[data-run]").forEach((button) => button.setAttribute("aria-pressed", button.dataset.run === played.run()));
+  find("lost-text").textContent = lostText;
+}
 
 // ---------- the optimiser
 
@@ -374,7 +560,7 @@ function readProposals(message) {
     element("p", { text: each.words }, item);
     element("p", { text: each.source === "evaluator" ? `By the evaluator: APR ${each.apr}.` : each.problem || "By the evaluator: computing \u2026" }, item);
     const row = element("div", { class: "row" }, item);
-    const add = (text, act) => { const made = element("button", { type: "button", text }, row); made.addEventListener("click", act); return made; };
+    const add = (text, act) => { const made = element("button", { type: "button", text, "aria-label": `${text}: ${each.title}` }, row); made.addEventListener("click", act); return made; };
     add("Show on the plan", () => { offered = offered === each.number ? null : each.number; readProposals({ proposals }); }).setAttribute("aria-pressed", offered === each.number);
     add("Take it over", () => line.send({ do: "take", number: each.number }));
     add("As a variant", () => line.send({ do: "take", number: each.number, as_variant: true }));
@@ -391,7 +577,7 @@ function readVariants(message) {
   const table = find("variants");
   table.tHead.replaceChildren();
   const head = element("tr", {}, table.tHead);
-  ["", "units", "cost", "APR", "one fails", ...cases].forEach((text) => element("th", { scope: "col", text }, head));
+  ["", "units", "cost", "APR", "one fails", ...cases].forEach((text) => element("th", { scope: "col", text, title: scene.cases[text] ?? "" }, head));
   const [body] = table.tBodies;
   const focused = document.activeElement?.dataset?.variant;
   body.replaceChildren();
@@ -404,10 +590,17 @@ function readVariants(message) {
     [row.units, row.cost, apr, row.oneFails, ...cases.map((name_) => row.byCase[name_] ?? "")].forEach((text) => element("td", { text }, line_));
   });
   if (focused !== undefined) body.querySelector(`[data-variant="${focused}"]`)?.focus();
+  comparison.variantsChanged(rows);
 }
 find("copy-variant").addEventListener("click", () => line.send({ do: "add-variant" }));
 find("remove-variant").addEventListener("click", () => line.send({ do: "remove-variant" }));
-find("variant-name").addEventListener("change", (event) => line.send({ do: "rename-variant", name: event.target.value }));
+find("variant-name").addEventListener("change", (event) => {
+  const plain = (name) => name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, " ").trim();
+  const like = state.variants.find((one, index) => index !== state.current && plain(one.name) === plain(event.target.value));
+  if (!like) { line.send({ do: "rename-variant", name: event.target.value }); return; }
+  notice(`"${event.target.value}" reads like "${like.name}": take a name that nobody mistakes for it.`);
+  event.target.value = state.variants[state.current].name;
+});
 
 // ---------- the plan's own buttons
 
@@ -416,6 +609,7 @@ find("redo").addEventListener("click", () => line.send({ do: "redo" }));
 find("closer").addEventListener("click", () => map.zoomBy(1.4));
 find("farther").addEventListener("click", () => map.zoomBy(1 / 1.4));
 find("whole").addEventListener("click", () => map.whole());
+find("ruler").addEventListener("click", () => map.measure(!map.isMeasuring()));
 find("coverage").addEventListener("change", (event) => {
   line.send({ do: "coverage", is_shown: event.target.checked });
   if (!event.target.checked) { coverage = null; map.showCoverage(null); }
@@ -440,27 +634,15 @@ function readCoverage(message) {
 
 // ---------- the keyboard
 
-// A step by pointer or field: keys go on from it.
-function put(step) {
-  held.at = 0;
-  line.step(step);
-}
-
-// Keys may come faster than answers: each goes on from what those before it have asked for.
-const KEY_GESTURE_MS = 800, AHEAD_MS = 2500;
-const TOLD_AS = { yaw_deg: "yawDeg", pitch_deg: "pitchDeg", height_m: "heightM", fov_deg: "fovDeg" };
-let held = { unit: "", key: "", gesture: "", at: 0 }, ahead = {};
+// Steps of one key that follow each other are undone at once.
+const KEY_GESTURE_MS = 800;
+let held = { unit: "", key: "", gesture: "", at: 0 };
 function turnBy(changes, key) {
   const unit = current();
   if (!unit) return;
-  const since = Date.now() - held.at;
-  if (held.unit !== selected || since > AHEAD_MS) ahead = {};
-  const isSame = held.unit === selected && held.key === key && since <= KEY_GESTURE_MS;
+  const isSame = held.unit === selected && held.key === key && Date.now() - held.at <= KEY_GESTURE_MS;
   held = { unit: selected, key, gesture: isSame ? held.gesture : `key ${Date.now()}`, at: Date.now() };
-  const wanted = { ...unit };
-  for (const [name, value] of Object.entries(ahead)) wanted[TOLD_AS[name]] = value;
-  Object.assign(ahead, changes(wanted));
-  line.step({ do: "change", unit: selected, ...ahead, gesture: held.gesture });
+  change(selected, changes(unit), held.gesture);
 }
 
 // Sliders, boxes and lists take arrows and letters, but nothing that could be undone or deleted there; so do numbers that are done.
@@ -469,16 +651,21 @@ const takesText = (field) => field.closest("dialog[open]") || (field.matches("in
 
 document.addEventListener("keydown", (event) => {
   const isWriting = takesKeys(event.target), key = event.key;
-  if (key === "Escape" && map.giveUp()) { event.preventDefault(); notice(""); return; }
+  if (key === "Escape" && !event.target.closest("dialog[open]")) {
+    const isDone = giveUpHandle() || giveUpTyping() || map.giveUp();
+    if (isDone) { event.preventDefault(); notice(""); return; }
+    if (!isWriting) { event.preventDefault(); chooseUnit(null); return; }
+  }
   if ((event.ctrlKey || event.metaKey) && !event.altKey && !takesText(event.target)) {
     const isRedo = key.toLowerCase() === "y" || (key.toLowerCase() === "z" && event.shiftKey);
     if (isRedo || key.toLowerCase() === "z") { event.preventDefault(); held.at = 0; line.send({ do: isRedo ? "redo" : "undo" }); }
+    const act = { c: copy, v: paste }[key.toLowerCase()], isOfText = key.toLowerCase() === "c" && !getSelection().isCollapsed;
+    if (act && isConnected && !event.shiftKey && !isOfText && (key.toLowerCase() === "v" || current())) { event.preventDefault(); act(); }
     return;
   }
-  const isDelete = key === "Delete" && !event.target.matches("input:not([type=range], [type=checkbox]), textarea") && !event.target.closest("dialog[open]");
+  const isDelete = ["Delete", "Backspace"].includes(key) && !event.target.matches("input:not([type=range], [type=checkbox]), textarea") && !event.target.closest("dialog[open]");
   if ((isWriting && !isDelete) || event.altKey || event.metaKey || !isConnected) return;
   const step = event.shiftKey ? 10 : 1;
-  const within = (value, [low, high]) => Math.min(Math.max(value, low), high);
   const acts = {
     ArrowLeft: () => turnBy((unit) => ({ yaw_deg: unit.yawDeg + step }), key),
     ArrowRight: () => turnBy((unit) => ({ yaw_deg: unit.yawDeg - step }), key),
@@ -488,7 +675,10 @@ document.addEventListener("keydown", (event) => {
     PageDown: () => turnBy((unit) => ({ height_m: within(unit.heightM - 0.25, unit.heightRange) }), key),
     "+": () => current()?.fovRange && turnBy((unit) => ({ fov_deg: within(unit.fovDeg - step, unit.fovRange) }), key),
     "-": () => current()?.fovRange && turnBy((unit) => ({ fov_deg: within(unit.fovDeg + step, unit.fovRange) }), key),
-    Delete: () => current() && line.send({ do: "remove", unit: selected }),
+    Delete: remove,
+    Backspace: remove,
+    l: toggleLock,
+    m: () => map.measure(!map.isMeasuring()),
     n: () => stepUnit(1),
     p: () => stepUnit(-1),
     "?": () => dialogs.showHelp(),

@@ -348,6 +348,7 @@ def test_a_lost_run_is_told_and_played(browser, serve):
     with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
         told(page)
         page.locator("#lost button").first.click()
+        page.locator("#played-why").click()
         page.locator("#run-why li").first.wait_for()
         assert "frames come early enough" in page.locator("#run-why").inner_text()
         page.locator("#play").click()
@@ -479,7 +480,13 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         for opens in ("#show-help", "#background"):
             page.locator(opens).click()
             has_no_fault()
+        page.locator("#copy-variant").click()
+        page.locator("#compare").select_option("mine")
+        page.locator("#compare-units li").first.wait_for()
         page.locator("#lost button").first.click()
+        page.locator("#played").wait_for()
+        has_no_fault()
+        page.locator("#played-why").click()
         page.locator("#run-why li").first.wait_for()
         page.locator("#picture-show").click()
         page.locator("#picture").wait_for()
@@ -690,3 +697,403 @@ def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(browser,
         stage = page.locator("#stage").bounding_box()
         assert key["x"] + key["width"] <= stage["x"] + stage["width"]
         assert page.locator("#plan").bounding_box()["height"] >= 0.4 * min(height, 600)
+
+
+# ---------- handled as in the tools people know
+
+
+def chosen(page):
+    """Names of the units whose buttons are pressed."""
+    return page.locator("#units [aria-pressed=true]").all_inner_texts()
+
+
+def rested(page):
+    """Wait until numbers and the chosen unit's view are there: nothing in the panel moves then."""
+    told(page)
+    page.get_by_text(re.compile(r"its detector reaches \d+ m")).wait_for()
+
+
+def scale_m(page):
+    """Metres of a pixel of the plan, by its bar."""
+    bar = page.locator('#plan path[d^="M12 "]')
+    (length,) = re.findall(r"h([\d.]+)$", bar.get_attribute("d"))
+    return float(bar.locator("xpath=following-sibling::*[1]").text_content()[:-2]) / float(length)
+
+
+def empty_place(page):
+    """A place of the plan without any view: a corner of its window."""
+    box = page.locator("#plan").bounding_box()
+    return box["x"] + 6, box["y"] + 6
+
+
+def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
+        page.wait_for_selector('[data-view="RSU0"][d]', state="attached")
+        page.wait_for_selector('[data-view="RSU1"][d]', state="attached")
+        page.locator('[data-chip="RSU0"]').click()
+        last = page.locator("#plan [data-view]").last  # drawn above the other
+        expect(last).to_have_attribute("data-view", "RSU0")
+        page.locator('[data-chip="RSU1"]').click()
+        expect(last).to_have_attribute("data-view", "RSU1")
+        page.mouse.click(*empty_place(page))
+        expect(page.locator("#unit")).to_be_hidden()
+        assert chosen(page) == []
+        assert page.locator("[data-aim]").count() == 0
+        x, y = (
+            (a + b) / 2  # both look at the junction's middle
+            for a, b in zip(
+                middle(page.locator('[data-site="corner-ne"]')),
+                middle(page.locator('[data-site="corner-sw"]')),
+                strict=True,
+            )
+        )
+        page.mouse.click(x, y)
+        first = chosen(page)
+        page.mouse.click(x, y)  # the view below it
+        second = chosen(page)
+        assert {name[0].split()[0] for name in (first, second)} == {"RSU0", "RSU1"}
+        page.keyboard.press("Escape")
+        expect(page.locator("#unit")).to_be_hidden()
+
+
+def test_backspace_and_delete_take_down_and_nothing_is_chosen_then(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:3])) as page:
+        for key, left in (("Backspace", 2), ("Delete", 1)):
+            page.locator("[data-chip]").first.click()
+            page.keyboard.press(key)
+            expect(page.locator("#units button")).to_have_count(left, timeout=PATIENCE_MS)
+            assert chosen(page) == []
+        page.keyboard.press("Delete")  # nothing is chosen
+        page.locator("[data-chip]").first.click()
+        write(page.locator("#yaw"), "12")
+        page.locator("#yaw").press("Backspace")  # of what is typed
+        expect(page.locator("#yaw")).to_have_value("1")
+        expect(page.locator("#units button")).to_have_count(1)
+
+
+def held_back(page, line_of):
+    """Let no change reach the session until it is released."""
+    held = []
+
+    def route(line):
+        server = line.connect_to_server()
+        line.on_message(lambda text: held.append(text) if "change" in text else server.send(text))
+        line_of.append((server, held))
+
+    page.route_web_socket("**/live", route)
+
+
+def test_ring_outline_compass_and_side_view_follow_before_any_answer(browser, serve):
+    lines = []
+    with opened(
+        browser,
+        serve(load_carlancap_layout().units[:1]),
+        before=lambda page: held_back(page, lines),
+    ) as page:
+        told(page)
+        x, y = middle(page.locator("[data-aim]"))
+        drag(page, (x, y), (x + 90, y - 60))
+        assert middle(page.locator("[data-aim]")) == pytest.approx((x + 90, y - 60), abs=1.5)
+        assert page.locator("#plan .open-view").get_attribute("d").startswith("M")
+        yaw = number(page, "#yaw")
+        bearing = float(page.locator("#compass").get_attribute("aria-valuenow"))
+        assert bearing == pytest.approx((90.0 - yaw) % 360.0, abs=0.1)
+        tilt = page.locator('#side [data-part="tilt"]').get_attribute("aria-valuenow")
+        assert float(tilt) == pytest.approx(number(page, "#pitch"), abs=0.06)
+        page.mouse.up()
+        server, held = lines[-1]
+        assert len(held) == 1  # the others wait for its answer
+        server.send(held[0])
+        page.locator("#plan .open-view").wait_for(state="attached")  # the newest step is next
+
+
+@pytest.mark.parametrize("part", ["#yaw-slide", "#compass", '#side [data-part="height"]'])
+def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, part):
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        rested(page)
+        fields = ("#yaw", "#pitch", "#height")
+        before = [number(page, field) for field in fields]
+        page.locator(part).scroll_into_view_if_needed()
+        x, y = middle(page.locator(part))
+        if part == "#yaw-slide":
+            box, share = page.locator(part).bounding_box(), (before[0] + 180.0) / 360.0
+            x = box["x"] + 8 + share * (box["width"] - 16)  # the thumb
+        away = {"#yaw-slide": (x - 40, y), "#compass": (x - 30, y + 30)}.get(part, (x, y + 20))
+        drag(page, (x, y), away)
+        page.wait_for_function(
+            """([fields, before]) => fields.some((field, index) =>
+            Math.abs(document.querySelector(field).valueAsNumber - before[index]) > 0.2)""",
+            arg=[list(fields), before],
+        )
+        page.keyboard.press("Escape")
+        page.mouse.move(away[0] + 5, away[1] - 5, steps=3)
+        page.mouse.up()
+        for field, value in zip(fields, before, strict=True):
+            expect(page.locator(field)).to_have_value(f"{value:g}", timeout=PATIENCE_MS)
+        assert page.locator("#redo").is_disabled()
+        assert page.locator("#undo").is_disabled()
+
+
+WHEEL = """([x, y, given]) => document.querySelector("#plan svg").dispatchEvent(
+    new WheelEvent("wheel", { clientX: x, clientY: y, bubbles: true, cancelable: true, ...given }))
+"""
+
+
+def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(browser, serve):
+    with opened(browser, serve()) as page:
+        near, far = (page.locator(f'[data-site="corner-{name}"]') for name in ("ne", "sw"))
+
+        def turned(*events):
+            """How far the pole below the pointer has moved, and what distances have become."""
+            (x, y), (u, v) = middle(near), middle(far)
+            for given in events:
+                page.evaluate(WHEEL, [x, y, given])
+            (x2, y2), (u2, v2) = middle(near), middle(far)
+            page.wait_for_timeout(400)  # what comes later is another turn
+            return (x2 - x, y2 - y), np.hypot(u2 - x2, v2 - y2) / np.hypot(u - x, v - y)
+
+        moved, size = turned({"deltaX": 3, "deltaY": 4}, {"deltaX": 12, "deltaY": 80})
+        assert moved == pytest.approx((-15.0, -84.0), abs=1.0)
+        assert size == pytest.approx(1.0)
+        moved, size = turned({"deltaY": -100})
+        assert moved == pytest.approx((0.0, 0.0), abs=1.0)
+        assert size == pytest.approx(1.2, rel=0.01)
+        moved, size = turned({"deltaY": 3, "deltaMode": 1})  # lines, as Firefox tells
+        assert moved == pytest.approx((0.0, 0.0), abs=1.0)
+        assert size == pytest.approx(1.0 / 1.2, rel=0.01)
+        moved, size = turned(*[{"deltaY": -4, "ctrlKey": True}] * 5)
+        assert moved == pytest.approx((0.0, 0.0), abs=1.0)
+        assert size == pytest.approx(1.2 ** (20 / 38), rel=0.01)
+
+
+def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        rested(page)
+        grip = page.locator('#side [data-part="height"]')
+        grip.scroll_into_view_if_needed()
+        low, high = (float(grip.get_attribute(f"aria-value{end}")) for end in ("min", "max"))
+        before = number(page, "#height")
+        x, y = middle(grip)
+        drag(page, (x, y), (x, y + 24))
+        page.mouse.up()
+        expect(page.locator("#height")).not_to_have_value(f"{before:g}", timeout=PATIENCE_MS)
+        height = number(page, "#height")
+        assert low <= height < before
+        assert middle(grip)[1] == pytest.approx(y + 24, abs=1.5)
+        x, y = middle(grip)
+        drag(page, (x, y), (x, y + 400))  # no lower than the pole carries
+        page.mouse.up()
+        expect(page.locator("#height")).to_have_value(f"{low:g}", timeout=PATIENCE_MS)
+        grip.focus()
+        grip.press("ArrowUp")
+        expect(page.locator("#height")).to_have_value(f"{low + 0.25:g}", timeout=PATIENCE_MS)
+        (x, y), knob = middle(grip), page.locator('#side [data-part="tilt"]')
+        drag(page, middle(knob), (x + 60, y + 60))
+        page.mouse.up()
+        expect(page.locator("#pitch")).to_have_value(re.compile("^-4[45]"), timeout=PATIENCE_MS)
+        told(page)
+        (unit,) = saved(page, tmp_path).units
+        assert unit.pose.pitch_deg == pytest.approx(-45.0, abs=1.5)
+        # The picture's lower edge meets the road as far away as its angle says.
+        pose, half = unit.pose, 0.5 * unit.sensor.vertical_fov_deg
+        away_m = (low + 0.25) / np.tan(np.radians(half - pose.pitch_deg))
+        ray = page.locator("#side .ray-lower").get_attribute("d")
+        x, y, x2, y2 = (float(value) for value in re.findall(r"[\d.]+", ray))
+        assert (x2 - x) / (y2 - y) == pytest.approx(away_m / (low + 0.25), rel=1e-3)
+        assert high > low
+
+
+def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        rested(page)
+        compass = page.locator("#compass")
+        compass.scroll_into_view_if_needed()
+        x, y = middle(compass)
+        drag(page, (x + 30, y), (x + 38, y - 3))
+        assert float(compass.get_attribute("aria-valuenow")) == pytest.approx(
+            85.5, abs=1.0
+        )  # a pixel
+        page.keyboard.down("Shift")
+        page.mouse.move(x + 30, y - 13)
+        page.keyboard.up("Shift")
+        assert compass.get_attribute("aria-valuetext").startswith("60.0 degrees, north-east")
+        page.mouse.up()
+        expect(page.locator("#yaw")).to_have_value("30", timeout=PATIENCE_MS)
+        page.locator("#snap").check()
+        x, y = middle(page.locator("[data-aim]"))
+        drag(page, (x, y), (x + 33, y + 47), (x - 20, y + 90))
+        page.mouse.up()
+        told(page, "table", "evaluator")
+        assert number(page, "#yaw") % 15.0 == 0.0
+        assert number(page, "#yaw") != 30.0
+        compass.focus()
+        yaw = number(page, "#yaw")
+        compass.press("ArrowRight")  # clockwise
+        expect(page.locator("#yaw")).to_have_value(f"{yaw - 1:g}", timeout=PATIENCE_MS)
+
+
+def test_a_copy_keeps_angles_height_and_lens_on_another_pole(browser, serve, tmp_path):
+    (unit,) = load_carlancap_layout().units[:1]
+    with opened(browser, serve([unit])) as page:
+        page.locator('[data-chip="RSU0"]').click()
+        page.locator('[data-site="corner-nw"]').focus()
+        page.keyboard.press("Enter")
+        page.keyboard.press("Control+c")
+        page.locator("#notice").get_by_text("RSU0 is copied").wait_for()
+        page.keyboard.press("Control+v")
+        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+        first, second = saved(page, tmp_path).units
+        assert (first.site_id, second.site_id) == ("corner-se", "corner-nw")
+        assert second.sensor == first.sensor
+        angles = [(each.pose.yaw_deg, each.pose.pitch_deg) for each in (first, second)]
+        assert angles[0] == pytest.approx(angles[1])
+        assert chosen(page)[0].startswith(second.id)
+        page.locator("#remove").click()
+        expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
+        page.locator("#paste-unit").click()  # the copy outlives what it is of
+        expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
+
+
+def test_a_ruler_measures_between_places_and_poles(browser, serve, small_setting):
+    places = {site.id: site.position_m[:2] for site in small_setting.scene.sites}
+    apart_m = np.hypot(*(places["corner-ne"] - places["corner-sw"]))
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        x, y = middle(page.locator('[data-site="corner-ne"]'))
+        page.keyboard.press("m")
+        expect(page.locator("#ruler")).to_have_attribute("aria-pressed", "true")
+        drag(page, (x + 3, y), middle(page.locator('[data-site="corner-sw"]')))
+        page.mouse.up()
+        said = page.locator("#ruler-text")
+        expect(said).to_have_text(f"{apart_m:.2f} m")  # poles are met exactly
+        page.mouse.click(x - 90, y + 60)
+        page.mouse.click(x - 90, y + 160)
+        expect(said).to_have_text(re.compile(r"^[\d.]+ m$"))
+        assert float(said.inner_text()[:-2]) == pytest.approx(100.0 * scale_m(page), rel=0.01)
+        for name in ("corner-ne", "corner-sw"):
+            page.locator(f'[data-site="{name}"]').focus()
+            page.keyboard.press("Enter")
+        expect(said).to_have_text(f"{apart_m:.2f} m")
+        page.keyboard.press("Escape")
+        expect(page.locator("#ruler")).to_have_attribute("aria-pressed", "false")
+        expect(page.locator("#units button")).to_have_count(1)
+
+
+def test_what_is_locked_is_not_dragged_turned_or_taken_down(browser, serve, tmp_path):
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        page.locator('[data-chip="RSU0"]').click()
+        page.keyboard.press("l")
+        expect(page.locator("#plan .lock")).to_have_count(1)
+        assert page.locator("[data-aim]").count() == 0
+        assert "locked" in page.locator('[data-chip="RSU0"]').inner_text()
+        for key in ("ArrowLeft", "Delete", "PageUp"):
+            page.keyboard.press(key)
+        drag(
+            page,
+            middle(page.locator('[data-unit="RSU0"] circle')),
+            middle(page.locator('[data-site="corner-sw"]')),
+        )
+        page.mouse.up()
+        drag(page, middle(page.locator("#compass")), (900.0, 300.0))
+        page.mouse.up()
+        page.locator("#notice").get_by_text("RSU0 is locked").wait_for()
+        assert page.locator("#yaw").is_disabled()
+        assert page.locator("#remove").is_disabled()
+        (unit,), (before,) = saved(page, tmp_path).units, load_carlancap_layout().units[:1]
+        assert unit.site_id == before.site_id
+        assert unit.pose.yaw_deg == before.pose.yaw_deg
+        assert page.locator("#undo").is_disabled()
+        page.locator("#lock").click()
+        page.locator("#remove").click()
+        expect(page.locator("#units button")).to_have_count(0, timeout=PATIENCE_MS)
+
+
+def test_two_variants_are_compared_by_units_and_cases(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:3])) as page:
+        told(page)
+        page.locator("#copy-variant").click()
+        page.locator("#compare-row").wait_for()
+        page.locator("#compare").select_option("mine")
+        page.locator("#compare-units").get_by_text("The same units").wait_for()
+        page.locator('[data-chip="RSU2"]').click()
+        page.locator("#remove").click()
+        page.locator('[data-chip="RSU1"]').click()
+        yaw = number(page, "#yaw")
+        write(page.locator("#yaw"), f"{yaw - 40:g}")
+        page.locator("#yaw").press("Enter")
+        page.locator("#site").select_option("corner-sw")
+        page.locator("#hang").click()
+        said = page.locator("#compare-units li")
+        expect(said).to_have_count(3, timeout=PATIENCE_MS)
+        told(page)
+        expect(said.nth(0)).to_contain_text("only here, at corner-sw")
+        expect(said.nth(1)).to_contain_text("RSU2: only in mine, at corner-nw")
+        expect(said.nth(2)).to_contain_text(re.compile(r"RSU1: turned by (40|39\.9|40\.1)"))
+        assert page.locator("#plan .other").count() == 2
+        row = page.locator("#compare-points tbody tr").first
+        row.get_by_text("APR").wait_for()
+        here, there, points = row.locator("td").all_inner_texts()
+        sign = -1.0 if points.startswith("\u2212") else 1.0
+        difference = sign * float(re.sub(r"[^\d.]", "", points))
+        assert difference == pytest.approx(float(here[:-2]) - float(there[:-2]), abs=0.051)
+        write(page.locator("#variant-name"), "Mine!")  # reads like the other's
+        page.locator("#variant-name").press("Enter")
+        page.locator("#notice").get_by_text('reads like "mine"').wait_for()
+
+
+def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting):
+    with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
+        told(page)
+        page.locator("#lost button").first.click()
+        strip = page.locator("#played")
+        strip.wait_for()
+        run_id = page.locator("#lost [aria-pressed=true]").get_attribute("data-run")
+        (run,) = (run for run in small_setting.runs if run.id == run_id)
+        assert run.case.title in page.locator("#played-title").inner_text()
+        assert re.search(r"(comes nearest|No unit|Lost whatever)", strip.inner_text())
+        slider = page.locator("#played-frame")
+        assert int(slider.get_attribute("max")) == len(run.time_s) - 1
+
+        def apart_m():
+            """Between car and road user as the plan draws them, all at one moment."""
+            pixels, bar = page.evaluate(
+                """() => { const [a, b] = ["car", "user"].map((who) =>
+                    document.querySelector(`.played-${who}`).getBoundingClientRect());
+                const bar = document.querySelector('#plan path[d^="M12 "]');
+                return [Math.hypot(a.x + a.width / 2 - b.x - b.width / 2,
+                    a.y + a.height / 2 - b.y - b.height / 2),
+                    [bar.getAttribute("d"), bar.nextElementSibling.textContent]]; }"""
+            )
+            length, metres = (re.search(r"h([\d.]+)$", bar[0])[1], bar[1].split()[0])
+            return pixels * float(metres) / float(length)
+
+        for frame in (0, len(run.time_s) // 2, len(run.time_s) - 1):
+            slider.evaluate(
+                """(slider, frame) => { slider.value = frame;
+                slider.dispatchEvent(new Event("input")); }""",
+                frame,
+            )
+            true_m = np.hypot(*(run.vut_position_m[frame] - run.vru_position_m[frame])[:2])
+            assert apart_m() == pytest.approx(true_m, abs=0.7)
+            assert f"{abs(run.time_s[frame]):.1f} s" in page.locator("#played-time").inner_text()
+        page.locator("#played-play").click()
+        page.wait_for_function("() => document.querySelector('#played-frame').valueAsNumber > 3")
+        page.locator("#played-play").click()
+        row = page.locator('#played-rows [aria-label^="RSU7"]')
+        assert re.search("sees the road user", row.get_attribute("aria-label"))
+        page.locator("#played-close").click()
+        strip.wait_for(state="hidden")
+        assert page.locator(".played-car").is_hidden()
+
+
+def test_the_help_says_every_handling_and_every_colour(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        page.keyboard.press("?")
+        said = page.locator("#help-dialog").inner_text()
+        for word in ("compass", "side view", "Ruler", "Ctrl+V", "lock", "Backspace", "trackpad"):
+            assert word in said
+        for colour in ("blue", "orange", "pink", "yellow", "violet"):
+            assert colour in said
+        page.keyboard.press("Escape")
+        unit_colour = page.locator('[data-view="RSU0"]').get_attribute("stroke")
+        meanings = {"#0072B2", "#D55E00", "#CC79A7", "#F0E442", "#CC0000"}
+        assert unit_colour.upper() not in meanings

@@ -102,6 +102,23 @@ def test_what_scans_all_round_is_level_however_it_comes():
     assert state.variant.units[1].pose.pitch_deg == ONE.variant.units[0].pose.pitch_deg
 
 
+def test_a_copy_has_height_and_lens_as_far_as_pole_and_model_have_them():
+    site = next(site for site in SCENE.sites if site.id == "corner-sw")
+    low_m, high_m = site.height_range_m
+    for height_m, hung_m in ((6.25, 6.25), (99.0, high_m), (0.0, low_m)):
+        add = AddUnit(site="corner-sw", sensor="varifocal-1080p", height_m=height_m, fov_deg=40.0)
+        (unit,) = changed(add).variant.units
+        assert unit.pose.position_m[2] - site.position_m[2] == pytest.approx(hung_m)
+        assert unit.sensor.horizontal_fov_deg == 40.0
+    for asked, said in (
+        ({"fov_deg": 5.0}, "lens: got 5.0"),
+        ({"height_m": math.nan}, "height: got nan"),
+        ({"sensor": "carla-ncap-lidar", "fov_deg": 40.0}, "only cameras have lenses"),
+    ):
+        with pytest.raises(InputError, match=said):
+            changed(AddUnit(**{"site": "corner-sw", "sensor": "varifocal-1080p", **asked}))
+
+
 def test_no_way_leads_to_more_units_than_the_limit():
     unit = ONE.variant.units[0]
     many = [replace(unit, id=f"U{index}", site_id="") for index in range(MAX_UNITS + 1)]

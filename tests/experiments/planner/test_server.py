@@ -672,6 +672,10 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
     for unit in told["units"]:
         missed = sum(reason["frames"] for reason in unit["reasons"])
         assert missed + unit["detected"] == told["inTime"]
+    record, run = told["record"], small_setting.runs[0]
+    assert record["car"]["x"] == np.rint(100.0 * run.vut_position_m[:, 0]).tolist()
+    assert record["road"]["y"] == np.rint(100.0 * run.vru_position_m[:, 1]).tolist()
+    assert [party["kind"] for party in told["parties"]][:2] == ["vut", "unit"]
     page = client.get(f"/{TOKEN}/watch", params={"run": run_id})
     assert page.status_code == 200
     assert "startPlayer" in page.text

@@ -1,0 +1,124 @@
+// Another variant beside the one that is worked on: units that differ, and cases by points.
+
+import { ask } from "./line.js";
+import { element } from "./shared.js";
+
+const find = (id) => document.getElementById(id);
+const REST_MS = 250; // after a change, before it is compared again
+const NEAR_M = 0.05, LEAST_DEG = 0.05;
+const wrapped = (deg) => 180 - ((((180 - deg) % 360) + 360) % 360);
+const signed = (value, digits, unit) => `${value > 0 ? "+" : value < 0 ? "\u2212" : "\u00b1"}${Math.abs(value).toFixed(digits)}${unit}`;
+
+// Units of two variants as a plan's file has them: pairs by name, then by place; those left over.
+export function differences(here, there) {
+  const left = [...there], pairs = [], added = [];
+  const taken = (index) => left.splice(index, 1)[0];
+  const isAt = (a, b) => Math.hypot(a.x_m - b.x_m, a.y_m - b.y_m, a.z_m - b.z_m) < NEAR_M;
+  const rest = here.filter((unit) => {
+    const index = left.findIndex((other) => other.id === unit.id);
+    if (index >= 0) pairs.push([unit, taken(index)]);
+    return index < 0;
+  });
+  rest.forEach((unit) => {
+    const index = left.findIndex((other) => isAt(unit, other));
+    if (index >= 0) pairs.push([unit, taken(index)]);
+    else added.push(unit);
+  });
+  const changed = pairs.map(([unit, other]) => ({ unit, other, words: changesOf(unit, other) })).filter((pair) => pair.words.length);
+  return { added, removed: left, changed };
+}
+
+function changesOf(unit, other) {
+  const words = [], turned = wrapped(unit.yaw_deg - other.yaw_deg), tilted = (unit.pitch_deg ?? 0) - (other.pitch_deg ?? 0), raised = unit.z_m - other.z_m;
+  const awayM = Math.hypot(unit.x_m - other.x_m, unit.y_m - other.y_m);
+  if (unit.site !== other.site) words.push(`moved from ${other.site || "no pole"} to ${unit.site || "no pole"}`);
+  else if (awayM > NEAR_M) words.push(`moved by ${awayM.toFixed(2)} m`);
+  if (Math.abs(turned) > LEAST_DEG) words.push(`turned by ${Math.abs(turned).toFixed(1)}\u00b0 ${turned < 0 ? "clockwise" : "counterclockwise"}`);
+  if (Math.abs(tilted) > LEAST_DEG) words.push(`tilted ${Math.abs(tilted).toFixed(1)}\u00b0 ${tilted > 0 ? "up" : "down"}`);
+  if (Math.abs(raised) > NEAR_M && unit.site === other.site) words.push(`${Math.abs(raised).toFixed(2)} m ${raised > 0 ? "higher" : "lower"}`);
+  const model = (one) => JSON.stringify([one.camera, one.lidar, one.fov_deg, one.horizontal_fov_deg]);
+  if (model(unit) !== model(other)) words.push("another model or lens");
+  return words;
+}
+
+export function compareVariants({ map, state, cases }) {
+  const select = find("compare");
+  let rows = [], chosen = "", timer = 0, turn = 0;
+
+  function fillChoice() {
+    const names = state().variants.map((variant) => variant.name), others = names.filter((_, index) => index !== state().current);
+    if (!others.includes(chosen)) chosen = "";
+    const wanted = JSON.stringify(others);
+    if (select.dataset.names !== wanted) {
+      select.dataset.names = wanted;
+      select.replaceChildren(...["", ...others].map((name) => element("option", { value: name, text: name || "nothing" })));
+    }
+    select.value = chosen;
+    find("compare-row").hidden = others.length === 0;
+  }
+
+  // Layouts are in the plan's file: it is asked for once the plan rests.
+  async function compare() {
+    const mine = state().variants[state().current]?.name, asked = (turn += 1);
+    find("compare-result").hidden = !chosen;
+    if (!chosen) { map.showOther([]); return; }
+    let plan;
+    try {
+      plan = await ask("plan.json");
+    } catch (error) {
+      if (asked === turn) find("compare-units").replaceChildren(element("li", { text: error.message }));
+      return;
+    }
+    if (asked !== turn) return;
+    const layoutOf = (name) => plan.variants.find((variant) => variant.name === name)?.layout ?? [];
+    show(mine, differences(layoutOf(mine), layoutOf(chosen)));
+  }
+
+  function show(mine, { added, removed, changed }) {
+    find("compare-title").textContent = `${mine} against ${chosen}`;
+    const said = [
+      ...added.map((unit) => `${unit.id}: only here${unit.site ? `, at ${unit.site}` : ""}`),
+      ...removed.map((unit) => `${unit.id}: only in ${chosen}${unit.site ? `, at ${unit.site}` : ""}`),
+      ...changed.map(({ unit, other, words }) => `${unit.id}${unit.id === other.id ? "" : ` (there ${other.id})`}: ${words.join(", ")}`),
+    ];
+    find("compare-units").replaceChildren(...(said.length ? said : ["The same units, aimed alike."]).map((text) => element("li", { text })));
+    map.showOther([...removed, ...changed.map(({ other }) => other)].map((unit) => ({ place: [100 * unit.x_m, 100 * unit.y_m], yawDeg: unit.yaw_deg, text: `${unit.id} in ${chosen}` })));
+    showPoints(mine);
+  }
+
+  // By the shares that the table shows, so that whoever subtracts them finds the same.
+  function showPoints(mine) {
+    const [here, there] = [mine, chosen].map((name) => rows.find((row) => row.name === name));
+    const [body] = find("compare-points").tBodies;
+    body.replaceChildren();
+    const isKnown = here && there && here.source !== "none" && there.source !== "none";
+    const isSameSource = isKnown && here.source === there.source;
+    find("compare-note").textContent = !isKnown ? "Numbers come once both are computed." : isSameSource ? "" : "One is by the detection table, the other by the evaluator: not to be compared yet.";
+    if (!isSameSource) return;
+    const names = [...new Set([...Object.keys(here.byCase), ...Object.keys(there.byCase)])];
+    const lines = [["APR", here.apr, there.apr], ["APR if one fails", here.oneFails, there.oneFails], ...names.map((name) => [name, here.byCase[name], there.byCase[name]])];
+    for (const [name, a, b] of lines) {
+      const [x, y] = [Number.parseFloat(a), Number.parseFloat(b)];
+      if (!Number.isFinite(x) || !Number.isFinite(y)) continue;
+      const row = element("tr", {}, body);
+      element("th", { scope: "row", text: name, title: cases()[name] ?? "" }, row);
+      for (const text of [a, b, signed(x - y, 1, " points")]) element("td", { class: "number", text }, row);
+    }
+    find("compare-points").tHead.rows[0].replaceChildren(...["", mine, chosen, "difference"].map((text) => element("th", { scope: "col", text })));
+  }
+
+  select.addEventListener("change", () => { chosen = select.value; compare(); });
+  return {
+    stateChanged() {
+      fillChoice();
+      clearTimeout(timer);
+      if (chosen) timer = setTimeout(compare, REST_MS);
+      else compare();
+    },
+    variantsChanged(next) {
+      rows = next;
+      const mine = state()?.variants[state().current]?.name;
+      if (chosen && mine) showPoints(mine);
+    },
+  };
+}
