@@ -24,9 +24,9 @@ def check(problem: PlacementProblem, solver: str) -> None:
     is_exact = solver in ("auto", "exact") or (solver in ("models", "walk") and problem.tail == 1.0)
     with pytest.MonkeyPatch.context() as patch:
         if solver not in SOLVERS:
-            patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
+            patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
         if solver == "models":
-            patch.setattr("placement.optimiser.stages.can_walk", lambda _: False)
+            patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
         effort = Effort(solver=solver if solver in SOLVERS else "exact", time_limit_s=600.0)
         try:
             solution = solve_placement(problem, effort=effort)

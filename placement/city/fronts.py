@@ -17,7 +17,7 @@ from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import ReducedProblem
 from ..optimiser.problem import Objective, PlacementValue
-from ..optimiser.stages import Search
+from ..optimiser.proof import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
 # ---------- one junction

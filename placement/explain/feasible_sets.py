@@ -14,8 +14,8 @@ from ..optimiser.bitsets import left_after_failures, set_values, union_margins_s
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.limits import fitting, price_step_eur
 from ..optimiser.problem import Measure, Objective, Requirement
+from ..optimiser.proof import Search
 from ..optimiser.solve import check_limits
-from ..optimiser.stages import Search
 from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline
 from ..optimiser.walk import best_of_few
 

@@ -3,7 +3,7 @@
 ``problem`` and ``limits`` say what is asked and what a set of poses is worth, ``steering`` how hard
 to try, ``bitsets`` what many sets are worth. 1. ``presolve`` drops what does not matter, ``greedy``
 finds good sets. 2. ``bounds``: the Lagrangian bound, polished by OSQP. 3. ``walk``: all sets that
-may be as good; ``pairs``, where worlds are sampled. 4. ``model``: HiGHS. ``stages`` takes the
+may be as good; ``pairs``, where worlds are sampled. 4. ``model``: HiGHS. ``proof`` takes the
 objectives in order, ``solve`` calls it all, ``front`` says what more units or more money buy.
 Modules called ``.._kernels`` are compiled by Numba.
 """

@@ -29,6 +29,7 @@ from .problem import (
     is_better,
     placement_value,
 )
+from .proof import Search, Stages
 from .solve import (
     UnmetError,
     build_stage,
@@ -39,7 +40,6 @@ from .solve import (
     solve_placement,
     units_of,
 )
-from .stages import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 StageChoice = Literal["first", "all"]

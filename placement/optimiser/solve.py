@@ -23,7 +23,7 @@ from .greedy import to_full
 from .limits import Limits, cost_eur
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import Floor, Objective, PlacementProblem, apr, objective_values
-from .stages import Search, Stages
+from .proof import Search, Stages
 from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 _log = logging.getLogger(__name__)

@@ -75,7 +75,7 @@ def build_drawn_tables(
     packed = np.zeros((n_draws, len(sample.candidates), n_bytes), dtype=np.uint8)
 
     def fill(rows: list[int]) -> None:
-        from .drawing import draw_frames
+        from .detection_kernels import draw_frames
 
         candidates = [sample.candidates[row] for row in rows]
         limits, entry_of_frame = _limits(world, candidates, detector)
@@ -414,7 +414,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     drawn, loss = sample.uncertainty, sample.setting.radio.packet_loss
     if loss == 0.0 and not drawn.may_fail:
         return table
-    from .drawing import lose_frames
+    from .detection_kernels import lose_frames
 
     order = link_frames(draw_index(sample.setting.runs))
     n_frames = [len(run.time_s) for run in sample.setting.runs]
@@ -504,7 +504,7 @@ def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
 
 def _coins(sample: Sample) -> Callable[..., FloatArray]:
     """Function of a thing: its numbers from 0 to 1 by run (n_runs,), the same in all weathers."""
-    from .drawing import draw_coins
+    from .detection_kernels import draw_coins
 
     runs = sample.setting.runs
     first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])

@@ -42,7 +42,7 @@ from placement.optimiser.limits import are_allowed, is_allowed
 from placement.optimiser.pairs import PairWalk
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.problem import Objective
-from placement.optimiser.stages import Search
+from placement.optimiser.proof import Search
 from placement.optimiser.steering import NEVER, Deadline, deadline_in
 from placement.optimiser.walk import SetWalk, best_of_few, can_walk
 

@@ -71,8 +71,8 @@ def test_steps_are_those_of_brute_force(problem: PlacementProblem, stages: str) 
 @given(problem=questions().map(asked_for_nothing_but_the_best))
 def test_models_find_the_same_steps_without_enumeration(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.stages.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
+        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
         check_steps(problem, "first")
 
 

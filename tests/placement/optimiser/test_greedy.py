@@ -19,7 +19,7 @@ from placement.optimiser.greedy import (
     to_full,
 )
 from placement.optimiser.limits import is_allowed
-from placement.optimiser.stages import Search
+from placement.optimiser.proof import Search
 from placement.optimiser.steering import Deadline
 
 

@@ -68,8 +68,8 @@ def test_every_question_matches_brute_force(problem: PlacementProblem) -> None:
 @given(problem=questions())
 def test_models_answer_every_question_without_enumeration(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.stages.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
+        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
         check(problem)
 
 

@@ -56,10 +56,10 @@ def test_bounds_from_a_poor_start_still_match_brute_force(
 ) -> None:
     # Heuristic and enumeration solve small tables outright; without them the MILPs have to.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.stages.search_from_many_starts", first_units)
-        patch.setattr("placement.optimiser.stages.improve", keep_units)
-        patch.setattr("placement.optimiser.stages.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
+        patch.setattr("placement.optimiser.proof.improve", keep_units)
+        patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
+        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
         solution = solve_placement(problem)
     best = best_value(problem, range(problem.table.n_poses))
     assert placement_value(problem, solution.pose_index) == pytest.approx(best, abs=1e-9)
@@ -117,7 +117,7 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver: str) -> None:
     table = replace(problem.table, axis=axis)
     worlds = replace(problem, table=table, sample_index=np.array([0, 1, 1]), tail=0.5)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.stages.search_from_many_starts", first_units)
+        patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
         solution = solve_placement(worlds, effort=Effort(solver=solver))
     for stage in solution.certificate.stages[2:4]:
         assert stage.bound == pytest.approx(0.175)

@@ -92,8 +92,8 @@ def test_models_find_the_same_points_without_enumeration(
     problem: PlacementProblem, best_value: BestValue, stages: str
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.stages.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.stages.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
+        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
         front = pareto_front(problem, max_units=3, stages=stages)
     n_held = 2 if stages == "first" else 5
     for point in front.points:

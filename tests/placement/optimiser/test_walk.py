@@ -17,7 +17,7 @@ from placement.optimiser.bounds import failure_limit, find_root, run_rows
 from placement.optimiser.greedy import improve
 from placement.optimiser.limits import are_allowed
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.stages import Search
+from placement.optimiser.proof import Search
 from placement.optimiser.steering import NEVER, Deadline
 from placement.optimiser.walk import SetWalk, TieSearch, best_of_tied, can_walk, widest_poses
 from scenarios.aeb import load_aeb_rule

@@ -9,7 +9,7 @@ from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.detectors.built_in import LastingNoise
 from placement.evaluator.surroundings import draw_index
-from placement.sampling.drawing import draw_frames, lose_frames, random_bits
+from placement.sampling.detection_kernels import draw_frames, lose_frames, random_bits
 from placement.sampling.tables import blinded_frames, silence
 from placement.sampling.uncertainty import Blinding, Outages, Uncertainty, load_uncertainty
 from placement.sampling.worlds import draw_samples, link_frames

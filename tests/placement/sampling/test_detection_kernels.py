@@ -11,7 +11,7 @@ from placement.compute import Compute
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
 from placement.evaluator import build_surroundings, perceive_from_roadside
-from placement.sampling.drawing import _linked, draw_frames, random_bits
+from placement.sampling.detection_kernels import _linked, draw_frames, random_bits
 from placement.sampling.tables import (
     build_drawn_tables,
     build_sample_tables,
