@@ -312,7 +312,7 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
 
 
 def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
-    city = job.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
+    city = job.inputs.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
     options = Options(
         junction=np.array([0, 0, 1, 1, 1]),
         units=np.array([0, 1, 0, 1, 1]),
@@ -412,7 +412,7 @@ def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path
 
 
 def tasks_of(path):
-    city = job.load_city([path], SEARCH.reading, CityWish(budget_units=1))
+    city = job.inputs.load_city([path], SEARCH.reading, CityWish(budget_units=1))
     grid = job.build_grid(Question(), is_coarse=True)
     task_of = job._task_maker(city, FEW_RUNS, SEARCH, grid, existing={}, seed=0)
     return [task_of(one) for one in city.junctions]
