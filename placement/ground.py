@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
@@ -87,8 +88,6 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
     Cells of a square metre, up to 45 m around the middle, one metre above the road. Pixels per
     metre across the line of sight are focal length over depth. LiDARs take no pictures.
     """
-    import shapely
-
     outline = scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
@@ -143,8 +142,6 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     A column "name" or "id" names an area. Raises InputError if the file cannot be read, has no
     polygon, or lies on earth while the scene does not.
     """
-    import shapely
-
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
     if found.crs and not scene.crs:
@@ -180,8 +177,6 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 
     Raises InputError where one is empty, or all together are too large.
     """
-    import shapely
-
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
         expected = f"at most {_MAX_POINTS:,}"
