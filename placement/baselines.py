@@ -6,6 +6,7 @@ from functools import cache
 from itertools import chain, pairwise
 
 import numpy as np
+from shapely import Polygon
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.junction import Arm, Junction, Line, build_junction, lane_line
@@ -120,8 +121,6 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
 
 def middle_m(scene: Scene) -> FloatArray:
     """Middle of a junction: the centroid of its road surface, on the road, (3,)."""
-    from shapely import Polygon
-
     centroid = Polygon(scene.outline_m).centroid
     return np.array([centroid.x, centroid.y, 0.0])
 

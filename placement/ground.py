@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
@@ -180,8 +181,6 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     A column "name" or "id" names an area. Raises InputError if the file cannot be read, has no
     polygon, or lies on earth while the scene does not.
     """
-    import shapely
-
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
     if found.crs and not scene.crs:
@@ -217,8 +216,6 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 
     Raises InputError where one is empty, or all together are too large.
     """
-    import shapely
-
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
         expected = f"at most {_MAX_POINTS:,}"

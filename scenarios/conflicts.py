@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 
 from geometry.actors import Actor, footprint_sizes, pick_actor
@@ -206,8 +207,6 @@ def _is_forward(vehicle: Track, time_s: FloatArray, yaw_deg: FloatArray) -> Bool
 
 def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] | None:
     """When each is where their ways cross, there where these times are least apart."""
-    import shapely
-
     ways = [track.at(time_s) for track in (a, b)]
     lines = [shapely.LineString(way) for way in ways]
     points = shapely.get_coordinates(shapely.intersection(*lines))

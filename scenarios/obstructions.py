@@ -6,6 +6,7 @@ from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+import shapely
 
 from geometry.actors import Actor, PlacedActor, Shape, park_row
 from geometry.arrays import BoolArray, FloatArray, freeze
@@ -81,8 +82,6 @@ def is_way_free(
     body: Actor, motion: Motion, scene: Scene, obstruction: Sequence[PlacedActor]
 ) -> bool:
     """True if no thing of the scene but poles, and nothing parked, is in a way to the impact."""
-    import shapely
-
     segments = _way(motion, body)
     if not _is_free(_Solid(scene=scene, has_poles=False), segments):
         return False
@@ -99,8 +98,6 @@ def _find_room(
     bodies: tuple[tuple[str, tuple[float, ...]], ...],
 ) -> tuple[float, float]:
     """Metres aside and back by which bodies, each a name and its corners, get room."""
-    import shapely
-
     moves = _moves_m(max_aside_m)
     shifts = moves @ np.array([aside, back])
     rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
@@ -133,8 +130,6 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
 
     Behind a corner lies the lane of the road that crosses.
     """
-    import shapely
-
     rules = load_obstruction_rules()
     behind = places_m + rules.island_m * aside
     swept = shapely.convex_hull(shapely.multipoints(np.concatenate([places_m, behind], axis=-2)))
@@ -154,8 +149,6 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
 @lru_cache(maxsize=8)
 def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
     """A tree of the straight pieces of the lanes between junctions, and their directions (n, 2)."""
-    import shapely
-
     pieces, directions = [], []
     parking = _areas(scene).parking
     for lane in scene.lanes:
@@ -193,8 +186,6 @@ class _Areas(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _areas(scene: Scene) -> _Areas:
-    import shapely
-
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = area_of(scene.outline_m).buffer(-_INSIDE_OUTLINE_M)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import shapely
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
@@ -343,8 +344,6 @@ _IN_JUNCTION_M = 1.0  # from the middle of a lane through it
 
 def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
     """Raise if a point along an arm lies in another junction's middle."""
-    import shapely
-
     point = shapely.Point(point_m)
     own = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.lanes_in]
     for lane in junction.connections:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from shapely import LineString, Point
 
 from geometry.actors import Actor, MovingActor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
@@ -357,8 +358,6 @@ def build_runs(
 
 def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, float]:
     """The arm to whose lanes the VUT's recorded way begins nearest, and how near, in metres."""
-    from shapely import LineString, Point
-
     start = Point(recorded.vut.points_m[0])
     away_m = {
         name: min(LineString(lane.centreline_m).distance(start) for lane in arm.lanes_in)
