@@ -19,7 +19,8 @@ ARGUMENTS = [
 ]
 
 
-ENGINES = ["chromium", "firefox"]
+# The same tests again: pytest -m system has them.
+ENGINES = ["chromium", pytest.param("firefox", marks=pytest.mark.long)]
 
 
 @contextmanager
