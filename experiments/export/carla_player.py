@@ -32,13 +32,6 @@ def transform(carla: Any, place: list[float]) -> Any:
     return carla.Transform(carla.Location(x=x_m, y=y_m, z=z_m), turn)
 
 
-def make(carla: Any, world: Any, blueprint: Any, place: list[float], values: Any = ()) -> Any:
-    """Actor of a blueprint, with its attributes set."""
-    for name, value in dict(values).items():
-        blueprint.set_attribute(name, value)
-    return world.spawn_actor(blueprint, transform(carla, place))
-
-
 def find_blueprint(library: Any, wanted: dict[str, str]) -> Any:
     """The blueprint of an id, or the first one of an age."""
     if "age" not in wanted:
@@ -104,17 +97,13 @@ class Camera:
         library = world.get_blueprint_library()
         for kind in ("rgb", "semantic_segmentation"):
             blueprint = library.find(f"sensor.camera.{kind}")
-            actor = make(carla, world, blueprint, self.places[0], unit["attributes"])
+            for name, value in unit["attributes"].items():
+                blueprint.set_attribute(name, value)
+            actor = world.spawn_actor(blueprint, transform(carla, self.places[0]))
             images: queue.Queue[Any] = queue.Queue()
             actor.listen(images.put)
             self.actors.append(actor)
             self.images.append(images)
-
-    def move(self, carla: Any, frame: int) -> None:
-        """Put it where it is in a frame."""
-        if len(self.places) > 1:
-            for actor in self.actors:
-                actor.set_transform(transform(carla, self.places[frame]))
 
     def take(self, tick: int) -> tuple[Any, Any]:
         """Picture and tags of a tick."""
@@ -158,7 +147,8 @@ def record(carla: Any, world: Any, out: Path) -> None:
         for one in SCENARIO["bodies"]:
             x_m, y_m, z_m, pitch_deg, yaw_deg = one["places"][0]
             above = [x_m, y_m, z_m + _ABOVE_M, pitch_deg, yaw_deg]
-            body = make(carla, world, find_blueprint(library, one["blueprint"]), above)
+            blueprint = find_blueprint(library, one["blueprint"])
+            body = world.spawn_actor(blueprint, transform(carla, above))
             actors.append(body)
             body.set_simulate_physics(False)
             bodies.append((body, one["places"]))
@@ -176,7 +166,8 @@ def record(carla: Any, world: Any, out: Path) -> None:
             for body, places in bodies:
                 stand(carla, body, places[min(frame, len(places) - 1)])
             for camera in cameras:
-                camera.move(carla, frame)
+                for actor in camera.actors if len(camera.places) > 1 else ():
+                    actor.set_transform(transform(carla, camera.places[frame]))
             tick = world.tick(_LIMIT_S)
             taken = [camera.take(tick) for camera in cameras]
             if step < 0:

@@ -1,6 +1,7 @@
 """Runs as a script that drives them in CARLA and records what a layout's cameras see."""
 
 import json
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -13,12 +14,13 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import Table, load_toml, pick
 from geometry.frames import to_carla_yaw
+from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import on_ground
 from placement.detectors import load_detector
 from placement.layout import Layout
-from placement.recordings.files import RecordingFormat, load_format
+from placement.recordings.files import load_format
 from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import Run
 
@@ -51,8 +53,7 @@ def build_scenario(layout: Layout, scene: Scene, run: Run) -> dict[str, Any]:
     from placement.evaluator.pictures import vut_camera_pose
     from placement.evaluator.surroundings import load_vut_camera
 
-    form = load_format()
-    labels: Table = _table("labels")
+    form, labels = load_format(), _table("labels")
     if run.road_user not in labels:
         expected = "a run with somebody on foot or on a bicycle, as recordings have"
         raise InputError("carla-run", Unquoted(f"a road user by {run.road_user}"), expected)
@@ -60,27 +61,20 @@ def build_scenario(layout: Layout, scene: Scene, run: Run) -> dict[str, Any]:
     cameras: list[dict[str, Any]] = []
     for unit in layout.units:
         if isinstance(unit.sensor, CameraModel):
-            check_size(unit.id, unit.sensor, form)
-            pose = unit.pose
-            places = _places(pose.position_m[None], pose.yaw_deg, pose.pitch_deg, scene)
-            cameras.append(_camera(str(len(cameras)), unit.sensor, places))
+            size_px = unit.sensor.width_px, unit.sensor.height_px
+            if size_px != (form.width_px, form.height_px):
+                expected = f"{form.width_px} x {form.height_px} px, as recordings have"
+                got = Unquoted(f"{size_px[0]} x {size_px[1]} px")
+                raise InputError(f"carla-run: {unit.id}", got, expected)
+            cameras.append(_camera(str(len(cameras)), unit.sensor, [unit.pose], scene))
     mount = load_vut_camera()
     poses = [vut_camera_pose(mount, run, frame) for frame in range(len(run.time_s))]
-    places = _places(
-        np.array([pose.position_m for pose in poses]),
-        [pose.yaw_deg for pose in poses],
-        [pose.pitch_deg for pose in poses],
-        scene,
-    )
-    cameras.append(_camera(form.vut_folder, mount.camera, places))
+    cameras.append(_camera(form.vut_folder, mount.camera, poses, scene))
     met = run.encounter
-    standing = [
-        (one.actor, one.pose.position_m[None, :2], one.pose.yaw_deg) for one in run.obstruction
-    ]
     bodies: list[tuple[Actor, FloatArray, ArrayLike]] = [
         (met.vut, run.vut_position_m, run.vut_yaw_deg),
         (met.vru, run.vru_position_m, run.vru_yaw_deg),
-        *standing,
+        *((one.actor, one.pose.position_m[None, :2], one.pose.yaw_deg) for one in run.obstruction),
     ]
     detector = load_detector()
     return {
@@ -109,15 +103,12 @@ def _table(name: str) -> Table:
     return table
 
 
-def check_size(unit_id: str, camera: CameraModel, form: RecordingFormat) -> None:
-    """Raise InputError where a camera's pictures are not those of a recording."""
-    if (camera.width_px, camera.height_px) != (form.width_px, form.height_px):
-        got = Unquoted(f"{camera.width_px} x {camera.height_px} px")
-        expected = f"{form.width_px} x {form.height_px} px, as recordings have"
-        raise InputError(f"carla-run: {unit_id}", got, expected)
-
-
-def _camera(folder: str, camera: CameraModel, places: list[list[float]]) -> dict[str, Any]:
+def _camera(
+    folder: str, camera: CameraModel, poses: Sequence[Pose], scene: Scene
+) -> dict[str, Any]:
+    position_m = np.array([pose.position_m for pose in poses])
+    yaw_deg, pitch_deg = np.array([(pose.yaw_deg, pose.pitch_deg) for pose in poses]).T
+    places = _places(position_m, yaw_deg, pitch_deg, scene)
     return {"folder": folder, "attributes": camera_attributes(camera), "places": places}
 
 

@@ -1,7 +1,6 @@
 """VRU awareness messages (VAM): what the device of a run's road user sends."""
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,8 +29,8 @@ RATES_HZ = (0.2, 10.0)
 _VERSION, _VAM, _STATION = 3, 16, 1  # ItsPduHeader
 _STATION_TYPES = {"on foot": 1, "bicycle": 2, "motorcycle": 4}  # TrafficParticipantType
 _PROFILE_EVERY_S = 2.0  # T_GenVamLFMin
-_MAX_SPEED, _MAX_ACCELERATION = 16381, 160  # 0.01 m/s; 0.1 m/s^2
-_CONFIDENCE_UNKNOWN, _ACCELERATION_CONFIDENCE_UNKNOWN = 127, 102
+_MAX_SPEED_MPS, _ACCELERATIONS = 163.81, (-16.0, 16.0)
+_UNKNOWN, _ACCELERATION_UNKNOWN = 127, 102  # confidences
 _DELTA_TIMES = 65536  # GenerationDeltaTime
 _STEP_S = 1.0e-3  # half of that over which a speed is taken
 _AHEAD_M = 1.0  # over which the heading is taken
@@ -68,32 +67,28 @@ def build_message(
     """
     check_one_of("release", release, RELEASES)
     if user.kind not in _STATION_TYPES:
-        who = Unquoted(f"a road user by {user.kind}" if user.kind else "a road user of no kind")
+        who = Unquoted(f"a road user by {user.kind}")
         raise InputError("vam", who, f"one of: {', '.join(_STATION_TYPES)}")
-    within: dict[str, tuple[float, float, float]] = {
+    within = {
         "latitude_deg": (user.latitude_deg, -90.0, 90.0),
         "longitude_deg": (user.longitude_deg, -180.0, 180.0),
-        "speed_mps": (user.speed_mps, 0.0, _MAX_SPEED / 100.0),
+        "speed_mps": (user.speed_mps, 0.0, _MAX_SPEED_MPS),
         "heading_deg": (user.heading_deg, -360.0, 360.0),
     }
     for name, (value, low, high) in within.items():
         if not low <= value <= high:
             raise InputError(f"vam: {name}", value, f"{low:g} to {high:g}")
-    acceleration = int(count_up(np.clip(user.acceleration_mps2, -99.0, 99.0), 10.0))
+    acceleration = int(count_up(np.clip(user.acceleration_mps2, *_ACCELERATIONS), 10.0))
+    heading = round(10.0 * user.heading_deg) % 3600
     high_frequency = {
-        "heading": {
-            "value": round(10.0 * user.heading_deg) % 3600,
-            "confidence": _CONFIDENCE_UNKNOWN,
-        },
+        "heading": {"value": heading, "confidence": _UNKNOWN},
         "speed": {
             "speedValue": int(count_up(user.speed_mps, 100.0)),
-            "speedConfidence": _CONFIDENCE_UNKNOWN,
+            "speedConfidence": _UNKNOWN,
         },
         "longitudinalAcceleration": {
-            "longitudinalAccelerationValue": min(
-                max(acceleration, -_MAX_ACCELERATION), _MAX_ACCELERATION
-            ),
-            "longitudinalAccelerationConfidence": _ACCELERATION_CONFIDENCE_UNKNOWN,
+            "longitudinalAccelerationValue": acceleration,
+            "longitudinalAccelerationConfidence": _ACCELERATION_UNKNOWN,
         },
     }
     position = {
@@ -150,18 +145,20 @@ def build_messages(
         times_s = np.arange(run.time_s[0], _EPSILON_S, 1.0 / vam_rate)
     else:
         raise InputError("--vam-rate", vam_rate, f"{low:g} to {high:g} messages per second")
-    found: list[tuple[int, dict[str, Any]]] = []
+    found = []
     told_s = -np.inf
     for time_s, user in zip(times_s.tolist(), _users(run, scene, times_s), strict=True):
         has_profile = time_s - told_s >= _PROFILE_EVERY_S - _EPSILON_S
         told_s = time_s if has_profile else told_s
-        time_ms = round(1000.0 * (time_s - run.time_s[0]))
-        message = build_message(user, time_ms=time_ms, has_profile=has_profile, release=release)
-        found.append((time_ms, message))
+        at_ms = round(1000.0 * (time_s - run.time_s[0]))
+        message = build_message(user, time_ms=at_ms, has_profile=has_profile, release=release)
+        found.append((at_ms, message))
     return found
 
 
 def _users(run: Run, scene: Scene, times_s: FloatArray) -> list[RoadUser]:
+    from pyproj import Geod
+
     motion = run.encounter.vru_motion
     around_m = motion.distance_m(times_s[:, None] + _STEP_S * np.array([-1.0, 0.0, 1.0]))
     speeds_mps = (around_m[:, 2] - around_m[:, 0]) / (2.0 * _STEP_S)
@@ -170,7 +167,8 @@ def _users(run: Run, scene: Scene, times_s: FloatArray) -> list[RoadUser]:
     yaw_rad = np.radians(yaw_deg)
     ahead_m = places_m + _AHEAD_M * np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
     lon_lat_deg = longitude_latitude(places_m, scene.crs)
-    turns_deg = _ellipsoid().inv(*lon_lat_deg.T, *longitude_latitude(ahead_m, scene.crs).T)[0]
+    ends_deg = longitude_latitude(ahead_m, scene.crs)
+    turns_deg, _, _ = Geod(ellps="WGS84").inv(*lon_lat_deg.T, *ends_deg.T)
     heights_m = on_ground(places_m, terrain_of(scene))[:, 2]
     return [
         RoadUser(
@@ -184,13 +182,6 @@ def _users(run: Run, scene: Scene, times_s: FloatArray) -> list[RoadUser]:
         )
         for i in range(len(times_s))
     ]
-
-
-@cache
-def _ellipsoid() -> Any:
-    from pyproj import Geod
-
-    return Geod(ellps="WGS84")
 
 
 def to_vam(

@@ -8,10 +8,8 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -407,42 +405,6 @@ def _join(
     return known
 
 
-def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
-    """Format, what is written, processor seconds, and MB of many units, and of a run as MCAP.
-
-    Libraries are loaded before.
-    """
-    from ..export import FORMAT_NAMES
-    from ..export.formats import load_format
-    from ..export.mcap import mcap_of_run
-    from ..export.watched import find_run
-
-    study, scene = load_carlancap_layout(), load_study_scene()
-    units = []
-    for number in range(n_units):
-        unit = study.units[number % len(study.units)]
-        pose = replace(unit.pose, yaw_deg=unit.pose.yaw_deg + number)
-        units.append(replace(unit, id=f"unit {number}", pose=pose))
-    layout, few = replace(study, units=tuple(units)), replace(study, units=tuple(units[:1]))
-
-    def row(name: str, what: str, write: Callable[..., str | bytes]) -> tuple[str, str, str, str]:
-        write(few, scene)
-        begin_s = time.process_time()
-        content = write(layout, scene)
-        taken_s = time.process_time() - begin_s
-        return name, what, f"{taken_s:.1f}", f"{len(content) / 1.0e6:.2f}"
-
-    rows = []
-    for name in FORMAT_NAMES:
-        chosen = load_format(name)
-        if not chosen.drives_run:
-            views = {"views": True} if "views" in chosen.options else {}
-            what = f"{n_units} units" + (", with views" if views or name == "dxf" else "")
-            rows.append(row(name, what, partial(chosen.write, **views)))
-    run = find_run("CPNC-50/east/40", scene)
-    return [*rows, row("mcap", f"run {run.id}", lambda _, scene: mcap_of_run(scene, run))]
-
-
 @click.command()
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("results/judges.md"), show_default=True
@@ -467,8 +429,7 @@ def main(out: Path, folders: tuple[Path, ...]) -> None:
     ]
     rows = [ask() for ask in asked]
     rows += [row for folder in folders for row in judge_messages(folder)]
-    page = files(__package__) / "judges.md.j2"
-    write_atomically(out, page_of(page, rows=rows, measured=measure_exports()))
+    write_atomically(out, page_of(files(__package__) / "judges.md.j2", rows=rows))
     if not all(row.is_passed for row in rows):
         raise click.ClickException(f"a judge found a fault: {out}")
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from export_layouts import awkward_layout, large_layout, map_scene, placeless_scene
+from export_speeds import measure_exports
 
 import experiments.export
 from experiments.cli.export import export as command
@@ -14,7 +15,6 @@ from experiments.export.calibration import lidar_ids
 from experiments.export.formats import load_format
 from experiments.export.json import to_json
 from experiments.progress import StageProgress
-from experiments.study import judges
 from geometry.errors import InputError
 
 BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]  # of layouts
@@ -124,7 +124,7 @@ def test_a_format_says_what_it_does_not_show(name, given, message, layout_path):
 
 @pytest.mark.long
 def test_five_hundred_units_are_written_in_three_seconds_and_runs_in_five_megabytes():
-    measured = judges.measure_exports()
+    measured = measure_exports()
     assert {name for name, *_ in measured} == set(OF_LAYOUTS)
     for name, what, seconds, megabytes in measured:
         assert float(seconds) < (2.0 if "run" in what else 3.0), name

@@ -1,6 +1,5 @@
 """MCAP recordings, read back by the reader of another package."""
 
-import io
 import json
 import math
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_layouts import awkward_layout, large_layout
+from export_pictures import read_mcap
 
 from experiments.export.mcap import to_mcap
 from experiments.export.watched import WatchedRun, find_run
@@ -22,27 +22,6 @@ reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
 SCENE = load_study_scene()
 
 
-def read(content):
-    """By topic: times in seconds and messages, decoded by the schemas in the file itself."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
-    found, kinds = {}, {}
-    for schema, channel, message in reader.make_reader(io.BytesIO(content)).iter_messages():
-        if channel.message_encoding == "json":
-            value = json.loads(message.data)
-        else:
-            if schema.id not in kinds:
-                pool = descriptor_pool.DescriptorPool()
-                for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-                    pool.Add(file)
-                kinds[schema.id] = message_factory.GetMessageClass(
-                    pool.FindMessageTypeByName(schema.name)
-                )
-            value = kinds[schema.id].FromString(message.data)
-        found.setdefault(channel.topic, []).append((message.log_time / 1.0e9, value))
-    return found
-
-
 @pytest.fixture(scope="module")
 def watched():
     """A run behind parked cars; the first unit sees it from the tenth frame on, no other does."""
@@ -55,7 +34,7 @@ def watched():
 
 @pytest.fixture(scope="module")
 def topics(watched):
-    return read(to_mcap(load_carlancap_layout(), SCENE, watched))
+    return read_mcap(to_mcap(load_carlancap_layout(), SCENE, watched))
 
 
 def test_a_run_alone_is_shown(run):
@@ -129,7 +108,7 @@ def test_the_scenes_meshes_are_whole(topics):
 @pytest.mark.parametrize("build", [awkward_layout, large_layout])
 def test_any_layout_is_written_without_a_run(build):
     layout = build()
-    found = read(to_mcap(layout, SCENE))
+    found = read_mcap(to_mcap(layout, SCENE))
     assert {"/scene", "/units", "/tf"} <= set(found)
     ((_, transforms),) = found["/tf"]
     assert [one.child_frame_id for one in transforms.transforms] == [u.id for u in layout.units]
