@@ -22,15 +22,11 @@ _LEAST_STEP = 1.0e-4  # share of a step of its
 _FOUND = 1.0e-10  # what is farther off is not shown
 
 
-class BrownConrady(
-    Struct,
-    frozen=True,
-    kw_only=True,
-    omit_defaults=True,
-    forbid_unknown_fields=True,
-    tag_field="model",
-    tag="brown-conrady",
-):
+class _Lens(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True, tag_field="model"):
+    """What all lenses have in common: how they are read and written."""
+
+
+class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
     """Radial and tangential distortion; all zeros: none. Order and signs as in OpenCV.
 
     D. Brown, "Decentering distortion of lenses", 1966.
@@ -113,15 +109,7 @@ class BrownConrady(
         return math.atan(float(radial.undistort(np.array([[shown, 0.0]]))[0, 0]))
 
 
-class TsaiRadial(
-    Struct,
-    frozen=True,
-    kw_only=True,
-    omit_defaults=True,
-    forbid_unknown_fields=True,
-    tag_field="model",
-    tag="tsai",
-):
+class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
     """Radial distortion by one term: undistorted = distorted x (1 + kappa r_distorted^2).
 
     R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine vision
@@ -171,15 +159,7 @@ class TsaiRadial(
         return math.atan(float(self.undistort(np.array([[shown, 0.0]]))[0, 0]))
 
 
-class Fisheye(
-    Struct,
-    frozen=True,
-    kw_only=True,
-    omit_defaults=True,
-    forbid_unknown_fields=True,
-    tag_field="model",
-    tag="fisheye",
-):
+class Fisheye(_Lens, frozen=True, kw_only=True, tag="fisheye"):
     """A fisheye: an angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
 
     J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional,

@@ -16,6 +16,7 @@ from .files import load_toml, read_table
 from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial, widest_rad
 from .poses import Pose, camera_rotation
 
+LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
 SEEN_RAD = 1.5
 """Angle off the axis beyond which pictures through lenses are not looked at: about 86 degrees."""
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.sensors import CameraModel, is_shown, pixel_grid, shown_points
+from geometry.sensors import SEEN_RAD, CameraModel, is_shown, pixel_grid, shown_points
 
 from .pixels import Placed, Seen, Sights
 from .surroundings import Solid
@@ -18,6 +18,7 @@ _MIN_DEPTH_M = 1.0e-6
 _TOUCH_M = 1.0e-3  # what the VRU stands on does not hide it; more than rounding of rays
 # By so much of its size and so many pixels a body may reach beyond its corners as the lens bends
 # its edges; of one that takes up more of the picture all pixels are looked at.
+_FAR_OUT = 2.0 * np.tan(SEEN_RAD)
 _BULGE, _MARGIN_PX, _LARGE = 0.1, 2.0, 0.4
 Window = tuple[int, int, int, int]
 
@@ -79,22 +80,33 @@ def _find_window(
 ) -> tuple[Window, float]:
     """Pixels that may show a body with corners (n, 3), camera frame; and its share inside.
 
-    Zeros if none may, or the part is not so high; all of them where the body reaches behind, or to
-    where the lens shows nothing. The share is that of its box, 0 where it reaches behind.
+    Zeros if none may, or the part is not so high; all of them where the body reaches behind. The
+    share is that of its box, 0 where it reaches behind. Where the lens shows nothing points lie
+    straight on, so that the box around them holds what it shows.
     """
     nothing, everything = (0, 0, 0, 0), (0, 0, camera.width_px, camera.height_px)
     depth = corners[:, 2]
     if (depth <= _MIN_DEPTH_M).all() or camera.height_px < min_height_px:
         return nothing, 0.0
-    if (depth <= _MIN_DEPTH_M).any():
+    at_depth_1 = corners[:, :2] / np.maximum(depth, _MIN_DEPTH_M)[:, None]
+    # What lies beside the lens or behind it is far out of the picture, in its direction.
+    radius = np.linalg.norm(at_depth_1, axis=1, keepdims=True)
+    at_depth_1 *= np.minimum(1.0, _FAR_OUT / np.maximum(radius, _MIN_DEPTH_M))
+    is_behind = bool((depth <= _MIN_DEPTH_M).any())
+    middle = corners.mean(axis=0)
+    is_far = np.linalg.norm(middle) > 2.0 * np.linalg.norm(corners - middle, axis=1).max()
+    if is_behind and not is_far:
         return everything, 0.0
-    at_depth_1 = corners[:, :2] / depth[:, None]
+    if is_far and not is_shown(at_depth_1, camera).any():
+        return nothing, 0.0
     shown = shown_points(at_depth_1, camera)
     low, high = shown.min(axis=0), shown.max(axis=0)
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     inside = np.clip(np.minimum(high, size) - np.maximum(low, 0.0), 0.0, None)
-    share = float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
-    if not is_shown(at_depth_1, camera).all() or (high - low > _LARGE * size).any():
+    share = 0.0 if is_behind else float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
+    if (np.minimum(high, size) - np.maximum(low, 0.0) <= 0.0).any() and is_behind:
+        return nothing, 0.0
+    if (high - low > _LARGE * size).any():
         return everything, share
     beyond = _BULGE * float((high - low).max()) + _MARGIN_PX
     first = np.floor(np.clip(low - beyond, 0.0, size)).astype(int).tolist()

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
+from msgspec import to_builtins
 from numpy.typing import NDArray
 
 from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
@@ -24,7 +25,7 @@ from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
 from geometry.errors import InputError, Unquoted
 from geometry.files import open_file, reading, write_atomically
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
+from geometry.sensors import LENS_FIELDS, CameraModel
 from geometry.untrusted_files import is_text, unpacked_bytes
 from scenarios.aeb import AebRule
 from scenarios.positions import AT_ZERO
@@ -212,9 +213,16 @@ def _mounts_to_arrays(mounts: Mounts) -> Arrays:
     """The arrays of :data:`_MOUNT_FIELDS`."""
     values = {name: getattr(mounts, attribute) for name, attribute in _ATTRIBUTES.items()}
     values["sensors"] = [
-        json.dumps({"kind": sensor_kind(sensor), **asdict(sensor)}) for sensor in mounts.sensors
+        json.dumps({"kind": sensor_kind(sensor), **_fields_of(sensor)}, default=to_builtins)
+        for sensor in mounts.sensors
     ]
     return {name: np.array(value, _MOUNT_FIELDS[name].dtype) for name, value in values.items()}
+
+
+def _fields_of(sensor: Sensor) -> dict[str, object]:
+    """Fields of a model; those of lenses only where it has them."""
+    unset = [name for name in LENS_FIELDS if getattr(sensor, name, None) is None]
+    return {name: value for name, value in asdict(sensor).items() if name not in unset}
 
 
 def _read_sensor(text: str) -> Sensor:

@@ -1,0 +1,74 @@
+"""What formats carry of a lens, and what they say where they cannot."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.export.calibration import calibrations, camera_matrix
+from experiments.export.carla import to_carla
+from experiments.export.opencv import to_opencv
+from experiments.export.openlabel import to_openlabel
+from experiments.export.usd import to_usd
+from geometry.catalogue import read_sensor
+from geometry.errors import InputError
+from geometry.lenses import BrownConrady
+from geometry.poses import Pose
+from placement.candidates import CandidatePose
+from placement.layout import Layout
+
+FIELDS = {
+    "width_px": 1920,
+    "height_px": 1080,
+    "horizontal_fov_deg": 90.0,
+    "frame_rate_hz": 10.0,
+    "near_m": 0.1,
+    "price_eur": 0.0,
+}
+
+
+def layout_with(**fields):
+    camera = read_sensor("mine", FIELDS | fields, "camera", "test")
+    pose = Pose(position_m=np.array([1.0, 2.0, 6.0]), yaw_deg=30.0, pitch_deg=-20.0)
+    unit = CandidatePose(id="north", site_id="", pose=pose, sensor=camera)
+    return Layout(name="one", units=(unit,))
+
+
+@pytest.mark.parametrize(
+    "lens", [{"model": "fisheye", "k1": -0.02}, {"model": "tsai", "kappa": 0.1}]
+)
+def test_formats_without_lenses_refuse_them_in_one_line(lens):
+    layout = layout_with(lens=lens)
+    what = "got north, whose lens, principal point or roll it cannot carry; expected ideal pinholes"
+    with pytest.raises(InputError, match=f"carla: {what}"):
+        to_carla(layout)
+    with pytest.raises(InputError, match=f"usd: {what}"):
+        to_usd(layout, None)
+    with pytest.raises(InputError, match="openlabel: got north, whose lens is of another kind"):
+        to_openlabel(layout)
+
+
+def test_tsais_lens_is_refused_by_opencv():
+    with pytest.raises(InputError, match="north: lens: got Tsai's radial term"):
+        to_opencv(layout_with(lens={"model": "tsai", "kappa": 0.1}))
+
+
+def test_openlabel_has_the_five_terms_of_brown_and_conrady():
+    layout = layout_with(lens={"model": "brown-conrady", "k1": -0.1, "p2": 0.01, "k3": 0.002})
+    stream = json.loads(to_openlabel(layout))["openlabel"]["streams"]["north"]
+    pinhole = stream["stream_properties"]["intrinsics_pinhole"]
+    assert pinhole["distortion_coeffs"] == [-0.1, 0.0, 0.0, 0.01, 0.002]
+
+
+def test_a_calibration_has_principal_point_aspect_and_roll():
+    layout = layout_with(principal_point=[0.55, 0.45], pixel_aspect=1.02, roll_deg=90.0)
+    (found,) = calibrations(layout, "opencv")
+    focal = 960.0
+    expected = [[focal, 0, 0.55 * 1920 - 0.5], [0, 1.02 * focal, 0.45 * 1080 - 0.5], [0, 0, 1]]
+    assert found.camera_matrix == pytest.approx(np.array(expected))
+    assert found.lens == BrownConrady()
+    # Turned clockwise by a right angle, its right is what was down.
+    (level,) = calibrations(layout_with(), "opencv")
+    assert found.world_to_camera[0] == pytest.approx(level.world_to_camera[1])
+    assert found.world_to_camera[1] == pytest.approx(-level.world_to_camera[0])
+    assert camera_matrix(layout_with().units[0].sensor)[0, 2] == 959.5
