@@ -6,6 +6,6 @@ bodies. ``frames`` is the only module that flips a sign: everything else is righ
 east-north-up, in metres.
 """
 
-from .lazy_names import lazy_names
+import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,6 +7,6 @@ emergency braking, ``verify_certificate()`` checks a proof. Every stage can be e
 values: ``visibility`` builds the table, ``optimiser`` solves it, ``explain`` says why.
 """
 
-from geometry.lazy_names import lazy_names
+import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

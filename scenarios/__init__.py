@@ -6,6 +6,6 @@ of the protocol; every run lies on a grid of frames that ends at the unbraked im
 ``last_brake_time_s()`` says when braking is too late, ``weigh()`` how much each run counts.
 """
 
-from geometry.lazy_names import lazy_names
+import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -269,15 +269,9 @@ def choose_for_city(
         )
     years = np.zeros_like(first) if phases is None else phases.year
     got = zip((choice.rows - first).tolist(), years.tolist(), strict=True)
-    got_at = dict(zip(solved, got, strict=True))
-    junctions = []
-    for index, record in enumerate(records):
-        head = _junction_head(city, values, index, record.reason)
-        if record.front is not None and index in got_at:
-            number, year = got_at[index]
-            has_units = city.junctions[index].scene_name in existing
-            head = _with_point(head, record.front, number, year, out, has_units=has_units)
-        junctions.append(head)
+    junctions = _junctions(
+        *(out, city, values, records, existing), got=dict(zip(solved, got, strict=True))
+    )
     steps = city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
     result = CityResult(
         maps=city.records,
@@ -315,6 +309,27 @@ def choose_for_city(
         notes=(*city.notes, *values.notes),
     )
     return replace(result, sentences=_sentences(result, wish, phases))
+
+
+def _junctions(
+    out: Path,
+    city: City,
+    values: CityValues,
+    records: Sequence[CityFrontRecord],
+    existing: dict[str, Layout],
+    *,
+    got: Mapping[int, tuple[int, int]],
+) -> list[CityJunctionRecord]:
+    """All junctions; those with a front with the point that was chosen: its number and year."""
+    junctions = []
+    for index, record in enumerate(records):
+        head = _junction_head(city, values, index, record.reason)
+        if record.front is not None and index in got:
+            number, year = got[index]
+            has_units = city.junctions[index].scene_name in existing
+            head = _with_point(head, record.front, number, year, out, has_units=has_units)
+        junctions.append(head)
+    return junctions
 
 
 def _junction_head(city: City, values: CityValues, index: int, reason: str) -> CityJunctionRecord:

@@ -22,7 +22,6 @@ from ..parts import (
     dangers,
     explanation,
     front,
-    next_unit,
     proof,
     road_users,
     sampled_worlds,
@@ -65,7 +64,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     others = {name: other.evaluation for name, other in compared}
     units = {name: len(other.layout) for name, other in compared}
     measure = proof.measure_of(result)
-    further = f"{next_unit.next_unit_sentence(result.next_unit, measure)}."
+    further = f"{explanation.next_unit_sentence(result.next_unit, measure)}."
     return [
         *_head(result),
         Part(

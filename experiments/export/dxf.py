@@ -12,8 +12,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from .formats import ExportFormat
-from .places import metric_points
-from .views import find_views, moved
+from .places import find_views, metric_points, moved
 
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}
 _VIEWS = 140

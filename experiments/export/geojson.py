@@ -7,8 +7,15 @@ from placement.layout import Layout
 
 from .formats import ExportFormat
 from .json import to_json_text
-from .places import longitude_latitude, placed_records, positions_m, require_crs
-from .views import View, find_views, moved
+from .places import (
+    View,
+    find_views,
+    longitude_latitude,
+    moved,
+    placed_records,
+    positions_m,
+    require_crs,
+)
 
 
 def to_geojson(

@@ -7,8 +7,15 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from .formats import ExportFormat
-from .places import longitude_latitude, map_points, placed_records, positions_m, require_crs
-from .views import find_views, moved
+from .places import (
+    find_views,
+    longitude_latitude,
+    map_points,
+    moved,
+    placed_records,
+    positions_m,
+    require_crs,
+)
 
 _LAYER = "units"
 

@@ -9,8 +9,15 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from .formats import ExportFormat
-from .places import longitude_latitude, placed_records, positions_m, require_crs
-from .views import View, find_views, moved
+from .places import (
+    View,
+    find_views,
+    longitude_latitude,
+    moved,
+    placed_records,
+    positions_m,
+    require_crs,
+)
 
 _NAMESPACE = "http://www.opengis.net/kml/2.2"
 

@@ -6,19 +6,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from geometry.actors import PlacedActor
+from geometry.arrays import FloatArray
 from geometry.catalogue import sensor_kind
+from geometry.footprints import footprint_corners
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share, run_outcome
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.positions import AT_ZERO
-from scenarios.runs import FrameAxis
+from scenarios.runs import FrameAxis, Run
 
 from ..figures.axes import unit_labels
 from ..results.drives import describe_left_out, describe_limits, describe_places, lacking_room
 from ..results.numbers import count_runs, number, percent, several
 from ..results.tables import groups_by, margin_s
-from .section import Block, Box, Bullets, Section, Subheading, Table
-from .sketches import sketch_case
+from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
 MAX_UNIT_COLUMNS = 24
 """Of more units, each is a row of the table of units by themselves."""
@@ -182,6 +184,61 @@ def cases_section(setting: Setting) -> Section:
     if refusals:
         blocks += [Subheading("Not driven"), Bullets(refusals)]
     return Section("cases", "What is driven", blocks)
+
+
+SKETCHED_M = 16.0  # half the side of the ground that a sketch shows
+_PER_M = 10  # units of the drawing
+_USER_M = 0.6  # radius of the mark of who is met
+
+
+def sketch_case(run: Run) -> Sketch:
+    """A sketch of the case of a run; the car drives upwards, and hits in the middle."""
+    title = run.case.title.replace("VUT", "car") or run.case.name
+    is_near = [
+        (abs(places - run.vut_position_m[-1]).max(axis=1) <= SKETCHED_M)
+        for places in (run.vut_position_m, run.vru_position_m)
+    ]
+    first = int(is_near[0].argmax())
+    turn = np.radians(90.0 - run.vut_yaw_deg[first])
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+
+    def drawn(places_m: FloatArray) -> FloatArray:
+        return np.asarray((places_m - run.vut_position_m[-1]) @ rotation * (_PER_M, -_PER_M))
+
+    car = run.encounter.vut
+    shape = {"length_m": car.length_m, "width_m": car.width_m}
+    at_first = footprint_corners(run.vut_position_m[first], run.vut_yaw_deg[first], **shape)
+    user = int(is_near[1].argmax())
+    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    circle = _USER_M * np.column_stack([np.cos(angle), np.sin(angle)])
+    return Sketch(
+        title=f"{title[:1].upper()}{title[1:]}",
+        code=run.case.name,
+        half=round(SKETCHED_M * _PER_M),
+        paths=[
+            *(("body", _path(drawn(corners), is_closed=True)) for corners in _bodies(run)),
+            ("way", _path(drawn(run.vut_position_m[first:]))),
+            ("car", _path(drawn(at_first), is_closed=True)),
+            ("user-way", _path(drawn(run.vru_position_m[user:]))),
+            ("user", _path(drawn(run.vru_position_m[user] + circle), is_closed=True)),
+        ],
+    )
+
+
+def _bodies(run: Run) -> list[FloatArray]:
+    """Footprints of what hides somebody."""
+
+    def is_near(body: PlacedActor) -> bool:
+        away_m = body.pose.position_m[:2] - run.vut_position_m[-1]
+        return bool(np.hypot(*away_m) <= 2.0 * SKETCHED_M)
+
+    return [body.footprint_m for body in run.obstruction if is_near(body)]
+
+
+def _path(places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False) -> str:
+    """Data of an SVG path through places (n, 2), whole numbers; equal ones in a row once."""
+    points = dict.fromkeys(f"{round(x)} {round(y)}" for x, y in np.asarray(places))
+    return "M" + "L".join(points) + ("Z" if is_closed else "")
 
 
 def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:

@@ -14,8 +14,7 @@ from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
-from .explanation import refinement_sentences
-from .next_unit import next_unit_sentence
+from .explanation import next_unit_sentence, refinement_sentences
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, uncertainty_sentences
 from .units import private_ground_sentences

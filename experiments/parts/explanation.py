@@ -10,14 +10,14 @@ import msgspec
 from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detection_table import run_of_level
-from placement.explain.contributions import find_contributions
+from placement.explain.contributions import NextUnit, find_contributions
 from placement.explain.unavoided import Reason, Unavoided, find_unavoided
 from placement.optimiser.problem import Objective
 from placement.pipeline import Placement
 from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
-from ..results.numbers import NOTHING, count_runs, joined, number, percent
+from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
 from .section import Block, Section, Table, tabulate
 
@@ -372,3 +372,25 @@ def _from_to(objective: Objective, before: float, after: float) -> str:
         if one != other:
             break
     return f"{one}{unit} to {other}{unit}"
+
+
+def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
+    """Gain of one more unit, of an "APR" or a "score"; empty where none fits."""
+    if unit is None:
+        return ""
+    how = "on the detection table, by greedy choice"
+    if unit.gain < 0.5e-9:  # what rounding leaves
+        return f"One more unit among the candidates would avoid nothing more ({how})"
+    return (
+        f"One more unit would add {points(unit.gain)} of {measure}: {percent(unit.apr)} with "
+        f"{unit.pose} ({how})"
+    )
+
+
+def next_unit_section(unit: NextUnit | None, measure: str) -> Section | None:
+    """One more unit; None where none fits."""
+    if unit is None:
+        return None
+    return Section(
+        "next-unit", "What the next unit buys", [f"{next_unit_sentence(unit, measure)}."]
+    )

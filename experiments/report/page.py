@@ -14,14 +14,14 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from ..figures.axes import unit_labels
-from ..parts import added, answer, comparison, dangers, next_unit, proof, road_users, study_cases
+from ..parts import added, answer, comparison, dangers, proof, road_users, study_cases
 from ..parts.accidents import accidents_section, cases_section, runs_section, unit_apr_table
 from ..parts.alternatives import failures_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.camera_views import camera_views
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
-from ..parts.explanation import explanation_sections
+from ..parts.explanation import explanation_sections, next_unit_section
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
 from ..parts.margins import margins_section
@@ -129,7 +129,7 @@ def build_report(
     if isinstance(result, PlacementResult):
         sections += explanation_sections(result.explained, labels)
         sections += [proof.section(result), proof.agreement_section(result)]
-        sections.append(next_unit.section(result.next_unit, proof.measure_of(result)))
+        sections.append(next_unit_section(result.next_unit, proof.measure_of(result)))
     if not isinstance(result, EvaluationResult):
         compared = (result.baselines, result.sampled)
         sections.append(comparison.section(evaluations, setting.rule, *compared))

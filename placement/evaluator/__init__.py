@@ -6,6 +6,6 @@ camera; ``perceive`` gives the visible and the amodal box of the VRU in every fr
 from every unit, adds what VRUs announce themselves, confirms, brakes and looks for contact.
 """
 
-from geometry.lazy_names import lazy_names
+import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

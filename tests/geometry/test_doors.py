@@ -57,7 +57,6 @@ EXCEPTIONS = {
     "experiments/city/pages.py": {"read_text"},
     "experiments/results/tables.py": {"read_text"},
     "geometry/body_shapes.py": {"savez_compressed"},
-    "geometry/lazy_names.py": {"read_bytes"},
     "placement/detectors/built_in.py": {"read_text"},
     "placement/cache.py": {"load", "read_bytes"},
     "experiments/city/workers.py": {"read_text"},

@@ -12,7 +12,7 @@ from export_layouts import level_layout, map_scene, placeless_scene
 
 from experiments.export.dxf import to_dxf
 from experiments.export.formats import load_format
-from experiments.export.views import UNSEEN, find_views
+from experiments.export.places import UNSEEN, find_views
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 

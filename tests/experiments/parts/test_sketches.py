@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from experiments.parts.sketches import HALF_M, sketch_case
+from experiments.parts.accidents import SKETCHED_M, sketch_case
 
 
 def points(data):
@@ -22,7 +22,7 @@ def test_the_car_drives_upwards_and_hits_in_the_middle(small_setting):
         first_turn = way[1] - way[0]
         assert first_turn[1] < 0.0  # upwards: rows of a drawing go down
         assert abs(first_turn[0]) <= 0.1 * abs(first_turn[1]) + 1.0
-        assert abs(way).max() <= 10.0 * HALF_M + 1.0
+        assert abs(way).max() <= 10.0 * SKETCHED_M + 1.0
         # Distances are those of the run: one in the drawing is 0.1 m.
         user = points(paths["user-way"])[-1]
         apart_m = np.hypot(*(run.vru_position_m[-1] - run.vut_position_m[-1]))
