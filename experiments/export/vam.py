@@ -198,7 +198,7 @@ def to_vam(
 
 FORMAT = ExportFormat(
     write=to_vam,
-    content="messages of a run's road user, ETSI TS 103 300-3 as JSON; V2X stacks",
+    content="of a run's road user, ETSI TS 103 300-3 as JSON; V2X stacks",
     drives_run=True,
     has_units=False,
     options=("release", "vam_rate"),

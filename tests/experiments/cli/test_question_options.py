@@ -11,8 +11,8 @@ from placement.question import question_fields
 def test_each_field_has_exactly_one_entry_in_the_same_order():
     assert list(OPTIONS) == list(question_fields())
     for shown in OPTIONS.values():
-        assert shown.section in SECTIONS
-        assert {shown.needs, shown.excludes} - {""} <= set(OPTIONS)
+        assert shown["section"] in SECTIONS
+        assert {shown.get("needs"), shown.get("excludes")} - {None} <= set(OPTIONS)
 
 
 @pytest.mark.parametrize("name", OPTIONS)
