@@ -269,10 +269,8 @@ def choose_for_city(
         )
     years = np.zeros_like(first) if phases is None else phases.year
     got = zip((choice.rows - first).tolist(), years.tolist(), strict=True)
-    junctions = _junctions(
-        *(out, city, values, records, existing), got=dict(zip(solved, got, strict=True))
-    )
-    steps = city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
+    got_at = dict(zip(solved, got, strict=True))
+    junctions = _junctions(out, city, values, records, existing, got=got_at)
     result = CityResult(
         maps=city.records,
         budget_units=wish.budget_units,
@@ -295,7 +293,7 @@ def choose_for_city(
                 taken=step.taken,
                 apr=step.apr,
             )
-            for step in steps
+            for step in city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
         ),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,

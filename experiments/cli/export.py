@@ -114,7 +114,8 @@ def export(
     """Write a layout in a format that other programs read."""
     progress.start(quiet=quiet)
     from ..export.calibration import lidar_ids
-    from ..export.formats import export_layout, load_format
+    from ..export.formats import load_format
+    from ..export.watched import export_layout
 
     chosen = load_format(format_name)
     if out is None and chosen.is_binary:

@@ -1,4 +1,4 @@
-"""A run with the frames in which each unit detects: what formats show that move."""
+"""Layouts as files of other programs, and runs with the frames in which each unit detects."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,15 +9,18 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError
 from geometry.junction import build_junction
 from geometry.scene import Scene
+from geometry.scene_files import load_scene
 from geometry.weather import pick_weather
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detectors import load_detector, load_planning_detector
-from placement.layout import Layout
+from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import Setting, drive_one
 from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.positions import AT_ZERO
 from scenarios.runs import WEATHERS, Run, build_frame_axis
+
+from .formats import load_format
 
 _RUN_ID = (
     "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night or, away "
@@ -77,3 +80,44 @@ def watch_run(
     found = watch(setting, {unit_key(unit): unit for unit in layout.units}, compute=compute)
     detected = {unit.id: found[unit_key(unit)] for unit in layout.units}
     return WatchedRun(run=run, detected=detected, rule=rule)
+
+
+def export_layout(
+    layout: Layout | None,
+    format_name: str,
+    *,
+    scene_path: str = "",
+    run_id: str = "",
+    compute: Compute = DEFAULT_COMPUTE,
+    options: Mapping[str, str | float] | None = None,
+) -> str | bytes:
+    """Content of a layout's file for another program.
+
+    `format_name` is one of ``FORMAT_NAMES``, `options` are its own. `scene_path`: folder or .zip
+    file of the layout's scene; empty: the study's junction. `run_id`: a run to show as the units
+    see it; empty: none. Formats of a run alone take no layout. Raises InputError: the layout does
+    not fit the scene, or the format needs a place on earth, shows no runs, or lacks an option.
+    """
+    chosen = load_format(format_name)
+    if chosen.drives_run and not run_id:
+        raise InputError("--run", run_id, f"a run: {format_name} shows nothing else")
+    if layout is not None and not chosen.has_units:
+        raise InputError("--layout", layout.name, f"none: {format_name} has no units")
+    if run_id and not (chosen.shows_runs or chosen.drives_run):
+        raise InputError("--run", run_id, f"none: {format_name} shows no runs")
+    given = options or {}
+    for name, value in given.items():
+        if name not in chosen.options:
+            raise InputError(
+                f"--{name.replace('_', '-')}", value, f"none: {format_name} has no such option"
+            )
+    scene = load_scene(scene_path)
+    if layout is not None:
+        check_layout(layout, scene)
+    if not run_id:
+        return chosen.write(layout, scene, **given)
+    if layout is None:
+        return chosen.write(find_run(run_id, scene), scene, **given)
+    if chosen.drives_run:
+        return chosen.write(layout, scene, find_run(run_id, scene), **given)
+    return chosen.write(layout, scene, watch_run(layout, scene, run_id, compute=compute), **given)

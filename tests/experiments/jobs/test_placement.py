@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 import pytest
 
 from experiments.cli.options import cache_folder
-from experiments.export.formats import export_layout
 from experiments.export.json import to_json_text
+from experiments.export.watched import export_layout
 from experiments.jobs import placement
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
