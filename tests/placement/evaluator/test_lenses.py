@@ -109,7 +109,7 @@ def opencv_rays(camera):
 def depths(ways, near, corners):
     """Depths (n,) at which rays (n, 3), one deep, first meet triangles (m, 3, 3), by Cramer."""
     first = np.full(len(ways), np.inf)
-    for a, b, c in corners:
+    for a, b, c in corners[(corners[..., 2] > 0.0).any(axis=1)]:
         across = np.cross(ways, c - a)
         volume = across @ (b - a)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -132,8 +132,7 @@ def corners_in_camera(solid, road_pose, pose):
     return (world - pose.position_m) @ camera_rotation(pose.yaw_deg, pose.pitch_deg)
 
 
-@pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("model", "seed"), [("brown-conrady", 0), ("fisheye", 1)])
 def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
     rng = np.random.default_rng(seed)
     small = random_camera(rng, replace(camera, width_px=72, height_px=54), model)
@@ -142,7 +141,7 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
     lit = np.isfinite(rays[..., 0])
     ways = np.column_stack([rays[lit], np.ones(lit.sum())])
     n_seen = n_hidden = 0
-    for frame in range(0, 48, 3):
+    for frame in range(0, 48, 6):
         vru = surroundings.vrus[surroundings.vru_index[frame]]
         static = surroundings.statics[surroundings.static_index[frame]]
         others = [(static, surroundings.static_poses[frame])]
@@ -173,7 +172,7 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed):
             assert off.max() <= 1.0
             n_seen += len(rows) > 0
             n_hidden += int(off.sum() > 0)
-    assert n_seen > 8
+    assert n_seen > 4
     assert n_hidden <= 2
 
 
