@@ -23,6 +23,7 @@ const FIELDS = {
 
 // `selected`: null is none, undefined the newest one, as soon as it is told.
 let scene = null, state = null, numbers = null, proposals = [], selected, offered = null;
+let mounting = null; // how many sensors there were when one more was asked for
 let isConnected = false, timer = 0, coverage = null, savedRevision = 0;
 
 const line = openLine({ onMessage: read, onState: connected, onSilence: silent });
@@ -69,7 +70,7 @@ function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
     coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
-    problem: (message) => { settle(); notice(message.text); }, notice: (message) => notice(message.text),
+    problem: (message) => { settle(); mounting = null; notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
 }
@@ -116,7 +117,7 @@ function readScene(message) {
   document.title = `Plan at ${scene.title} - place-rsus`;
   map.showScene(scene);
   map.showShares(null);
-  if (isOther) { selected = undefined; played.close(); locked.clear(); }
+  if (isOther) { selected = undefined; mounting = null; played.close(); locked.clear(); }
   const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.kind})`, site.isForbidden]);
   options(find("site"), sites);
   options(find("why-site"), sites);
@@ -143,7 +144,9 @@ function fillGrid() {
 function readState(message) {
   keepLocks(message);
   state = message;
-  if (selected === undefined) selected = state.units.at(-1)?.id ?? null;
+  const last = state.units.at(-1)?.id ?? null;
+  if (selected === undefined) selected = last;
+  if (mounting !== null && state.units.length > mounting) { selected = last; mounting = null; } // the new one
   else if (!state.units.some((unit) => unit.id === selected)) selected = null;
   if (!line.isAsking()) live.clear();
   find("undo").disabled = !state.canUndo;
@@ -442,8 +445,7 @@ function copy() {
 
 function paste() {
   if (!copied) { notice("Nothing is copied yet: choose a sensor and press Ctrl+C."); return; }
-  selected = undefined;
-  line.send({ do: "add", site: find("site").value, ...copied });
+  add({ site: find("site").value, ...copied });
 }
 
 function chooseSite(id) {
@@ -462,11 +464,15 @@ function showSiteText() {
 }
 
 function hang(site, aim) {
-  const message = { do: "add", site, sensor: find("sensor").value };
+  const message = { site, sensor: find("sensor").value };
   const isRing = scene.sensors.find((model) => model.name === message.sensor)?.isRing;
   if (aim) Object.assign(message, { yaw_deg: aim.yaw }, isRing ? {} : { pitch_deg: Math.max(-90, aim.pitch) }); // what scans all round stays level
-  selected = undefined; // the new one is the last
-  line.send(message);
+  add(message);
+}
+
+function add(message) {
+  mounting = state?.units.length ?? 0;
+  line.send({ do: "add", ...message });
 }
 find("site").addEventListener("change", (event) => chooseSite(event.target.value));
 find("hang").addEventListener("click", () => hang(find("site").value));
