@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from msgspec import to_builtins
 
 from .errors import InputError, refuse
-from .files import load_toml, pick, read_tables
+from .files import load_data, load_toml, pick, read_tables
 from .lidar import LidarModel, load_lidars
 from .sensors import CameraModel
 
@@ -29,7 +28,7 @@ _LENS_FIELDS = (
 @cache
 def load_cameras() -> dict[str, CameraModel]:
     """All camera models of the catalogue, by name."""
-    table = load_toml(files(__package__) / "data" / "sensors.toml")
+    table = load_data(__package__, "sensors.toml")
     return read_tables(table, CameraModel, "sensors.toml")
 
 

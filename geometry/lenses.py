@@ -8,6 +8,7 @@ picture back.
 import math
 from dataclasses import dataclass, field
 from functools import cache
+from typing import TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, set_arrays
 from .errors import InputError
 
+_Number = TypeVar("_Number", float, FloatArray)
 _NEWTON_STEPS = 50
 _NEAR = 1.0e-13  # of a shown point: where Newton's method ends
 _LEAST_STEP = 1.0e-4  # share of a step of its
@@ -43,11 +45,20 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         """Radius at depth 1 up to which points are shown; may be infinite."""
         return math.sqrt(_brown_turn(self))
 
+    @property
+    def radial(self) -> "BrownConrady":
+        """The same without tangential terms."""
+        return BrownConrady(k1=self.k1, k2=self.k2, k3=self.k3)
+
+    def _stretch(self, square: _Number) -> _Number:
+        """How much farther out the radial terms show points, by the square of their radius."""
+        return 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+
     def distort(self, points: FloatArray) -> FloatArray:
         """Points (n, 2) at depth 1 as the lens shows them; NaN where it would fold them back."""
         x, y = points.T
         square = x**2 + y**2
-        radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+        radial = self._stretch(square)
         across = 2.0 * x * y
         distorted = np.stack(
             [
@@ -87,7 +98,7 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         """Derivatives of :meth:`distort`, (3, n): of column by x, of either by the other, row."""
         x, y = points.T
         square = x**2 + y**2
-        radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+        radial = self._stretch(square)
         rise = 2.0 * (self.k1 + square * (2.0 * self.k2 + square * 3.0 * self.k3))
         return np.stack(
             [
@@ -100,13 +111,12 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
     def shown_at(self, angle_rad: float) -> float:
         """Distance from the middle at which a ray at an angle off the axis is shown, radially."""
         square = math.tan(angle_rad) ** 2
-        radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
+        radial = self._stretch(square)
         return math.tan(angle_rad) * radial
 
     def angle_of(self, shown: float) -> float:
         """The inverse of :meth:`shown_at`; not a number where the lens shows nothing."""
-        radial = BrownConrady(k1=self.k1, k2=self.k2, k3=self.k3)
-        return math.atan(float(radial.undistort(np.array([[shown, 0.0]]))[0, 0]))
+        return math.atan(float(self.radial.undistort(np.array([[shown, 0.0]]))[0, 0]))
 
 
 class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):

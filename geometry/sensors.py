@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
-from importlib.resources import files
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import BoolArray, FloatArray, freeze
 from .errors import InputError, Unquoted, check_field, refuse
-from .files import load_toml, read_table
+from .files import read_data
 from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial, widest_rad
 from .poses import Pose, camera_rotation
 
@@ -153,9 +152,7 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
 
     Raises InputError: half a width from its principal point the lens shows nothing.
     """
-    name_of_file = "calibrated.toml"
-    table = load_toml(files(__package__) / "data" / name_of_file)
-    assumed = read_table(table, _Assumed, name_of_file)
+    assumed = read_data(__package__, "calibrated.toml", _Assumed)
     right, _, ahead = camera.R_camera_world
     yaw_deg, pitch_deg = np.degrees(
         [np.arctan2(ahead[1], ahead[0]), np.arcsin(ahead[2].clip(-1, 1))]
@@ -304,6 +301,11 @@ def roll_axes(camera: CameraModel) -> FloatArray:
     return np.array([[cos, -sin], [sin, cos]])
 
 
+def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
+    """Rotation (3, 3) from the frame of the camera, given that from the frame of a level one."""
+    return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
+
+
 def _reach(camera: CameraModel) -> float:
     reach = math.inf if camera.lens is None else camera.lens.reach
     return min(reach, math.tan(SEEN_RAD))
@@ -327,4 +329,4 @@ class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 def load_limits() -> _Limits:
     """All of them."""
     name = "limits.toml"
-    return read_table(load_toml(files(__package__) / "data" / name), _Limits, name)
+    return read_data(__package__, name, _Limits)

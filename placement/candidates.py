@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.resources import files
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, pick
+from geometry.files import load_data, pick
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
@@ -165,7 +164,7 @@ def build_candidates(
 def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
     """The default grid, from ``data/candidates.toml``, or one with a ninth of its poses."""
     where = "coarse_candidates.toml" if is_coarse else "candidates.toml"
-    table = load_toml(files(__package__) / "data" / where)
+    table = load_data(__package__, where)
     models = tuple(pick_sensor(name, f"{where}: sensors") for name in table.pop("sensors"))
     return CandidateGrid(**table, sensors=models)
 

@@ -136,8 +136,11 @@ def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> Ground
     )
 
 
+_ACROSS_M = 0.1  # whose pixels are counted
+
+
 def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
-    """Pixels per metre across the line of sight at points (n, 3); 0 outside of the picture."""
+    """Pixels per metre across the line of sight at points (n, 3) of the picture; 0 at its edge."""
     assert isinstance(unit.sensor, CameraModel)
     east, north = (points_m - unit.pose.position_m)[:, :2].T
     across = np.stack([-north, east, np.zeros_like(east)], axis=1)
@@ -146,14 +149,12 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
         project_points(points_m + one, unit.pose, unit.sensor)[:, :2] for one in (across, -across)
     ]
     density = np.linalg.norm(ends[1] - ends[0], axis=1) / _ACROSS_M
-    is_inside = np.isfinite(_depth_in_picture(points_m, unit)) & np.isfinite(density)
-    return np.where(is_inside, density, 0.0)
+    return np.where(np.isfinite(density), density, 0.0)
 
 
 # ---------- private ground
 
 
-_ACROSS_M = 0.1  # whose pixels are counted
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 
 

@@ -5,7 +5,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,7 +23,7 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, Unquoted
-from geometry.files import Text, load_toml, parse_json, pick, read_table, read_text
+from geometry.files import Text, load_data, parse_json, pick, read_table, read_text
 from geometry.frames import from_carla_pose
 from geometry.maps.place_lists import (
     PLACE_FIELDS,
@@ -397,7 +396,7 @@ class _StudyUnit(Struct, frozen=True, kw_only=True):
 def load_carlancap_layout() -> Layout:
     """The study's 12 roadside cameras, from ``data/carla_ncap_layout.toml``."""
     where = "carla_ncap_layout.toml"
-    table = load_toml(files(__package__) / "data" / where)
+    table = load_data(__package__, where)
     camera = pick_camera(table["camera"], f"{where}: camera")
     units = tuple(
         CandidatePose(

@@ -5,7 +5,6 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -15,7 +14,7 @@ from click.shell_completion import CompletionItem
 from msgspec import Meta
 
 from geometry.errors import InputError
-from geometry.files import load_toml
+from geometry.files import load_data
 from placement.compute import RAYS, Compute
 from placement.question import (
     BASELINE_NAME,
@@ -28,7 +27,7 @@ from placement.question import (
 
 from .running import Call, Job, cache_folder, check_address_space
 
-_TABLES = load_toml(files("experiments") / "data" / "options.toml")
+_TABLES = load_data("experiments", "options.toml")
 SECTIONS = ASKED, MOUNTED, SOUGHT, DRIVEN, SEEN = tuple(_TABLES["question"])
 """Titles in the help."""
 OPTIONS = {

@@ -12,7 +12,7 @@ from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, Lens
 from geometry.notes import assumed_sites
 from geometry.poses import Pose, body_rotation, camera_rotation
 from geometry.scene import Scene
-from geometry.sensors import CameraModel, roll_axes
+from geometry.sensors import CameraModel, rolled
 from placement.layout import Layout
 
 N_DISTORTION = 5
@@ -131,7 +131,7 @@ def _camera_axes(pose: Pose, camera: CameraModel) -> FloatArray:
     rotation = camera_rotation(pose.yaw_deg, pose.pitch_deg)
     if not camera.roll_deg:
         return rotation
-    return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
+    return rolled(rotation, camera)
 
 
 def refuse_lenses(layout: Layout, format_name: str) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import Table, load_toml, pick
+from geometry.files import Table, load_data, pick
 from geometry.frames import to_carla_yaw
 from geometry.poses import Pose
 from geometry.scene import Scene
@@ -99,7 +99,7 @@ def build_scenario(layout: Layout, scene: Scene, run: Run) -> dict[str, Any]:
 
 @cache
 def _table(name: str) -> Table:
-    table: Table = load_toml(files("experiments") / "data" / _TABLE)[name]
+    table: Table = load_data("experiments", _TABLE)[name]
     return table
 
 

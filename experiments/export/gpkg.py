@@ -26,7 +26,7 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
     A SQLite database with the layer "units": points with the height as z (that
     of the map where the ground is not flat and the map tells it, else above the road), and the
     fields of the layout; x_m and y_m among them stay in the world frame. With `views` also the
-    layer "views": see :func:`.views.find_views`. Raises InputError if the scene
+    layer "views": see :func:`.places.find_views`. Raises InputError if the scene
     has no crs, or one that pyproj does not know.
 
     References

@@ -27,7 +27,7 @@ def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
 
     An XML document. Every field of the layout is in the placemark's ExtendedData; the placemark's
     camera looks from the unit's place along its optical axis. With `views` also what each camera
-    sees, see :func:`.views.find_views`, as polygons on the ground. Raises InputError if
+    sees, see :func:`.places.find_views`, as polygons on the ground. Raises InputError if
     the scene has no crs, or one that pyproj does not know, or if a name is not printable.
 
     References

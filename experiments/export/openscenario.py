@@ -8,7 +8,6 @@ import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from itertools import pairwise
 from typing import Any
 
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted
-from geometry.files import Table, load_toml, pick, take, take_number, take_text
+from geometry.files import Table, load_data, pick, take, take_number, take_text
 from geometry.poses import wrap_deg
 from geometry.terrain import Terrain, on_ground
 from geometry.weather import pick_weather
@@ -45,7 +44,7 @@ def load_xosc() -> Any:
 @cache
 def load_table(name: str) -> Table:
     """Part of ``data/openscenario.toml``: "bodies" or "weather"."""
-    table: Table = take(load_toml(files("experiments") / "data" / TABLE), name, TABLE)
+    table: Table = take(load_data("experiments", TABLE), name, TABLE)
     return table
 
 

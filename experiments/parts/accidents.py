@@ -13,12 +13,13 @@ from geometry.footprints import footprint_corners
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share, run_outcome
 from placement.layout import Layout
 from placement.setting import Setting
+from scenarios.cases import Case
 from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis, Run
 
 from ..figures.axes import unit_labels
 from ..results.drives import describe_left_out, describe_limits, describe_places, lacking_room
-from ..results.numbers import count_runs, number, percent, several
+from ..results.numbers import capital, count_runs, number, percent, several
 from ..results.tables import groups_by, margin_s
 from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
@@ -191,9 +192,13 @@ _PER_M = 10  # units of the drawing
 _USER_M = 0.6  # radius of the mark of who is met
 
 
+def case_title(case: Case) -> str:
+    """What happens in a case, for who knows no codes."""
+    return capital(case.title.replace("VUT", "car") or case.name)
+
+
 def sketch_case(run: Run) -> Sketch:
     """A sketch of the case of a run; the car drives upwards, and hits in the middle."""
-    title = run.case.title.replace("VUT", "car") or run.case.name
     is_near = [
         (abs(places - run.vut_position_m[-1]).max(axis=1) <= SKETCHED_M)
         for places in (run.vut_position_m, run.vru_position_m)
@@ -212,7 +217,7 @@ def sketch_case(run: Run) -> Sketch:
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     circle = _USER_M * np.column_stack([np.cos(angle), np.sin(angle)])
     return Sketch(
-        title=f"{title[:1].upper()}{title[1:]}",
+        title=case_title(run.case),
         code=run.case.name,
         half=round(SKETCHED_M * _PER_M),
         paths=[

@@ -9,7 +9,7 @@ from placement.evaluation import Evaluation, headline_apr
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
-from ..results.numbers import percent, several
+from ..results.numbers import capital, percent, several
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
@@ -45,7 +45,7 @@ def lead(result: Result) -> str:
     kinds = ((len(layout) - n_lidars, "camera", "cameras"), (n_lidars, "LiDAR", "LiDARs"))
     units = " and ".join(_spelled(several(n, one, many)) for n, one, many in kinds if n)
     n_poles = len({unit.site or unit.id for unit in layout})
-    mounted = f"{units[:1].upper()}{units[1:]} on {_spelled(several(n_poles, 'pole', 'poles'))}"
+    mounted = f"{capital(units)} on {_spelled(several(n_poles, 'pole', 'poles'))}"
     verb = "prevents" if len(layout) == 1 else "prevent"
     seeing = " together with cars that see for themselves" if result.cars == 1.0 else ""
     share = percent(found.judged.all)

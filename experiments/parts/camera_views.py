@@ -19,6 +19,7 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..figures.axes import unit_labels
+from .accidents import case_title
 from .section import Picture
 
 _WIDTH_IN, _WIDTH_PX = 3.2, 512
@@ -44,8 +45,7 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
     Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
     title = f"{label}: what it will see"
     when = f"{abs(time_s):.1f} s before the collision"
-    what = run.case.title.replace("VUT", "car") or run.case.name
-    what = f"{what[:1].upper()}{what[1:]}"
+    what = case_title(run.case)
     return Picture(
         title=title,
         caption=f"Rendered from the map. {what}, {when}.",

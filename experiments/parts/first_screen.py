@@ -14,7 +14,7 @@ from scenarios.weights import weight_share
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
-from .accidents import count_sensors, is_weighted
+from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
 from .bill_of_materials import BillOfMaterials
 from .dangers import DangerGroup, avoided_runs, position_words
@@ -146,9 +146,9 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
     if not dangers.not_avoided:
         return ["All simulated collisions are prevented."]
     cases = {run.case.name: run.case for run in setting.runs}
-    titles = {name: case.title.replace("VUT", "car") or name for name, case in cases.items()}
+    titles = {name: case_title(case) for name, case in cases.items()}
     worst = [group for group in dangers.by_case[:_MOST_DANGERS] if group.not_avoided]
-    found = [f"{_capital(titles.get(one.name, one.name))}: {_left(one)}." for one in worst]
+    found = [f"{titles.get(one.name, one.name)}: {_left(one)}." for one in worst]
     where = [group for group in dangers.by_position[:2] if group.not_avoided]
     if where:
         told = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])
@@ -163,7 +163,3 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
 
 def _left(group: DangerGroup) -> str:
     return f"{group.not_avoided} of {group.runs} not prevented"
-
-
-def _capital(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"

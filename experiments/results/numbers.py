@@ -101,6 +101,11 @@ def joined(words: Sequence[str]) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
+def capital(text: str) -> str:
+    """A text as a sentence begins."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def first_of(words: Sequence[str], most: int) -> str:
     """The first words of a list with commas, and how many more there are."""
     listed = ", ".join(words[:most])

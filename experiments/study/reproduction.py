@@ -12,7 +12,7 @@ import click
 import msgspec
 import numpy as np
 
-from geometry.files import load_toml, write_atomically
+from geometry.files import load_data, write_atomically
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, apr, detected_share
 from placement.evaluator import evaluate_layout
@@ -73,7 +73,7 @@ class Published(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @cache
 def load_published() -> Published:
     """The study's figures, from ``data/carla_ncap_published.toml``."""
-    table = load_toml(files("experiments") / "data" / "carla_ncap_published.toml")
+    table = load_data("experiments", "carla_ncap_published.toml")
     return msgspec.convert(table, Published)
 
 

@@ -6,7 +6,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_c
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.errors import InputError, Unquoted
-from geometry.files import load_toml, read_table
+from geometry.files import read_data
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.poses import wrap_deg
@@ -409,7 +408,7 @@ class VamRule:
 @cache
 def load_vam_rule() -> VamRule:
     """The standard's rule, from ``data/vam.toml``."""
-    return read_table(load_toml(files("placement") / "data" / "vam.toml"), VamRule, "vam.toml")
+    return read_data("placement", "vam.toml", VamRule)
 
 
 def sent_frames(run: Run, rule: VamRule) -> BoolArray:

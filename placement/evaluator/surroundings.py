@@ -7,7 +7,6 @@ ground in metres. It places the frame of a :class:`Solid` in the frame in which 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
-from importlib.resources import files
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
-from geometry.files import load_toml, pick, take_number, take_text
+from geometry.files import load_data, pick, take_number, take_text
 from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, to_world, wrap_deg
 from geometry.raycast import RayCaster, build_caster
@@ -395,7 +394,7 @@ class VutCamera:
 
 
 def _vut_table() -> Mapping[str, Any]:
-    return load_toml(files("placement") / "data" / _WHERE)
+    return load_data("placement", _WHERE)
 
 
 @cache

@@ -147,9 +147,10 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
 
     Where a lens shows nothing rays are zeros, and it is dark.
     """
-    lit = np.flatnonzero(ways.any(axis=1)) if not shot.camera.is_pinhole else np.arange(0)
-    if not shot.camera.is_pinhole and len(lit) < len(ways):
-        return _among_dark(lit, len(ways), *_shade_lit(shot, ways[lit]))
+    if not shot.camera.is_pinhole:
+        lit = np.flatnonzero(ways.any(axis=1))
+        if len(lit) < len(ways):
+            return _among_dark(lit, len(ways), *_shade_lit(shot, ways[lit]))
     return _shade_lit(shot, ways)
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache, partial
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,7 +12,16 @@ import numpy as np
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import Table, load_toml, pick, take, take_list, take_number, take_text
+from geometry.files import (
+    Table,
+    load_data,
+    load_toml,
+    pick,
+    take,
+    take_list,
+    take_number,
+    take_text,
+)
 from geometry.scene import Scene
 from scenarios.cases import load_cases
 
@@ -419,7 +427,7 @@ def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertain
 
 @cache
 def _shipped() -> Table:
-    return load_toml(files("placement") / "data" / _FILE)
+    return load_data("placement", _FILE)
 
 
 @cache

@@ -11,7 +11,7 @@ import numpy as np
 from geometry.arrays import FloatArray, freeze
 from geometry.kernels import kernel
 from geometry.lenses import BrownConrady
-from geometry.sensors import SEEN_RAD, CameraModel, roll_axes
+from geometry.sensors import SEEN_RAD, CameraModel, rolled
 
 from .point_kernels import Array
 
@@ -28,8 +28,7 @@ def pack_lens(camera: CameraModel, rotation: FloatArray) -> FloatArray:
     `rotation` (3, 3) takes offsets, as rows, into the camera's frame, the roll aside.
     """
     numbers = _pack_model(camera).copy()
-    axes = np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
-    numbers[_AXES:_SHARES] = axes.T.ravel()
+    numbers[_AXES:_SHARES] = rolled(rotation, camera).T.ravel()
     return numbers
 
 
@@ -46,7 +45,7 @@ def _pack_model(camera: CameraModel) -> FloatArray:
     reach = min(math.tan(SEEN_RAD), lens.reach * (1.0 - 1.0e-12))
     if isinstance(lens, BrownConrady):
         tangential = lens.p1, lens.p2
-        lens = BrownConrady(k1=lens.k1, k2=lens.k2, k3=lens.k3)
+        lens = lens.radial
     most = reach**2 / (1.0 + reach**2)
     square = most * (1.0 - np.linspace(0.0, 1.0, _N_SHARES) ** 2)
     radius = np.sqrt(square / (1.0 - square)).clip(1.0e-9, reach)

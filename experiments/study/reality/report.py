@@ -13,7 +13,7 @@ from shapely import Polygon, union_all
 
 from geometry.actors import pick_actor
 from geometry.arrays import BoolArray, FloatArray
-from geometry.files import load_toml
+from geometry.files import load_data
 from geometry.lidar import load_lidar_detection
 from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
@@ -203,7 +203,7 @@ def _first_sentence(rows: list[tuple[str, Interval, float]]) -> str:
 
 def text(m: Measured) -> str:
     """The report, as Markdown."""
-    table = load_toml(files("experiments") / "data" / "reality_first_look.toml")["figures"]
+    table = load_data("experiments", "reality_first_look.toml")["figures"]
     values = _values(m)
     in_16, height_px = m.car.halves["sequence"], m.car.sightings.height_px
     rows = (m.lidar.hidden_level == 0) & (m.lidar.distance_m < lidar_reach_m())

@@ -6,7 +6,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -16,7 +15,7 @@ from scipy.special import fresnel
 
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
-from ...files import load_toml
+from ...files import load_data
 from ...frames import parse_crs
 from ..source_map import Omissions
 
@@ -155,7 +154,7 @@ def _why_not(crs: str) -> str:
 @cache
 def load_facts() -> dict[str, Any]:
     """Lane kinds, words, types and assumed numbers from ``geometry/maps/data/opendrive.toml``."""
-    return load_toml(files("geometry.maps") / "data" / "opendrive.toml")
+    return load_data("geometry.maps", "opendrive.toml")
 
 
 @cache

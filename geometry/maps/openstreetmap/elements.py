@@ -8,7 +8,6 @@ from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,11 @@ from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
 from ...errors import refuse
-from ...files import load_toml, open_file, reading
+from ...files import load_data, open_file, reading
 from ...untrusted_files import MAX_FILE_BYTES, check_pbf
 from ..source_map import Omissions
 
-DEFAULTS: dict[str, Any] = load_toml(files("geometry.maps") / "data" / "openstreetmap.toml")
+DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
 Tags = dict[str, str]
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 from xml.sax.saxutils import quoteattr
@@ -15,6 +14,7 @@ from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import (
     Table,
     Text,
+    load_data,
     load_toml,
     read_table,
     take_list,
@@ -100,7 +100,7 @@ def load_demand(path: Path | None = None) -> Demand:
     Raises InputError if it cannot be read, a value cannot be, or nobody drives.
     """
     if path is None:
-        return _read(load_toml(files("placement") / "data" / _FILE), _FILE, "default")
+        return _read(load_data("placement", _FILE), _FILE, "default")
     return _read(load_toml(path), str(path), path.name)
 
 
