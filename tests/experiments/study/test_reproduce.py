@@ -93,7 +93,7 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
 def test_a_use_that_does_not_exist_is_named(monkeypatch):
     entry = {"quantity": "x", "case": "y", "value": 0.5, "use": "fitted", "depends_on": "z"}
     monkeypatch.setattr(
-        reproduction, "load_toml", lambda source: {"figures": [entry], "additional": []}
+        reproduction, "load_data", lambda *path: {"figures": [entry], "additional": []}
     )
     load_published.cache_clear()
     with pytest.raises(msgspec.ValidationError, match=r"figures\[0\]\.use"):
