@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Generic, ParamSpec, TypeVar
 
+from .language import language, set_language
 from .progress import follow_parent
 
 _P = ParamSpec("_P")
@@ -75,7 +76,7 @@ class SideProcess:
         """
         if name not in self._begun:
             sent = [_Shared(id(value)) if id(value) in self._shared else value for value in args]
-            future = self._submit(_make, make, sent, kwargs)
+            future = self._submit(_make, language(), make, sent, kwargs)
             self._begun[name] = Task(lambda: make(*args, **kwargs), future)
         task: Task[_T] = self._begun[name]
         return task
@@ -100,8 +101,9 @@ def _receive(key: int, value: object) -> None:
     _received[key] = value
 
 
-def _make(make: Callable[..., _T], args: Sequence[object], kwargs: dict[str, Any]) -> _T:
-    """Call a function in the second process."""
+def _make(code: str, make: Callable[..., _T], args: Sequence[object], kwargs: dict[str, Any]) -> _T:
+    """Call a function in the second process, which speaks the language of the first."""
+    set_language(code)
     values = (_received[value.key] if isinstance(value, _Shared) else value for value in args)
     return make(*values, **kwargs)
 

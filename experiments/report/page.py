@@ -14,6 +14,7 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from ..figures.axes import unit_labels
+from ..language import tr, trn
 from ..parts import added, answer, comparison, dangers, proof, road_users, study_cases
 from ..parts.accidents import accidents_section, cases_section, runs_section, unit_apr_table
 from ..parts.alternatives import failures_section
@@ -48,7 +49,7 @@ _FOLDED = (
 @cache
 def page_environment() -> Environment:
     """How all pages are made from templates: text of others is shown as text."""
-    return Environment(
+    environment = Environment(
         loader=PackageLoader("experiments.report"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -56,6 +57,8 @@ def page_environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals |= {"tr": tr, "trn": trn}
+    return environment
 
 
 @cache

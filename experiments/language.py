@@ -1,0 +1,135 @@
+"""The language of answers: terminal, report, page and sheet say each sentence through here.
+
+A sentence stands in the code in English, whole, with names in braces for what is put in: it is the
+key under which catalogues (``languages/de/*.po``, gettext's format) have its translation. Keys of
+JSON, names of files, the help of commands and errors are English always.
+"""
+
+import string
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+LANGUAGES = ("en", "de")
+_SWAPPED = str.maketrans(".,", ",.")
+
+
+class _GermanNumbers(string.Formatter):
+    """Puts numbers in with a decimal comma, and points between thousands."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        text = format(value, format_spec)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        return text.translate(_SWAPPED) if is_number else text
+
+
+class Messages:
+    """A catalogue of messages, and of those that have a form for one and one for many."""
+
+    def find(self, message: str) -> str:
+        """The translation of a message; the message itself where it is English."""
+        return message
+
+    def find_plural(self, one: str, many: str, count: int) -> str:
+        """The form that a count asks for."""
+        return one if count == 1 else many
+
+
+class _Translated(Messages):
+    def __init__(self, code: str) -> None:
+        from babel.messages.pofile import read_po
+
+        self._found: dict[str, str | tuple[str, ...]] = {}
+        for path in sorted(files("experiments").joinpath("languages", code).iterdir(), key=str):
+            if path.name.endswith(".po"):
+                with path.open("rb") as file:
+                    for entry in read_po(file):
+                        key = entry.id if isinstance(entry.id, str) else entry.id[0]
+                        said = entry.string
+                        self._found[key] = said if isinstance(said, str) else tuple(said or ())
+
+    def find(self, message: str) -> str:
+        found = self._found.get(message)
+        return found if isinstance(found, str) and found else message
+
+    def find_plural(self, one: str, many: str, count: int) -> str:
+        found = self._found.get(one)
+        if isinstance(found, tuple) and all(found):
+            return found[count != 1]
+        return super().find_plural(one, many, count)
+
+
+@cache
+def _catalogue(code: str) -> Messages:
+    return Messages() if code == "en" else _Translated(code)
+
+
+class _Current:
+    code = "en"
+    messages = Messages()
+
+
+def language() -> str:
+    """The language that is spoken now, such as "en"."""
+    return _Current.code
+
+
+def set_language(code: str) -> None:
+    """Speak one of LANGUAGES in this process from now on."""
+    _Current.messages, _Current.code = _catalogue(code), code
+
+
+@contextmanager
+def speaking(code: str, messages: Messages | None = None) -> Iterator[None]:
+    """Speak a language for a block; with `messages` from another catalogue (tests)."""
+    before = _Current.code, _Current.messages
+    set_language(code)
+    _Current.messages = messages or _Current.messages
+    try:
+        yield
+    finally:
+        _Current.code, _Current.messages = before
+
+
+def tr(message: str, /, **values: Any) -> str:
+    """A message in the language that is spoken, with values in place of the names in braces.
+
+    Numbers among the values are written as the language does, "{share:.1f}" as 0.5 or 0,5.
+
+    Examples
+    --------
+    >>> tr("{n:,} runs", n=1200)
+    '1,200 runs'
+    """
+    return _filled(_Current.messages.find(message), values)
+
+
+def trn(one: str, many: str, n: int, /, **values: Any) -> str:
+    """A message that depends on a number, which it may show as {n}.
+
+    Examples
+    --------
+    >>> trn("{n} run", "{n} runs", 1), trn("{n} run", "{n} runs", 2)
+    ('1 run', '2 runs')
+    """
+    return _filled(_Current.messages.find_plural(one, many, n), {"n": n, **values})
+
+
+def mark(message: str) -> str:
+    """A message that is translated where it is used, by ``tr(MESSAGE)``: for constants."""
+    return message
+
+
+def localized(number: str) -> str:
+    """A number that has been written as English does, as the language that is spoken does."""
+    return number if _Current.code == "en" else number.translate(_SWAPPED)
+
+
+def _filled(message: str, values: Mapping[str, Any]) -> str:
+    if not values:
+        return message
+    if _Current.code == "en":
+        return message.format(**values)
+    return _GermanNumbers().vformat(message, (), values)
