@@ -21,7 +21,7 @@ from geometry.files import read_bytes
 from placement.city.choose import Phases, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
-from placement.optimiser.steering import TOLERANCE
+from placement.optimiser.timing import TOLERANCE
 
 from ..results.numbers import euros, percent, several
 from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records

@@ -28,7 +28,7 @@ from placement.pipeline import assemble
 from placement.question import Question
 from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
-from scenarios.aeb import is_in_time
+from scenarios.confirmation import is_in_time
 
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
