@@ -162,6 +162,7 @@ def _led_on(before: Lane, entry: Lane) -> Lane:
     return replace(entry, centreline_m=chain)
 
 
+@lru_cache(maxsize=4)  # many ask for the junction of the scene at hand
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 

@@ -395,9 +395,10 @@ class Backdrop:
 def build_backdrop(scene: Scene, obstruction: Sequence[PlacedActor]) -> Backdrop:
     """Prepare a scene, with what parks in a run, for pictures of all runs with this obstruction."""
     mesh = build_static_mesh(scene, obstruction)
+    parked = mesh.things[len(scene.instances) :]
     return Backdrop(
         mesh=mesh,
-        ground=build_ground_map(scene, mesh.things, load_materials().markings),
+        ground=build_ground_map(scene, parked, load_materials().markings),
         street_lamps=build_street_lamps(scene),
         keeps_left=scene.keeps_left,
     )
