@@ -316,6 +316,17 @@ class CalibratedCamera:
         if not np.allclose(self.R_camera_world @ self.R_camera_world.T, np.eye(3), atol=1.0e-3):
             raise InputError("camera: R_camera_world", self.R_camera_world.tolist(), "a rotation")
 
+    @property
+    def K(self) -> FloatArray:
+        """Focal lengths and principal point, (3, 3); the middle of the first pixel is (0, 0)."""
+        rows = [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        return np.array(rows)
+
+    @property
+    def translation_m(self) -> FloatArray:
+        """t, (3,): the world's origin as the camera sees it; x_camera = R x_world + t. [m]."""
+        return self.R_camera_world @ (np.zeros(3) - self.position_m)
+
 
 def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArray:
     """Project points (n, 3) of the world frame into the image of a calibrated camera.

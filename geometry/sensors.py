@@ -183,6 +183,26 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
     )
 
 
+def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
+    """A camera as calibrations have it, in pixels whose middles are whole numbers.
+
+    :func:`project_points` has the middle of the first pixel at (0.5, 0.5), so that the principal
+    point is half a pixel farther there.
+    """
+    x_px, y_px = camera.middle_px
+    return CalibratedCamera(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx_px=camera.focal_length_px,
+        fy_px=camera.focal_length_px * (camera.pixel_aspect or 1.0),
+        cx_px=x_px - 0.5,
+        cy_px=y_px - 0.5,
+        R_camera_world=rolled(camera_rotation(pose.yaw_deg, pose.pitch_deg), camera).T,
+        position_m=pose.position_m,
+        lens=camera.lens or BrownConrady(),
+    )
+
+
 def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
     """Columns and rows (n, 2) of points (n, 2) at depth 1 in the picture's axes, through the lens.
 
@@ -303,6 +323,8 @@ def roll_axes(camera: CameraModel) -> FloatArray:
 
 def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
     """Rotation (3, 3) from the frame of the camera, given that from the frame of a level one."""
+    if not camera.roll_deg:
+        return rotation
     return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
 
 
