@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .arrays import BoolArray, FloatArray, freeze
 from .errors import InputError, Unquoted, check_field, refuse
 from .files import read_data
-from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial, widest_rad
+from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial
 from .poses import Pose, camera_rotation
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
@@ -63,7 +63,7 @@ class CameraModel:
             refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
         most_deg, why = 180.0, ""
         if self.has_lens and self.lens is not None:
-            most_deg = min(360.0, 2.0 * math.degrees(widest_rad(self.lens)))
+            most_deg = min(360.0, 2.0 * math.degrees(self.lens.widest_rad))
             why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
         expected = f"0 < degrees < {most_deg:g}{why}"
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)

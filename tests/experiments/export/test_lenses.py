@@ -70,7 +70,7 @@ def test_a_calibration_has_principal_point_aspect_and_roll():
     (found,) = calibrations(layout, "opencv").values()
     focal = 960.0
     expected = [[focal, 0, 0.55 * 1920 - 0.5], [0, 1.02 * focal, 0.45 * 1080 - 0.5], [0, 0, 1]]
-    assert found.K == pytest.approx(np.array(expected))
+    assert pytest.approx(np.array(expected)) == found.K
     assert found.lens == BrownConrady()
     # Turned clockwise by a right angle, its right is what was down.
     (level,) = calibrations(layout_with(), "opencv").values()
