@@ -93,7 +93,7 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}
         ("data: [0.1, 0, 0, 0, 0]", "data: [0.1, 0, 0, 0, 0, 1, 0, 0]", "distortion_model: got"),
         ("plumb_bob", "equidistant", "got 'equidistant with 5 terms'; expected plumb_bob, or 4"),
         ("data: [0.1, ", "data: [[0.1], ", "distortion_coefficients: got 5 of another kind"),
-        ("[900, 0, 640", "[900, 1, 640", "camera_matrix: got [900.0, 1.0, 640.0"),
+        ("[900, 0, 640", "[900, 1, 640", "camera_matrix: got [[900.0, 1.0, 640.0"),
         ("[900, 0, 640", "[-9, 0, 640", "fx_px: got -9.0; expected pixels, > 0"),
         ("360, 0, 0, 1]}", "360, 0", "; expected a calibration in YAML"),
         ("image_height: 720\n", "", "image_height: got nothing; expected 1 finite numbers"),
