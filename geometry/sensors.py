@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .arrays import BoolArray, FloatArray, freeze
 from .errors import InputError, Unquoted, check_field, refuse
 from .files import read_data
-from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial, widest_rad
+from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial
 from .poses import Pose, camera_rotation
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
@@ -63,7 +63,7 @@ class CameraModel:
             refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
         most_deg, why = 180.0, ""
         if self.has_lens and self.lens is not None:
-            most_deg = min(360.0, 2.0 * math.degrees(widest_rad(self.lens)))
+            most_deg = min(360.0, 2.0 * math.degrees(self.lens.widest_rad))
             why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
         expected = f"0 < degrees < {most_deg:g}{why}"
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)
@@ -180,6 +180,26 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
     )
     return model, Pose(
         position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg)
+    )
+
+
+def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
+    """A camera as calibrations have it, in pixels whose middles are whole numbers.
+
+    :func:`project_points` has the middle of the first pixel at (0.5, 0.5), so that the principal
+    point is half a pixel farther there.
+    """
+    x_px, y_px = camera.middle_px
+    return CalibratedCamera(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx_px=camera.focal_length_px,
+        fy_px=camera.focal_length_px * (camera.pixel_aspect or 1.0),
+        cx_px=x_px - 0.5,
+        cy_px=y_px - 0.5,
+        R_camera_world=rolled(camera_rotation(pose.yaw_deg, pose.pitch_deg), camera).T,
+        position_m=pose.position_m,
+        lens=camera.lens or BrownConrady(),
     )
 
 
@@ -303,6 +323,8 @@ def roll_axes(camera: CameraModel) -> FloatArray:
 
 def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
     """Rotation (3, 3) from the frame of the camera, given that from the frame of a level one."""
+    if not camera.roll_deg:
+        return rotation
     return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
 
 

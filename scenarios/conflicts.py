@@ -99,7 +99,7 @@ def find_encounters(
     `ttc_s`, and others whose bodies come at most so near, `within_m`. Returned by vehicle, then by
     VRU, in the order of `tracks`; and how many cannot be replayed, by reasons.
 
-    Notes ----- Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
+    Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
     which they move. The least time to collision is looked for while the vehicle drives forwards,
     and until the bodies first touch: those who walk beside a car are thinner than these boxes.
     """
@@ -188,12 +188,15 @@ def _speed(track: Track, moment_s: float) -> float:
 
 
 def _yaw_deg(track: Track, time_s: FloatArray) -> FloatArray:
-    """Directions of motion; of who stands, the last one, or else the first one."""
+    """Directions of motion; of who stands, the last one, or else the first one.
+
+    Of who never moves, the file's headings; 0 where it has none.
+    """
     east, north = track.velocity_mps(time_s).T
     yaw = np.degrees(np.arctan2(north, east))
     moves = np.hypot(east, north) >= load_trajectory_rules().encounters.min_vru_mps
     if not moves.any():
-        return np.zeros(len(time_s))
+        return np.nan_to_num(track.yaw_deg[np.searchsorted(track.time_s, time_s)])
     last = np.maximum.accumulate(np.where(moves, np.arange(len(yaw)), -1))
     return np.asarray(yaw[np.where(last < 0, int(moves.argmax()), last)])
 

@@ -267,17 +267,21 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
                 yield _Sample(place, name, word, time_s, x, y, math.degrees(yaw))
     elif root.tag == "commonRoad":
         step_s = _number(root.get("timeStepSize"), f"{path}: commonRoad: timeStepSize")
-        for thing in root.iter("dynamicObstacle"):
-            here = f"{path}: dynamicObstacle {thing.get('id')}"
+        # Until version 2018b obstacles of all roles had one name.
+        for thing in (*root.iter("dynamicObstacle"), *root.iterfind("obstacle[role='dynamic']")):
+            here = f"{path}: {thing.tag} {thing.get('id')}"
+            name, word = f"{thing.get('id')}", (thing.findtext("type") or "").strip()
             states = [*thing.findall("initialState"), *thing.findall("trajectory/state")]
+            first: tuple[float, ...] = ()
             for number, state in enumerate(states):
                 place = f"{here}, state {number}"
-                time, x, y, yaw = (
+                time, x, y, yaw = values = tuple(
                     _number(state.findtext(name), f"{place}: {name.split('/')[0]}")
                     for name in _COMMONROAD_STATE
                 )
-                word = (thing.findtext("type") or "").strip()
-                name = f"{thing.get('id')}"
+                if number == 1 and values == first:
+                    continue  # some trajectories begin with the initial state, others after it
+                first = first or values
                 yield _Sample(place, name, word, time * step_s, x, y, math.degrees(yaw))
     else:
         raise InputError(str(path), root.tag, "an element <commonRoad> or <fcd-export>")

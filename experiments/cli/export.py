@@ -144,15 +144,13 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
     """Cameras of a calibration in another format."""
     from geometry.calibrations import read_cameras
 
-    from ..export.calibration import of_calibrated
     from ..export.opencv import opencv_text
     from ..export.ros import ros_text
 
     if format_name not in ("opencv", "ros"):
         got = f"got {format_name} beside --calibration; expected opencv or ros"
         raise click.UsageError(f"--format: {got}")
-    cameras = read_cameras(path, size_px=size_px or None)
-    found = [of_calibrated(name, camera) for name, camera in cameras.items()]
+    found = read_cameras(path, size_px=size_px or None)
     return opencv_text(found, path.stem) if format_name == "opencv" else ros_text(found)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.errors import MissingExtraError
+from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import on_ground
@@ -18,7 +19,7 @@ from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
-from .calibration import Calibration, calibrations, lens_coefficients, plain, sensor_quaternion
+from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
 from .formats import ExportFormat
 from .watched import WatchedRun
 
@@ -79,8 +80,8 @@ def to_mcap(layout: Layout | None, scene: Scene, watched: WatchedRun | None = No
         ]
         log("/tf", m.FrameTransforms(transforms=transforms), 0.0)
         if layout is not None and any(isinstance(unit.sensor, CameraModel) for unit in units):
-            for camera in calibrations(layout, "mcap"):
-                log(f"/calibration/{camera.id}", _calibration(m, camera), 0.0)
+            for name, camera in calibrations(layout, "mcap").items():
+                log(f"/calibration/{name}", _calibration(m, name, camera), 0.0)
         for topic, message, time_s in [] if watched is None else _frames(m, units, watched):
             log(topic, message, time_s)
     return file.getvalue()
@@ -163,18 +164,18 @@ def _pose(m: Any, position_m: Any, quaternion: Sequence[float] = (0.0, 0.0, 0.0,
     return m.Pose(position=_vector(m, position_m), orientation=_turn(m, quaternion))
 
 
-def _calibration(m: Any, camera: Calibration) -> Any:
-    is_fisheye, terms = lens_coefficients(camera)
+def _calibration(m: Any, name: str, camera: CalibratedCamera) -> Any:
+    is_fisheye, terms = lens_coefficients(name, camera)
     return m.CameraCalibration(
         timestamp=m.Timestamp(0),
-        frame_id=camera.id,
+        frame_id=name,
         width=camera.width_px,
         height=camera.height_px,
         distortion_model="kannala_brandt" if is_fisheye else "plumb_bob",
         D=plain(terms),
-        K=plain(camera.camera_matrix),
+        K=plain(camera.K),
         R=plain(np.eye(3)),
-        P=plain(np.column_stack([camera.camera_matrix, np.zeros(3)])),
+        P=plain(np.column_stack([camera.K, np.zeros(3)])),
     )
 
 

@@ -45,11 +45,10 @@ def _pack_model(camera: CameraModel) -> FloatArray:
     reach = min(math.tan(SEEN_RAD), lens.reach * (1.0 - 1.0e-12))
     if isinstance(lens, BrownConrady):
         tangential = lens.p1, lens.p2
-        lens = lens.radial
     most = reach**2 / (1.0 + reach**2)
     square = most * (1.0 - np.linspace(0.0, 1.0, _N_SHARES) ** 2)
     radius = np.sqrt(square / (1.0 - square)).clip(1.0e-9, reach)
-    shares = lens.distort(np.stack([radius, np.zeros_like(radius)], axis=1))[:, 0] / radius
+    shares = lens.shown_radius(radius) / radius
     focal_px = camera.focal_length_px
     return freeze(
         np.array(
