@@ -23,13 +23,29 @@ from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, s
 from placement.layout import Layout
 from placement.optimiser.steering import TOLERANCE
 
-from ..results.numbers import euros, percent, several
+from ..language import language, mark, tr, trn
+from ..results.numbers import euros, joined, percent
 from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
 from .inputs import JUNCTIONS, City, CityMapRecord, CitySearch, CityValues, CityWish
 
 SCHEMA = "place-rsus/city/1"
 MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
 _CHOICE_S = 120.0
+_CAUSES = {
+    "no lane": mark("No car can drive into it: the map has no lane that leads in."),
+    "no road": mark("On the map no road ends at it."),
+    "no site": mark("There is no pole or other place that could carry another sensor."),
+    "no run": mark("None of the collisions asked for can happen there: roads or room are missing."),
+    "no accident": mark("No accident is known near it by which its collisions could be weighed."),
+    "time": mark("It took longer than it was given (--max-junction-seconds)."),
+    "memory": mark("It took more memory than it was given (--worker-memory)."),
+}
+"""Why a junction is left out, in plain words."""
+_CAUSE_OF = {
+    **{"junction": "no lane", "lanes": "no road", "sites": "no site", "candidates": "no site"},
+    **dict.fromkeys(("runs", "cases", "approaches"), "no run"),
+    **dict.fromkeys(("near", "weights"), "no accident"),
+}
 _MAX_STEPS = 200
 
 _T = TypeVar("_T")
@@ -46,13 +62,15 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     name: str  # streets that meet
     map: str
     scene: str
-    reason: str = ""  # why there is no front
+    reason: str = ""  # why there is no front, as the program says it
+    cause: str = ""  # the same as a kind of cause, where it is one of those foreseen
     is_final: bool = True  # False where another try may end otherwise
     front: JunctionFront | None = None
     layouts: tuple[tuple[UnitRecord, ...], ...] = ()  # of each point, with the existing units
     sites: Count = 0
     poses: Count = 0
     runs: Count = 0
+    possible_runs: Count = 0  # these, and those for which there is no room
     frames: Count = 0
     seconds: dict[str, float] = msgspec.field(default_factory=dict)  # processor time by stage
     peak_memory_mib: Amount
@@ -66,6 +84,11 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     def without_layouts(self) -> "CityFrontRecord":
         """A record without the parts that take memory: its layouts and notes."""
         return replace(self, layouts=(), notes=())
+
+
+def cause_of(error: InputError) -> str:
+    """The kind of cause for which a junction is left out, by the field that an error names."""
+    return _CAUSE_OF.get(error.where.rpartition(": ")[2].partition(" ")[0], "")
 
 
 def load_front(path: Path) -> CityFrontRecord | None:
@@ -147,7 +170,8 @@ class CityJunctionRecord(Record, frozen=True, kw_only=True):
     y: float
     weight: Amount  # its accidents, as a share of the city's
     district: str = ""
-    reason: str = ""  # why it has no front
+    reason: str = ""  # why it has no front, as the program says it
+    cause: str = ""  # the same as a kind of cause, where it is one of those foreseen
     units: Count = 0  # new ones
     cost_eur: Amount = 0.0  # of these and their sites
     year: Count = 0  # in which it is ready, from 1; 0: not known, or nothing
@@ -166,6 +190,13 @@ class CityJunctionRecord(Record, frozen=True, kw_only=True):
     def gain(self) -> float:
         """Weighted accidents that the new units prevent."""
         return self.weight * (self.apr - self.apr_before)
+
+    @property
+    def why(self) -> str:
+        """Why it has no front, in plain words."""
+        if self.cause in _CAUSES:
+            return tr(_CAUSES[self.cause])
+        return tr("It could not be computed: {reason}.", reason=self.reason.rstrip("."))
 
 
 class CityStepRecord(Record, frozen=True, kw_only=True):
@@ -201,6 +232,7 @@ class CityResult(Record, frozen=True, kw_only=True):
 
     schema: str = SCHEMA
     command: str = ""
+    language: str = "en"  # of its sentences and pages
     maps: tuple[CityMapRecord, ...]
     budget_units: int | None
     budget_eur: float | None
@@ -214,6 +246,8 @@ class CityResult(Record, frozen=True, kw_only=True):
     is_proven: bool
     junctions: tuple[CityJunctionRecord, ...]
     not_done: Count  # junctions without a front
+    runs: Count = 0  # at all junctions with a front
+    possible_runs: Count = 0  # these, and those for which there is no room
     computed: Count = 0  # fronts that this call has found
     by: Literal["units", "cost"]  # counted by the city's front
     front: tuple[CityStepRecord, ...]
@@ -222,9 +256,20 @@ class CityResult(Record, frozen=True, kw_only=True):
     purchases: tuple[CityPurchaseRecord, ...] = ()
     search: CitySearchRecord
     sentences: tuple[str, ...] = ()
+    not_counted: tuple[str, ...] = ()  # junctions of the maps that were not asked about, and why
     notes: tuple[str, ...]
     seconds: dict[str, float] = msgspec.field(default_factory=dict)
     versions: dict[str, str] = msgspec.field(default_factory=dict)
+
+    @property
+    def is_proven_best(self) -> bool:
+        """No choice prevents more."""
+        return self.stages[0].gap == 0.0
+
+    @property
+    def map_names(self) -> str:
+        """Names of the maps with roads, in words."""
+        return joined([one.name for one in self.maps if one.has_roads])
 
 
 def choose_for_city(
@@ -272,6 +317,7 @@ def choose_for_city(
     got_at = dict(zip(solved, got, strict=True))
     junctions = _junctions(out, city, values, records, existing, got=got_at)
     result = CityResult(
+        language=language(),
         maps=city.records,
         budget_units=wish.budget_units,
         budget_eur=wish.budget_eur,
@@ -285,6 +331,8 @@ def choose_for_city(
         is_proven=choice.certificate.is_proven,
         junctions=tuple(junctions),
         not_done=len(records) - len(solved),
+        runs=sum(records[index].runs for index in solved),
+        possible_runs=sum(records[index].possible_runs for index in solved),
         by="cost" if by_cost else "units",
         front=tuple(
             CityStepRecord(
@@ -304,6 +352,7 @@ def choose_for_city(
             radius_m=search.radius_m,
             sites=search.sites,
         ),
+        not_counted=city.notes,
         notes=(*city.notes, *values.notes),
     )
     return replace(result, sentences=_sentences(result, wish, phases))
@@ -321,7 +370,7 @@ def _junctions(
     """All junctions; those with a front with the point that was chosen: its number and year."""
     junctions = []
     for index, record in enumerate(records):
-        head = _junction_head(city, values, index, record.reason)
+        head = _junction_head(city, values, index, record)
         if record.front is not None and index in got:
             number, year = got[index]
             has_units = city.junctions[index].scene_name in existing
@@ -330,7 +379,9 @@ def _junctions(
     return junctions
 
 
-def _junction_head(city: City, values: CityValues, index: int, reason: str) -> CityJunctionRecord:
+def _junction_head(
+    city: City, values: CityValues, index: int, record: CityFrontRecord
+) -> CityJunctionRecord:
     """A junction, without what it gets."""
     one = city.junctions[index]
     x, y = one.surveyed.position.tolist()
@@ -343,7 +394,8 @@ def _junction_head(city: City, values: CityValues, index: int, reason: str) -> C
         y=y,
         weight=float(values.weight[index] / values.weight.sum()),
         district=", ".join(name for name, members in values.districts if index in members),
-        reason=reason,
+        reason=record.reason,
+        cause=record.cause,
     )
 
 
@@ -404,70 +456,140 @@ def _cheapest(
     gain = share[options.junction] * (options.apr - options.apr[first][options.junction])
     useful = np.flatnonzero(gain > TOLERANCE)
     if not len(useful):
-        return "No unit at any junction prevents anything."
+        return tr("No sensor at any junction prevents anything.")
     order = np.lexsort((-gain[useful], options.units[useful], options.cost_eur[useful]))
     best = int(useful[order[0]])
-    one = city.junctions[solved[int(options.junction[best])]]
-    return (
-        f"The cheapest useful choice is {several(int(options.units[best]), 'unit', 'units')} at "
-        f"{one.label} for {euros(options.cost_eur[best])}: it would prevent "
-        f"{percent(float(gain[best]))} of the city's accidents."
+    return trn(
+        "The cheapest useful choice is {n} sensor at {junction} for {cost}: it would prevent "
+        "{share} of the city's accidents.",
+        "The cheapest useful choice is {n} sensors at {junction} for {cost}: they would prevent "
+        "{share} of the city's accidents.",
+        int(options.units[best]),
+        junction=city.junctions[solved[int(options.junction[best])]].label,
+        cost=euros(options.cost_eur[best]),
+        share=percent(float(gain[best])),
     )
 
 
 def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tuple[str, ...]:
-    """The answer in words, the most important sentence first."""
+    """The answer in words: first all that it comes down to, and what was not done for it."""
     apr = result.stages[0]
-    served = sum(one.units > 0 for one in result.junctions)
-    n_fronts = len(result.junctions) - result.not_done
-    of_all = sum(one.weight * one.apr for one in result.junctions)
-    head = (
-        f"{several(result.units, 'unit', 'units')} at {served} of {len(result.junctions)} "
-        f"junctions for {euros(result.cost_eur)}: {percent(of_all)} of the accidents at all of "
-        "them are prevented"
-    )
-    if result.units == 0:
-        budget = several(result.budget_units or 0, "unit", "units")
-        if result.budget_eur is not None:
-            budget = euros(result.budget_eur)
-        head = f"Nothing at {several(n_fronts, 'junction', 'junctions')} for at most {budget}"
-    if result.not_done:
-        head += f"; {several(result.not_done, 'junction is', 'junctions are')} not done"
-    lines = [head + "."]
+    lines = [" ".join([_head(result), *not_done(result)])]
     if result.units == 0:
         lines.append(result.cheapest)
     lines.append(_proof(apr, result.bound_of_fronts))
     if result.apr_before > 0.0:
         lines.append(
-            f"Units mounted already prevent {percent(result.apr_before)} of the accidents."
+            tr(
+                "Sensors mounted already prevent {share} of the accidents.",
+                share=percent(result.apr_before),
+            )
         )
     if phases is not None:
-        n_years = int(phases.year.max(initial=0))
-        lines.append(
-            f"At most {wish.units_per_year} units a year: all are mounted after "
-            f"{several(n_years, 'year', 'years')}, those that gain most per unit first"
-            + (" (proven)." if phases.bound <= phases.gain_years else ".")
-        )
+        lines.append(_years(phases, wish))
     if result.not_done:
         lost = sum(one.weight for one in result.junctions if one.reason)
         lines.append(
-            f"Junctions that are not done have {percent(lost)} of the accidents and count as if "
-            f"nothing were prevented there; of those at the others {percent(apr.objective)} are "
-            "prevented. The table says why."
+            tr(
+                "Junctions that are left out have {lost} of the accidents and count as if nothing "
+                "were prevented there; of those at the others {share} are prevented.",
+                lost=percent(lost),
+                share=percent(apr.objective),
+            )
         )
     return tuple(lines)
 
 
+def _head(result: CityResult) -> str:
+    if result.units == 0:
+        if result.budget_eur is None:
+            spent = trn("{n} sensor", "{n} sensors", result.budget_units or 0)
+        else:
+            spent = euros(result.budget_eur)
+        return trn(
+            "Nothing at {n} junction for at most {spent}.",
+            "Nothing at {n} junctions for at most {spent}.",
+            len(result.junctions) - result.not_done,
+            spent=spent,
+        )
+    return trn(
+        "{n} sensor at {served} of {junctions} junctions for {cost}: {share} of the accidents at "
+        "all of them are prevented.",
+        "{n} sensors at {served} of {junctions} junctions for {cost}: {share} of the accidents at "
+        "all of them are prevented.",
+        result.units,
+        served=sum(one.units > 0 for one in result.junctions),
+        junctions=len(result.junctions),
+        cost=euros(result.cost_eur),
+        share=percent(sum(one.weight * one.apr for one in result.junctions)),
+    )
+
+
+def not_done(result: CityResult) -> list[str]:
+    """What was left out, not driven, and not proven: a sentence each."""
+    found = []
+    if result.not_done:
+        found.append(
+            trn("{n} junction is left out.", "{n} junctions are left out.", result.not_done)
+        )
+    if result.runs < result.possible_runs:
+        found.append(
+            tr(
+                "{n:,} of {possible:,} simulated collisions could not be driven: room is missing.",
+                n=result.possible_runs - result.runs,
+                possible=result.possible_runs,
+            )
+        )
+    if not result.is_proven_best:
+        of_all = sum(one.weight for one in result.junctions if not one.reason)
+        bound = result.stages[0].bound
+        found.append(
+            tr(
+                "It is not proven that this is best: up to {share} could be prevented.",
+                share=percent(1.0 if bound is None else of_all * bound),
+            )
+        )
+    return found
+
+
+def _years(phases: Phases, wish: CityWish) -> str:
+    n_years = int(phases.year.max(initial=0))
+    said = {"most": wish.units_per_year}
+    if phases.bound <= phases.gain_years:
+        return trn(
+            "At most {most} sensors a year: all are mounted after {n} year, those that gain most "
+            "per sensor first (proven).",
+            "At most {most} sensors a year: all are mounted after {n} years, those that gain most "
+            "per sensor first (proven).",
+            n_years,
+            **said,
+        )
+    return trn(
+        "At most {most} sensors a year: all are mounted after {n} year, those that gain most per "
+        "sensor first.",
+        "At most {most} sensors a year: all are mounted after {n} years, those that gain most per "
+        "sensor first.",
+        n_years,
+        **said,
+    )
+
+
 def _proof(apr: StageRecord, of_fronts: float) -> str:
     if apr.gap == 0.0:
-        return (
-            "Proven: no other units for the same budget, at these sites and in these poses, "
+        return tr(
+            "Proven: no other sensors for the same budget, at these sites and in these poses, "
             "prevent more."
         )
-    rest = f", none among the layouts found more than {percent(of_fronts)}."
     if of_fronts <= apr.objective + TOLERANCE:
-        rest = (
-            "; among the layouts found this choice is the best one, what is open are the fronts "
-            "of the junctions."
+        return tr(
+            "No choice prevents more than {share} at the junctions that are done; among the "
+            "layouts found this choice is the best one, what is open are the fronts of the "
+            "junctions.",
+            share=percent(apr.bound),
         )
-    return f"No choice prevents more than {percent(apr.bound)}{rest}"
+    return tr(
+        "No choice prevents more than {share} at the junctions that are done, none among the "
+        "layouts found more than {found}.",
+        share=percent(apr.bound),
+        found=percent(of_fronts),
+    )

@@ -18,6 +18,7 @@ from geometry.maps.source_map import SourceMap
 from placement.city.choose import CityWishes, District
 from placement.layout import Layout, load_layout
 
+from ..language import tr, trn
 from ..results.folders import LAYOUT_FILE, sha256
 from ..results.record import Record
 
@@ -214,15 +215,36 @@ def _counting(
         if not left:
             expected = f"an area with some of the {len(found)} junctions"
             raise InputError("--within", str(wish.within), expected)
-        notes.append(f"{len(found) - len(left)} junctions lie outside {wish.within.name}")
+        notes.append(
+            trn(
+                "{n} junction lies outside {file}",
+                "{n} junctions lie outside {file}",
+                len(found) - len(left),
+                file=wish.within.name,
+            )
+        )
     if wish.junctions:
         return _named(left, roads, wish.junctions), notes
     large = [one for one in left if len(one.surveyed.arms) >= wish.min_arms]
     lit = [one for one in large if one.surveyed.n_signals or not wish.signals_only]
     if len(large) < len(left):
-        notes.append(f"{len(left) - len(large)} junctions have fewer than {wish.min_arms} arms")
+        n_small = len(left) - len(large)
+        notes.append(
+            trn(
+                "{n} junction has fewer than {least} arms",
+                "{n} junctions have fewer than {least} arms",
+                n_small,
+                least=wish.min_arms,
+            )
+        )
     if len(lit) < len(large):
-        notes.append(f"{len(large) - len(lit)} junctions have no traffic lights")
+        notes.append(
+            trn(
+                "{n} junction has no traffic lights",
+                "{n} junctions have no traffic lights",
+                len(large) - len(lit),
+            )
+        )
     if not lit:
         got = Unquoted("no junction that counts: " + "; ".join(notes))
         raise InputError(roads.name, got, "some")
@@ -283,7 +305,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     """
     places = np.array([one.position_m for one in city.junctions])
     crs = city.roads[0].crs
-    weight, source, notes = np.ones(len(places)), "every junction counts the same", []
+    weight, source, notes = np.ones(len(places)), tr("every junction counts the same"), []
     if wish.weights_file is not None:
         weight, source, more = _weights(city, wish.weights_file, wish, places)
         notes += more
@@ -310,7 +332,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
             if members:
                 districts.append((area.name, members))
             else:
-                notes.append(f"district {area.name}: no junction in it")
+                notes.append(tr("District {name}: no junction in it.", name=area.name))
         if not districts:
             raise InputError("--districts", str(wish.districts), "areas with junctions in them")
     if not weight.sum() > 0.0:
@@ -330,7 +352,7 @@ def _weights(
     """Weights, their source in words, and notes on what was not used."""
     counts = read_counts(path, crs=city.roads[0].crs, column=wish.weight_column)
     weight = np.zeros(len(places))
-    what = f"column {counts.column}" if counts.column else "each place counts 1"
+    said = {"file": path.name, "column": counts.column, "snap_m": wish.snap_m}
     if counts.positions_m is None:
         known: dict[str, int] = {}
         for index, one in enumerate(city.junctions):
@@ -344,9 +366,17 @@ def _weights(
                 lost.append(name)
         if len(lost) == len(counts.junctions):
             raise InputError(f"{path}: junction", lost[0], "ids or names of junctions that count")
-        source = f"{path.name}, {what}, by junction"
-        notes = [f"{path.name}: {len(lost)} rows of junctions that do not count, such as {lost[0]}"]
-        return weight, source, notes if lost else []
+        source = tr("{file}, each row counts 1, by junction", **said)
+        if counts.column:
+            source = tr("{file}, column {column}, by junction", **said)
+        note = trn(
+            "{file}: {n} row of a junction that does not count, {first}.",
+            "{file}: {n} rows of junctions that do not count, such as {first}.",
+            len(lost),
+            file=path.name,
+            first=lost[0] if lost else "",
+        )
+        return weight, source, [note] if lost else []
     nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
     is_near = nearest >= 0
     if not is_near.any():
@@ -354,18 +384,32 @@ def _weights(
         expected = f"places within {wish.snap_m:g} m (--snap) of a junction that counts"
         raise InputError("--junction-weights", got, expected)
     np.add.at(weight, nearest[is_near].astype(np.int64), counts.values[is_near])
-    source = f"{path.name}, {what}, at the nearest junction within {wish.snap_m:g} m"
+    source = tr("{file}, each place counts 1, at the nearest junction within {snap_m:g} m", **said)
+    if counts.column:
+        source = tr("{file}, column {column}, at the nearest junction within {snap_m:g} m", **said)
     notes = []
     if not is_near.all():
-        gone = float(counts.values[~is_near].sum())
         notes.append(
-            f"{path.name}: {int((~is_near).sum())} of {len(is_near)} places, which count "
-            f"{gone:g} of {float(counts.values.sum()):g}, are farther than {wish.snap_m:g} m from "
-            "every junction that counts: not used"
+            tr(
+                "{file}: {n} of {all} places, which count {lost:g} of {total:g}, are farther than "
+                "{snap_m:g} m from every junction that counts: not used.",
+                n=int((~is_near).sum()),
+                all=len(is_near),
+                lost=float(counts.values[~is_near].sum()),
+                total=float(counts.values.sum()),
+                file=path.name,
+                snap_m=wish.snap_m,
+            )
         )
     n_zero = int((weight == 0.0).sum())
     if n_zero:
-        notes.append(f"{n_zero} junctions have no weight and get nothing for themselves")
+        notes.append(
+            trn(
+                "{n} junction has no weight and gets nothing for itself.",
+                "{n} junctions have no weight and get nothing for themselves.",
+                n_zero,
+            )
+        )
     return weight, source, notes
 
 

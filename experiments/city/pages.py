@@ -1,5 +1,6 @@
 """Pages and figures of a city: the report of all junctions, and one for each."""
 
+from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from functools import cache, partial
 from importlib.resources import files
@@ -16,17 +17,29 @@ from geometry.scene import Scene
 from placement.city.fronts import JunctionFront
 from placement.layout import Layout
 
-from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_axes
-from ..parts.section import Bullets, Code, Html, Section, build_picture
+from ..figures.axes import (
+    BLUE,
+    NARROW_IN,
+    VERMILION,
+    WIDTH_IN,
+    Style,
+    finish_axes,
+    new_axes,
+)
+from ..figures.labels import Label, draw_labels
+from ..language import localized, tr, trn
+from ..parts.first_screen import Card
+from ..parts.section import Bullets, Code, Html, Picture, Section, build_picture
 from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
-from ..scene.pictures import HALO, new_map_axes, plot_scene_plan
-from .answer import CityFrontRecord, CityJunctionRecord, CityResult
+from ..scene.pictures import new_map_axes, plot_scene_plan
+from .answer import CityFrontRecord, CityJunctionRecord, CityPurchaseRecord, CityResult, not_done
 
 MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""
 
 _MAX_STEPS = 60
+_MOST_NAMED = 5  # in a list of the first screen
 _ARROW_M = 9.0
 
 
@@ -34,7 +47,17 @@ _ARROW_M = 9.0
 def _templates() -> Any:
     """Sections of the pages, as macros by the ids of the sections."""
     source = (files(__package__) / "sections.html.j2").read_text(encoding="utf-8")
-    words = {"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS}
+    words = {
+        **{"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS},
+        "whole": lambda value: localized(f"{value:,.0f}"),
+        "objectives": lambda: {
+            "apr": tr("accidents prevented"),
+            "apr_one_failed": tr("if at each junction the sensor needed most fails"),
+            "smallest_margin_s": tr("smallest time to spare (s)"),
+            "mean_margin_s": tr("mean time to spare (s)"),
+            "cost_eur": tr("cost (EUR)"),
+        },
+    }
     return page_environment().from_string(source, globals=words).module
 
 
@@ -45,7 +68,7 @@ def _section(name: str, title: str, *values: object, macro: str = "") -> Section
 
 def render_city_report(
     result: CityResult,
-    city_map: Axes,
+    city_map: Picture,
     front: Axes,
     *,
     poles: Sequence[Mapping[str, Any]],
@@ -53,32 +76,134 @@ def render_city_report(
 ) -> str:
     """The city's report as one HTML page; it links the pages of the folders that have one."""
     by_cost = result.by == "cost"
-    counted, budget = ("euros", result.budget_eur) if by_cost else ("units", result.budget_units)
+    budget = result.budget_eur if by_cost else result.budget_units
     steps = result.front[:_MAX_STEPS]
     n_within = 0
     if budget is not None:
         n_within = sum(step.taken <= budget + 1e-6 for step in result.front)
     failed = [one for one in result.junctions if one.reason]
+    more = tr("What more money buys") if by_cost else tr("What more sensors buy")
     sections = [
-        _section("map", "Where", result, partial(build_picture, city_map)),
-        _section("junctions", "What each junction gets", result, paged),
-        _section(
-            *("front", f"What more {counted} buy"),
-            *(result, partial(build_picture, front), counted, steps, n_within),
-        ),
-        _section("proof", "How good it is proven to be", result),
-        *([_section("order", "What to order", result, poles)] if result.purchases else []),
-        *([_section("not-done", "What was not done", failed)] if failed else []),
-        _section("assumptions", "What this rests on", result, result.search),
-        Section("again", "Make it again", [Code(result.command)]),
+        _section("junctions", tr("What each junction gets"), result, paged),
+        _section("front", more, result, partial(build_picture, front), steps, n_within),
+        _section("proof", tr("How good it is proven to be"), result),
+        *([_section("order", tr("What to order"), result, poles)] if result.purchases else []),
+        *([_section("not-done", tr("What was not done"), failed)] if failed else []),
+        _section("assumptions", tr("What this rests on"), result, result.search),
+        Section("again", tr("Make it again"), [Code(result.command)]),
     ]
-    names = " and ".join(one.name for one in result.maps if one.has_roads)
     return page_template().render(
-        title=f"Roadside units for {names}",
-        answer=list(result.sentences),
+        title=tr("Roadside sensors for {maps}", maps=result.map_names),
+        overview=_templates().overview(
+            result.sentences[0], _warnings(result), city_map, _cards(result), _lists(result, poles)
+        ),
+        answer=list(result.sentences[1:]),
         sections=sections,
         interactive=None,
     )
+
+
+def _warnings(result: CityResult) -> list[str]:
+    """What must not be overlooked by who reads the first screen alone."""
+    found = []
+    if result.search.poses == "coarse":
+        found.append(
+            tr(
+                "Only a ninth of the possible mountings was tried (--coarse): good for a first "
+                "look, not for an order."
+            )
+        )
+    return found
+
+
+def _cards(result: CityResult) -> list[Card]:
+    """The figures of the first screen."""
+    prevented = sum(one.weight * one.apr for one in result.junctions)
+    left = sum(one.weight * one.apr_one_failed for one in result.junctions)
+    if result.is_proven_best:
+        proof = tr("proven best")
+        words = tr("no other choice for the same budget prevents more (by the planning model)")
+    else:
+        proof = percent(result.stages[0].bound)
+        words = tr(
+            "is the most that any choice could prevent at the junctions that are done; it is not "
+            "proven to be reached"
+        )
+    return [
+        Card(
+            tr("Prevented"),
+            percent(prevented),
+            tr(
+                "of the accidents at all {n} junctions; before: {before}",
+                n=len(result.junctions),
+                before=percent(sum(one.weight * one.apr_before for one in result.junctions)),
+            ),
+        ),
+        Card(
+            tr("If a sensor fails"),
+            percent(left),
+            tr("are prevented even if at each junction the sensor needed most is out of order"),
+        ),
+        Card(
+            tr("Cost"),
+            euros(result.cost_eur),
+            tr("to buy the sensors and to make their poles ready; running them is not counted"),
+        ),
+        Card(tr("Proof"), proof, words),
+    ]
+
+
+def _lists(
+    result: CityResult, poles: Sequence[Mapping[str, Any]]
+) -> list[tuple[str, Sequence[str]]]:
+    """Heads and sentences beside the map: what to order, who gets it, what was not done."""
+    served = sorted((one for one in result.junctions if one.units), key=lambda one: -one.gain)
+    gets = [
+        trn(
+            "{junction}: {n} sensor for {cost}; it prevents {share} of the city's accidents.",
+            "{junction}: {n} sensors for {cost}; they prevent {share} of the city's accidents.",
+            one.units,
+            junction=one.label,
+            cost=euros(one.cost_eur),
+            share=percent(one.gain),
+        )
+        for one in served[:_MOST_NAMED]
+    ]
+    if len(served) > _MOST_NAMED:
+        n_more = len(served) - _MOST_NAMED
+        gets.append(trn("{n} more junction below.", "{n} more junctions below.", n_more))
+    causes = Counter(one.why for one in result.junctions if one.reason)
+    left = [
+        trn("{n} junction: {why}", "{n} junctions: {why}", n, why=why)
+        for why, n in causes.most_common()
+    ]
+    undone = [*not_done(result)[bool(left) :], *result.not_counted]
+    return [
+        (tr("What to order"), [_order_words(item) for item in result.purchases]),
+        (tr("Where it helps most"), gets),
+        (
+            tr("What was not done"),
+            [*left, *undone]
+            or [tr("Nothing was left out: all junctions are done, and the choice is proven.")],
+        ),
+    ]
+
+
+def _order_words(item: CityPurchaseRecord) -> str:
+    """A line of the order in words."""
+    if item.part == "sensor":
+        what = f"{item.count} {item.name}"
+    elif item.name == "lamp post":
+        what = trn("{n} lamp post", "{n} lamp posts", item.count)
+    elif item.name == "traffic light":
+        what = trn("{n} traffic light", "{n} traffic lights", item.count)
+    else:
+        what = trn("{n} site ({kind})", "{n} sites ({kind})", item.count, kind=item.name)
+    if not item.sum_eur:
+        return tr("{what}: price unknown", what=what)
+    if item.part == "sensor":
+        return f"{what}: {euros(item.sum_eur)}"
+    return tr("{what} to equip: {cost}", what=what, cost=euros(item.sum_eur))
 
 
 def render_junction_page(
@@ -89,12 +214,23 @@ def render_junction_page(
     `question` is the name of the file of the runs that are driven, in the page's folder.
     """
     answer = [
-        f"{one.units} new units for {euros(one.cost_eur)}: APR {percent(one.apr)}"
-        + (f", before {percent(one.apr_before)}." if one.kept else ".")
-        if one.units
-        else "This junction gets no new unit.",
-        f"{record.runs} runs, {record.sites} sites, {record.poses} poses.",
+        tr("This junction gets no new sensor."),
+        tr(
+            "{runs} runs, {sites} sites, {poses} poses.",
+            runs=record.runs,
+            sites=record.sites,
+            poses=record.poses,
+        ),
     ]
+    if one.units:
+        answer[0] = trn(
+            "{n} new sensor for {cost}: {share} of its accidents are prevented, before {before}.",
+            "{n} new sensors for {cost}: {share} of its accidents are prevented, before {before}.",
+            one.units,
+            cost=euros(one.cost_eur),
+            share=percent(one.apr),
+            before=percent(one.apr_before),
+        )
     again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
     assert record.front is not None
     points = record.front.points
@@ -105,17 +241,17 @@ def render_junction_page(
     )
     plan = partial(build_picture, _plot_units(scene, layout))
     front = partial(build_picture, plot_junction_front(record.front, chosen=chosen))
+    look = tr("In this folder, full perception and emergency braking:")
     sections = [
-        _section("plan", "Plan", one, plan),
-        _section("front", "What money buys here", points, points[chosen], front, macro="layouts"),
-        Section(
-            "closer",
-            "Look closer",
-            ["In this folder, full perception and emergency braking:", Code(again)],
+        _section("plan", tr("Plan"), one, plan),
+        _section(
+            *("front", tr("What money buys here"), points, points[chosen], front), macro="layouts"
         ),
+        Section("closer", tr("Look closer"), [look, Code(again)]),
     ]
     if record.notes:
-        sections.append(Section("notes", "Left out or assumed", [Bullets(record.notes[:60])]))
+        notes = Bullets(record.notes[:60])
+        sections.append(Section("notes", tr("Left out or assumed"), [notes]))
     return page_template().render(
         title=one.label, answer=answer, sections=sections, interactive=None
     )
@@ -143,12 +279,41 @@ _MAX_NAMED = 12
 _DOT: Style = {"linestyle": "none", "marker": "o"}
 _CHOSEN: Style = {
     **{"linestyle": "none", "marker": "D", "ms": 7.5, "mfc": VERMILION, "mec": "black", "mew": 0.6},
-    **{"label": "chosen", "gid": "chosen", "zorder": 5},
+    **{"gid": "chosen", "zorder": 5},
 }
 
 
-def plot_city_map(
+def build_city_map(
     maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
+) -> tuple[Axes, Picture]:
+    """:func:`plot_city_map`, and the picture of it with its words, for a phone as well."""
+    drawn = plot_city_map(maps, positions_m, result)
+    n_served = sum(one.units > 0 for one in result.junctions)
+    picture = build_picture(
+        drawn,
+        title=tr("What each junction gets"),
+        caption=tr(
+            "Circles grow with the gain and darken with the number of sensors, which stands in "
+            "them. Beside the largest ones are rank and name, as in the table below. Streets and "
+            "buildings are those of the maps."
+        ),
+        alt=tr(
+            "Map with {served} junctions that get sensors and {rest} that get none; the table "
+            "below lists all of them.",
+            served=n_served,
+            rest=len(result.junctions) - n_served,
+        ),
+        narrow=plot_city_map(maps, positions_m, result, width_in=NARROW_IN),
+    )
+    return drawn, picture
+
+
+def plot_city_map(
+    maps: Sequence[SourceMap],
+    positions_m: Sequence[FloatArray],
+    result: CityResult,
+    *,
+    width_in: float = WIDTH_IN,
 ) -> Axes:
     """Streets and buildings of the maps, and what each junction gets.
 
@@ -157,7 +322,7 @@ def plot_city_map(
     circle gets nothing, a cross was not done.
     """
     places, junctions = np.array(positions_m).reshape(-1, 2), result.junctions
-    axes = new_map_axes(maps, places)
+    axes = new_map_axes(maps, places, width_in=width_in)
     gain = np.array([max(one.gain, 0.0) for one in junctions])
     units = np.array([one.units for one in junctions])
     failed = np.array([bool(one.reason) for one in junctions])
@@ -183,23 +348,44 @@ def plot_city_map(
         )
         dark = units[index] > 0.45 * most
         _write(axes, units[index], places[index], fontsize=6.5, color="white" if dark else "black")
-    for rank, index in enumerate(order[:_MAX_NAMED], start=1):
-        away = (0.6 * np.sqrt(size[index]) + 1.0, 4.0)
-        style: Style = {"fontsize": 7.5, "fontweight": "bold", "color": BLUE, "ha": "left"}
-        _write(axes, rank, places[index], xytext=away, va="baseline", path_effects=[HALO], **style)
+    names = [
+        Label(
+            text=f"{rank} {junctions[index].label}",
+            point_m=(float(places[index, 0]), float(places[index, 1])),
+            gap=0.6 * float(np.sqrt(size[index])),
+            size=7.0,
+            style={"color": BLUE, "zorder": 8},
+        )
+        for rank, index in enumerate(order[:_MAX_NAMED], start=1)
+    ]
+    draw_labels(axes, names, marks_m=places)
     circle: Style = {**_DOT, "ms": 7.0, "mec": "black", "mew": 0.6}
     handles = [
-        Line2D([], [], mfc=shade(n), label=f"{n} unit{'s' if n > 1 else ''}", **circle)
+        Line2D([], [], mfc=shade(n), label=trn("{n} sensor", "{n} sensors", n), **circle)
         for n in sorted(set(units[served].tolist()))
     ]
     for mask, style in (
         (
             ~served & ~failed,
-            {**_DOT, "mfc": "white", "mec": "#444444", "mew": 0.9, "ms": 4.0, "label": "nothing"},
+            {
+                **_DOT,
+                "mfc": "white",
+                "mec": "#444444",
+                "mew": 0.9,
+                "ms": 4.0,
+                "label": tr("nothing"),
+            },
         ),
         (
             failed,
-            {**_DOT, "marker": "x", "mec": VERMILION, "mew": 1.4, "ms": 5.0, "label": "not done"},
+            {
+                **_DOT,
+                "marker": "x",
+                "mec": VERMILION,
+                "mew": 1.4,
+                "ms": 5.0,
+                "label": tr("left out"),
+            },
         ),
     ):
         if mask.any():
@@ -234,18 +420,19 @@ def plot_city_front(result: CityResult) -> Axes:
     axes.plot(x, y, ms=3.5, color=BLUE, zorder=3, gid="steps", **_DOT)
     taken = result.cost_eur if by_cost else float(result.units)
     stage = result.stages[0]
-    axes.plot([taken], [100.0 * stage.objective], **_CHOSEN)
+    axes.plot([taken], [100.0 * stage.objective], label=tr("chosen"), **_CHOSEN)
     if stage.bound is not None and stage.gap:
         bar: Style = {"linestyle": "none", "marker": "_", "ms": 12.0, "mec": VERMILION, "mew": 2.0}
         axes.vlines(taken, 100.0 * stage.objective, 100.0 * stage.bound, color=VERMILION, lw=2.0)
-        axes.plot([taken], [100.0 * stage.bound], label="no choice is above", **bar)
+        axes.plot([taken], [100.0 * stage.bound], label=tr("no choice is above"), **bar)
     budget = result.budget_eur if by_cost else result.budget_units
     if budget is not None:
-        axes.axvline(budget, color="black", lw=0.8, linestyle=(0, (2, 2)), label="budget")
+        dotted: Style = {"color": "black", "lw": 0.8, "linestyle": (0, (2, 2))}
+        axes.axvline(budget, label=tr("budget"), **dotted)
     axes.set_ylim(0.0, 104.0)
     axes.set_xlim(left=0.0)
-    label = "cost of units and sites (EUR)" if by_cost else "new units"
-    return _finish_front(axes, label, "accidents prevented (%)", by_cost=by_cost)
+    label = tr("cost of sensors and poles (EUR)") if by_cost else tr("new sensors")
+    return _finish_front(axes, label, tr("accidents prevented (%)"), by_cost=by_cost)
 
 
 def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
@@ -261,20 +448,21 @@ def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
         color="#777777",
         lw=1.0,
         linestyle=(0, (3, 2)),
-        label="no layout is above",
+        label=tr("no layout is above"),
     )
-    axes.plot(cost, apr_percent, ms=5.0, color=BLUE, label="layouts", gid="points", **_DOT)
+    axes.plot(cost, apr_percent, ms=5.0, color=BLUE, label=tr("layouts"), gid="points", **_DOT)
     for x, y, point in zip(cost, apr_percent, front.points, strict=True):
         _write(axes, point.units, np.array([x, y]), xytext=(0.0, -9.0), va="baseline", fontsize=6.5)
-    axes.plot([cost[chosen]], [apr_percent[chosen]], **_CHOSEN)
+    axes.plot([cost[chosen]], [apr_percent[chosen]], label=tr("chosen"), **_CHOSEN)
     axes.set_ylim(-8.0, 104.0)
     axes.set_xlim(-0.03 * end, end)
-    return _finish_front(axes, "cost (EUR); below each point its units", "APR (%)", by_cost=True)
+    label = tr("cost (EUR); below each point its sensors")
+    return _finish_front(axes, label, tr("accidents prevented (%)"), by_cost=True)
 
 
 def _finish_front(axes: Axes, x: str, y: str, *, by_cost: bool) -> Axes:
     finish_axes(axes, x=x, y=y, grid="y")
     if by_cost:
-        axes.xaxis.set_major_formatter(lambda value, _position: f"{value:,.0f}")
+        axes.xaxis.set_major_formatter(lambda value, _: localized(f"{value:,.0f}"))
     axes.legend(fontsize=8, frameon=False, loc="lower right")
     return axes

@@ -38,11 +38,11 @@ from scenarios.weights import weight_files
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
 from ..figures.axes import to_png
+from ..language import speaking, trn
 from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress, follow_parent
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
-from ..results.numbers import several
 from ..results.record import Record, to_plain
 from ..results.tables import csv_text
 from . import inputs, pages
@@ -116,9 +116,14 @@ def run_city(
     task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
     done = _find_done(out, city, task_of)
     n_todo = len(city.junctions) - len(done)
+    said = {"n_all": city.n_all, "done": len(done), "source": values.source}
     tell(
-        f"{several(len(city.junctions), 'junction', 'junctions')} of {city.n_all}; "
-        f"{len(done)} {'is' if len(done) == 1 else 'are'} done already. {values.source}."
+        trn(
+            "{n} junction of {n_all}; done already: {done}. {source}.",
+            "{n} junctions of {n_all}; done already: {done}. {source}.",
+            len(city.junctions),
+            **said,
+        )
     )
     progress.kept = f"junctions that are done are kept in {out}; the same command goes on"
     if n_todo:
@@ -285,6 +290,7 @@ class ServedTask:
     existing: Layout | None
     has_page: bool
     is_new: bool
+    language: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -329,7 +335,8 @@ def write_served(task: ServedTask) -> Served:
         if task.has_page:
             record = load_front(folder / FRONT)
             assert record is not None
-            page = pages.render_junction_page(one, record, scene, layout, question=QUESTION)
+            with speaking(task.language):  # it may be in another process
+                page = pages.render_junction_page(one, record, scene, layout, question=QUESTION)
             files[REPORT] = page.encode()
         write_files(folder, files)
     head = {"junction": one.id, "name": one.name, "year": one.year}
@@ -375,8 +382,9 @@ def _served_tasks(
     for layout in existing.values():
         sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
     last = load_summary(out / SUMMARY)
-    chosen = () if last is None or last.versions != result.versions else last.junctions
-    same = {one.folder: one for one in chosen if one.folder in same_fronts}
+    same = {}
+    if last is not None and (last.versions, last.language) == (result.versions, result.language):
+        same = {one.folder: one for one in last.junctions if one.folder in same_fronts}
     asked = question_text(question).encode()
     served = [one for one in result.junctions if one.layout and not one.reason]
     by_gain = sorted(served, key=lambda one: -one.gain)[: pages.MAX_ROWS]
@@ -403,6 +411,7 @@ def _served_tasks(
             question=question,
             existing=existing.get(f"{Path(one.map).stem}/{one.id}"),
             has_page=one.folder in paged,
+            language=result.language,
             is_new=one.folder not in right
             or (one.folder in paged and not (out / one.folder / REPORT).exists()),
         )
@@ -453,13 +462,13 @@ def write_city(
         tables[GEOPACKAGE] = _to_geopackage(units, result.junctions, crs=city.crs)
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
-    drawn = pages.plot_city_map([*city.roads, *city.others], position, result)
+    drawn, picture = pages.build_city_map([*city.roads, *city.others], position, result)
     front = pages.plot_city_front(result)
     tables["map.png"] = to_png(drawn)
     tables["front.png"] = to_png(front)
     write_files(out, tables)
     paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
-    report = pages.render_city_report(result, drawn, front, poles=poles, paged=paged)
+    report = pages.render_city_report(result, picture, front, poles=poles, paged=paged)
     result = replace(result, seconds=finish())
     write_files(out, {REPORT: report.encode(), SUMMARY: to_json_text(result).encode()})
     write_manifest(out)

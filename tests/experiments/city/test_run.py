@@ -9,6 +9,7 @@ import sys
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
+from html import unescape
 from io import BytesIO
 from itertools import product
 from pathlib import Path
@@ -16,14 +17,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from babel.messages.pofile import read_po
 from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
+from osm_text import OsmText
 
 from experiments.city import answer as city_answer
 from experiments.city import run as job
 from experiments.city import workers as city_workers
 from experiments.city.answer import fronts_table, load_front
+from experiments.city.command import city_text
 from experiments.city.inputs import CitySearch, CityWish
+from experiments.language import speaking
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
@@ -138,7 +143,7 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert not changed_files(city)
     written = json.loads((city / "city.json").read_text())
     assert written["units"] == result.units == 2
-    assert written["sentences"][0].startswith("2 units at 2 of 3 junctions for ")
+    assert written["sentences"][0].startswith("2 sensors at 2 of 3 junctions for ")
     table = pd.read_parquet(city / "fronts.parquet")
     assert set(table.junction) == {one.id for one in result.junctions}
     assert len(table) == sum(len(front.points) for front in fronts_of(city))
@@ -201,17 +206,60 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp
     reasons = [one.reason for one in result.junctions]
     assert sum(map(bool, reasons)) == result.not_done == 2
     assert any("sites: got" in reason for reason in reasons)
+    assert [one.cause for one in result.junctions if one.reason] == ["no site", "no site"]
     part = percent(result.stages[0].objective)
     of_all = percent(result.stages[0].objective / 3.0)
     assert f": {of_all} of the accidents at all of them are prevented" in result.sentences[0]
-    assert result.sentences[0].endswith("; 2 junctions are not done.")
+    assert result.sentences[0].endswith(" are prevented. 2 junctions are left out.")
     assert any(f"of those at the others {part} are prevented" in one for one in result.sentences)
     rows = pd.read_csv(tmp_path / "new" / "junctions.csv")
     assert rows.reason.notna().sum() == 2
-    assert "What was not done" in (tmp_path / "new" / "report.html").read_text()
+    page = (tmp_path / "new" / "report.html").read_text()
+    first, _, rest = page.partition("<nav")
+    why = "There is no pole or other place that could carry another sensor."
+    assert f'<p class="lead">{result.sentences[0]}</p>'.replace(" %", "\u00a0%") in first
+    assert f"<li>2 junctions: {why}</li>" in first
+    assert rest.count(why) == 2
     # More time is another question: what was in time stays in the folder, the rest is told.
     with pytest.raises(InputError, match=r"no junction with a front.*; expected more time or memo"):
         run(tiny / "tiny.osm", city, search=replace(SEARCH, max_junction_s=LEAST_S))
+
+
+def test_each_foreseen_error_has_its_cause(tmp_path):
+    osm = OsmText()  # four one-way streets that lead away: no car drives in
+    middle = osm.node(0.0, 0.0)
+    for way in ((90.0, 0.0), (0.0, 90.0), (-90.0, 0.0), (0.0, -90.0)):
+        osm.road([middle, osm.node(*way)], oneway="yes")
+    away = osm.write(tmp_path, "away.osm")
+    [task] = tasks_of(away)
+    answer = city_workers.run_junction(task)
+    assert (answer.record.cause, answer.record.is_final) == ("no lane", True)
+    [task, *_] = tasks_of(write_city(tmp_path))
+    slow = replace(task, wishes=replace(task.wishes, time_limit_s=LEAST_S))
+    answer = city_workers.run_junction(slow)
+    assert (answer.record.cause, answer.record.is_final) == ("time", False)
+    no_arm = replace(task, question=replace(FEW_RUNS, approaches="south-east"))
+    assert city_workers.run_junction(no_arm).record.cause == "no run"
+
+
+def test_the_page_and_the_terminal_speak_german(tiny, city, never):
+    with speaking("de"):
+        result = run(tiny / "tiny.osm", city)
+        text = city_text(result, city)
+    pages = [(city / "report.html").read_text()]
+    pages += [path.read_text() for path in city.glob("junctions/*/report.html")]
+    assert text.startswith("2 Sensoren an 2 von 3 Knotenpunkten für 9")
+    assert "Was zu bestellen ist" in pages[0]
+    english = set()
+    for entry in city_messages():
+        if isinstance(entry, str) and "{" not in entry and len(entry.split()) > 2:
+            english |= {entry for page in [text, *pages] if entry in unescape(page)}
+    assert not english
+
+
+def city_messages():
+    with Path("experiments/languages/de/city.po").open("rb") as file:
+        return [entry.id for entry in read_po(file) if entry.id]
 
 
 def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path, no_pages):
@@ -232,9 +280,7 @@ def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path
     table.write_text("junction,cars\nn1,3\nn99,4\n")
     result = run(tiny / "tiny.osm", city, weights_file=table)
     assert [one.weight for one in result.junctions if one.id == "n1"] == [1.0]
-    assert any(
-        "1 rows of junctions that do not count, such as n99" in note for note in result.notes
-    )
+    assert any("1 row of a junction that does not count, n99." in note for note in result.notes)
 
 
 def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path, here, no_pages):
@@ -267,6 +313,8 @@ def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path
     ]
     assert sorted(map(bool, reasons)) == [False, False, True]
     assert any("expected a place with accidents within 100 m" in reason for reason in reasons)
+    [left] = [front for front in fronts_of(tmp_path / "near") if front.reason]
+    assert left.cause == "no accident"
 
 
 def area(path, lon_deg, half_deg=0.0005, **values):
@@ -303,12 +351,12 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     result = run(tiny / "tiny.osm", city, budget_eur=10.0)
     assert (result.units, result.cost_eur) == (0, 0.0)
     assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
-    assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+    assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
     for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
         result = run(tiny / "tiny.osm", city, **nothing)
         assert (result.units, result.stages[0].objective) == (0, 0.0)
         assert result.stages[0].gap == 0.0
-        assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+        assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
 
 
 def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
@@ -321,7 +369,7 @@ def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
         **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
     )
     said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
-    assert said.startswith("The cheapest useful choice is 1 unit at ")
+    assert said.startswith("The cheapest useful choice is 1 sensor at ")
     assert said.endswith("for 4,040 EUR: it would prevent 10.0 % of the city's accidents.")
 
 
@@ -444,7 +492,7 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
         "its worker died of more than 1.5 GiB of memory, 3 times: more --worker-memory, or fewer "
         "poses"
     )
-    assert not answer.record.is_final
+    assert (answer.record.cause, answer.record.is_final) == ("memory", False)
 
 
 @pytest.mark.long
