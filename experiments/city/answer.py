@@ -266,6 +266,10 @@ class CityResult(Record, frozen=True, kw_only=True):
         """No choice prevents more."""
         return self.stages[0].gap == 0.0
 
+    def of_all(self, name: str) -> float:
+        """A share that each junction has, such as its APR, as that of all of them, by weight."""
+        return sum(one.weight * float(getattr(one, name)) for one in self.junctions)
+
     @property
     def map_names(self) -> str:
         """Names of the maps with roads, in words."""
@@ -521,7 +525,7 @@ def _head(result: CityResult) -> str:
         served=sum(one.units > 0 for one in result.junctions),
         junctions=len(result.junctions),
         cost=euros(result.cost_eur),
-        share=percent(sum(one.weight * one.apr for one in result.junctions)),
+        share=percent(result.of_all("apr")),
     )
 
 
@@ -553,25 +557,16 @@ def not_done(result: CityResult) -> list[str]:
 
 
 def _years(phases: Phases, wish: CityWish) -> str:
-    n_years = int(phases.year.max(initial=0))
-    said = {"most": wish.units_per_year}
-    if phases.bound <= phases.gain_years:
-        return trn(
-            "At most {most} sensors a year: all are mounted after {n} year, those that gain most "
-            "per sensor first (proven).",
-            "At most {most} sensors a year: all are mounted after {n} years, those that gain most "
-            "per sensor first (proven).",
-            n_years,
-            **said,
-        )
-    return trn(
+    said = trn(
         "At most {most} sensors a year: all are mounted after {n} year, those that gain most per "
         "sensor first.",
         "At most {most} sensors a year: all are mounted after {n} years, those that gain most per "
         "sensor first.",
-        n_years,
-        **said,
+        int(phases.year.max(initial=0)),
+        most=wish.units_per_year,
     )
+    is_proven = phases.bound <= phases.gain_years
+    return " ".join([said, *([tr("No other order is better (proven).")] if is_proven else [])])
 
 
 def _proof(apr: StageRecord, of_fronts: float) -> str:

@@ -1,6 +1,5 @@
 """Pages and figures of a city: the report of all junctions, and one for each."""
 
-from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from functools import cache, partial
 from importlib.resources import files
@@ -28,18 +27,16 @@ from ..figures.axes import (
 )
 from ..figures.labels import Label, draw_labels
 from ..language import localized, tr, trn
-from ..parts.first_screen import Card
 from ..parts.section import Bullets, Code, Html, Picture, Section, build_picture
 from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
 from ..scene.pictures import new_map_axes, plot_scene_plan
-from .answer import CityFrontRecord, CityJunctionRecord, CityPurchaseRecord, CityResult, not_done
+from .answer import CityFrontRecord, CityJunctionRecord, CityResult, not_done
 
 MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""
 
 _MAX_STEPS = 60
-_MOST_NAMED = 5  # in a list of the first screen
 _ARROW_M = 9.0
 
 
@@ -49,6 +46,7 @@ def _templates() -> Any:
     source = (files(__package__) / "sections.html.j2").read_text(encoding="utf-8")
     words = {
         **{"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS},
+        "undone": not_done,
         "whole": lambda value: localized(f"{value:,.0f}"),
         "objectives": lambda: {
             "apr": tr("accidents prevented"),
@@ -94,116 +92,11 @@ def render_city_report(
     ]
     return page_template().render(
         title=tr("Roadside sensors for {maps}", maps=result.map_names),
-        overview=_templates().overview(
-            result.sentences[0], _warnings(result), city_map, _cards(result), _lists(result, poles)
-        ),
+        overview=_templates().overview(result, city_map),
         answer=list(result.sentences[1:]),
         sections=sections,
         interactive=None,
     )
-
-
-def _warnings(result: CityResult) -> list[str]:
-    """What must not be overlooked by who reads the first screen alone."""
-    found = []
-    if result.search.poses == "coarse":
-        found.append(
-            tr(
-                "Only a ninth of the possible mountings was tried (--coarse): good for a first "
-                "look, not for an order."
-            )
-        )
-    return found
-
-
-def _cards(result: CityResult) -> list[Card]:
-    """The figures of the first screen."""
-    prevented = sum(one.weight * one.apr for one in result.junctions)
-    left = sum(one.weight * one.apr_one_failed for one in result.junctions)
-    if result.is_proven_best:
-        proof = tr("proven best")
-        words = tr("no other choice for the same budget prevents more (by the planning model)")
-    else:
-        proof = percent(result.stages[0].bound)
-        words = tr(
-            "is the most that any choice could prevent at the junctions that are done; it is not "
-            "proven to be reached"
-        )
-    return [
-        Card(
-            tr("Prevented"),
-            percent(prevented),
-            tr(
-                "of the accidents at all {n} junctions; before: {before}",
-                n=len(result.junctions),
-                before=percent(sum(one.weight * one.apr_before for one in result.junctions)),
-            ),
-        ),
-        Card(
-            tr("If a sensor fails"),
-            percent(left),
-            tr("are prevented even if at each junction the sensor needed most is out of order"),
-        ),
-        Card(
-            tr("Cost"),
-            euros(result.cost_eur),
-            tr("to buy the sensors and to make their poles ready; running them is not counted"),
-        ),
-        Card(tr("Proof"), proof, words),
-    ]
-
-
-def _lists(
-    result: CityResult, poles: Sequence[Mapping[str, Any]]
-) -> list[tuple[str, Sequence[str]]]:
-    """Heads and sentences beside the map: what to order, who gets it, what was not done."""
-    served = sorted((one for one in result.junctions if one.units), key=lambda one: -one.gain)
-    gets = [
-        trn(
-            "{junction}: {n} sensor for {cost}; it prevents {share} of the city's accidents.",
-            "{junction}: {n} sensors for {cost}; they prevent {share} of the city's accidents.",
-            one.units,
-            junction=one.label,
-            cost=euros(one.cost_eur),
-            share=percent(one.gain),
-        )
-        for one in served[:_MOST_NAMED]
-    ]
-    if len(served) > _MOST_NAMED:
-        n_more = len(served) - _MOST_NAMED
-        gets.append(trn("{n} more junction below.", "{n} more junctions below.", n_more))
-    causes = Counter(one.why for one in result.junctions if one.reason)
-    left = [
-        trn("{n} junction: {why}", "{n} junctions: {why}", n, why=why)
-        for why, n in causes.most_common()
-    ]
-    undone = [*not_done(result)[bool(left) :], *result.not_counted]
-    return [
-        (tr("What to order"), [_order_words(item) for item in result.purchases]),
-        (tr("Where it helps most"), gets),
-        (
-            tr("What was not done"),
-            [*left, *undone]
-            or [tr("Nothing was left out: all junctions are done, and the choice is proven.")],
-        ),
-    ]
-
-
-def _order_words(item: CityPurchaseRecord) -> str:
-    """A line of the order in words."""
-    if item.part == "sensor":
-        what = f"{item.count} {item.name}"
-    elif item.name == "lamp post":
-        what = trn("{n} lamp post", "{n} lamp posts", item.count)
-    elif item.name == "traffic light":
-        what = trn("{n} traffic light", "{n} traffic lights", item.count)
-    else:
-        what = trn("{n} site ({kind})", "{n} sites ({kind})", item.count, kind=item.name)
-    if not item.sum_eur:
-        return tr("{what}: price unknown", what=what)
-    if item.part == "sensor":
-        return f"{what}: {euros(item.sum_eur)}"
-    return tr("{what} to equip: {cost}", what=what, cost=euros(item.sum_eur))
 
 
 def render_junction_page(
