@@ -1,6 +1,7 @@
 """``place-rsus city``: units for the junctions of a city under one budget."""
 
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,12 +27,13 @@ _DRIVEN = tuple(
     if name not in (*options.OF_SCENE, "near", "vut_sensors", "packet_loss", "vam_rate", "strict")
 )
 _MAX_LISTED = 12
+_STAGGERED_M = 40.0  # a driver crosses both side roads in one go
 
 
 @click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["city"])
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
 @options.from_table("city")
-@reading_options
+@partial(reading_options, staggered_m=_STAGGERED_M)
 @options.asking(
     *_MOUNTED,
     *_SOUGHT,
