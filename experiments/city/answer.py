@@ -5,7 +5,7 @@
 """
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -26,7 +26,7 @@ from placement.optimiser.steering import TOLERANCE
 from ..language import language, mark, tr, trn
 from ..results.numbers import euros, joined, percent
 from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
-from .inputs import JUNCTIONS, City, CityMapRecord, CitySearch, CityValues, CityWish
+from .inputs import JUNCTIONS, PROXY, City, CityMapRecord, CitySearch, CityValues, CityWish
 
 SCHEMA = "place-rsus/city/1"
 MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
@@ -237,6 +237,7 @@ class CityResult(Record, frozen=True, kw_only=True):
     budget_units: int | None
     budget_eur: float | None
     weights: str  # their source, in words
+    warnings: tuple[str, ...] = ()  # what must not be overlooked
     units: Count
     cost_eur: Amount
     apr_before: Share  # of the existing units, by weight
@@ -326,6 +327,7 @@ def choose_for_city(
         budget_units=wish.budget_units,
         budget_eur=wish.budget_eur,
         weights=values.source,
+        warnings=tuple(_warnings(wish, search)),
         units=sum(one.units for one in junctions),
         cost_eur=sum(one.cost_eur for one in junctions),
         apr_before=float(share @ options.apr[first]),
@@ -502,6 +504,26 @@ def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tup
             )
         )
     return tuple(lines)
+
+
+def _warnings(wish: CityWish, search: CitySearch) -> Iterator[str]:
+    if wish.weights_file is None:
+        yield tr(
+            "No accidents were given: every junction counts the same, a crossing of many lanes as "
+            "much as a quiet corner. --junction-weights FILE says where accidents happen, "
+            "--junction-weights proxy estimates it from class and lanes of the roads and from "
+            "traffic lights."
+        )
+    elif wish.weights_file == PROXY:
+        yield tr(
+            "No accidents were given: where they happen is estimated from class and lanes of the "
+            "roads and from traffic lights (--junction-weights proxy)."
+        )
+    if search.is_coarse:
+        yield tr(
+            "Only a ninth of the possible mountings was tried (--coarse): good for a first look, "
+            "not for an order."
+        )
 
 
 def _head(result: CityResult) -> str:

@@ -104,7 +104,7 @@ def city_text(result: "CityResult", out: Path) -> str:
             lines += sentences(f"{one.label}: {one.why}", indent=2, hanging=2)
         lines += _more(len(failed))
     weights = tr("Weights: {source}.", source=result.weights)
-    lines += ["", *sentences(weights, *result.notes)]
+    lines += ["", *sentences(weights, *result.notes, *result.warnings)]
     written = tr("Written to {folder}: report.html, city.gpkg, poles.csv and more.", folder=out)
     return "\n".join([*lines, written])
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
+from geometry.files import load_data, read_text
 from geometry.maps import importing
 from geometry.maps.georeferences import transform
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
@@ -25,6 +25,9 @@ from ..results.record import Record
 JUNCTIONS = "junctions"
 """Folder of the junctions in that of a city, and the layer of them in its GeoPackage."""
 
+PROXY = Path("proxy")
+"""In place of a file of counts: an estimate by class and lanes of the roads, and signals."""
+
 _SAME_M = 15.0  # two junctions of different maps that are one
 
 
@@ -38,7 +41,8 @@ class CityWish:
     junctions: str = ""  # ids or names with semicolons between, or a file with one a line
     min_arms: int = 3
     signals_only: bool = False
-    weights_file: Path | None = None  # counts: geometry.maps.place_lists.read_counts
+    # counts: geometry.maps.place_lists.read_counts; or PROXY
+    weights_file: Path | None = None
     weight_column: str = ""
     snap_m: float = 50.0  # from a place that counts to its junction, at most
     districts: Path | None = None  # areas that each reach `min_district_apr`
@@ -54,6 +58,8 @@ class CityWish:
             value = getattr(self, name)
             if value and not getattr(self, other):
                 raise InputError(name, value, f"`{other}` as well")
+        if self.weights_file == PROXY and self.weight_column:
+            raise InputError("weight_column", self.weight_column, "a file of --junction-weights")
 
 
 # Wishes that need another one.
@@ -306,7 +312,11 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     places = np.array([one.position_m for one in city.junctions])
     crs = city.roads[0].crs
     weight, source, notes = np.ones(len(places)), tr("every junction counts the same"), []
-    if wish.weights_file is not None:
+    if wish.weights_file == PROXY:
+        weight = np.array([estimated_accidents(one.surveyed) for one in city.junctions])
+        source = tr("estimated from class and lanes of the roads and from traffic lights")
+        notes += _unknown_roads(city)
+    elif wish.weights_file is not None:
         weight, source, more = _weights(city, wish.weights_file, wish, places)
         notes += more
     least = np.zeros(len(places))
@@ -344,6 +354,43 @@ def load_values(city: City, wish: CityWish) -> CityValues:
         districts=tuple(districts),
         notes=tuple(notes),
     )
+
+
+def estimated_accidents(surveyed: importing.Surveyed) -> float:
+    """Accidents at a junction in a year by its roads and signals, to compare it with others.
+
+    Formula, coefficients and traffic by class: ``experiments/data/junction_accidents.toml``.
+    """
+    table = load_data("experiments", "junction_accidents.toml")
+    per_lane = table["vehicles_per_day_and_lane"]
+    flows = sorted(
+        (
+            n_lanes * per_lane.get(name.removesuffix("_link"), per_lane["unknown"])
+            for name, n_lanes in surveyed.roads
+        ),
+        reverse=True,
+    )
+    if not flows:
+        return 0.0
+    kind = "3 arms" if len(flows) <= 3 else "4 arms"
+    model = table["model"][f"{kind}, signals" if surveyed.n_signals else kind]
+    # The two busiest arms are those of the major road.
+    major, minor = max(flows[0], 1), max(flows[min(2, len(flows) - 1)], 1)
+    return float(np.exp(model["a"]) * major ** model["b"] * minor ** model["c"])
+
+
+def _unknown_roads(city: City) -> list[str]:
+    """How many junctions have roads whose class the map does not say; nothing where none has."""
+    n = sum(any(not name for name, _ in one.surveyed.roads) for one in city.junctions)
+    if not n:
+        return []
+    return [
+        trn(
+            "{n} junction has roads whose class the map does not say: lanes alone count there.",
+            "{n} junctions have roads whose class the map does not say: lanes alone count there.",
+            n,
+        )
+    ]
 
 
 def _weights(

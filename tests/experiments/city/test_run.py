@@ -12,6 +12,7 @@ from dataclasses import replace
 from html import unescape
 from io import BytesIO
 from itertools import product
+from math import exp
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +28,13 @@ from experiments.city import run as job
 from experiments.city import workers as city_workers
 from experiments.city.answer import fronts_table, load_front
 from experiments.city.command import city_text
-from experiments.city.inputs import CitySearch, CityWish
+from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
 from experiments.language import speaking
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
 from geometry.errors import InputError
+from geometry.maps.importing import read_map, survey_junctions
 from placement.city.fronts import Options
 from placement.layout import load_layout
 from placement.question import Question, load_question_values
@@ -260,6 +262,65 @@ def test_the_page_and_the_terminal_speak_german(tiny, city, never):
 def city_messages():
     with Path("experiments/languages/de/city.po").open("rb") as file:
         return [entry.id for entry in read_po(file) if entry.id]
+
+
+@pytest.mark.parametrize(
+    ("flows", "n_signals", "per_year"),
+    [  # AASHTO, Highway Safety Manual (2010), table 12-10, at vehicles a day on major and minor
+        ((20_000, 20_000, 4_800, 2_800), 2, exp(-10.99) * 20_000**1.07 * 4_800**0.23),
+        ((20_000, 18_000, 4_800, 4_800), 0, exp(-8.90) * 20_000**0.82 * 4_800**0.25),
+        ((12_000, 10_000, 4_000), 1, exp(-12.13) * 12_000**1.11 * 4_000**0.26),
+        ((12_000, 12_000, 4_000), 0, exp(-13.36) * 12_000**1.11 * 4_000**0.41),
+    ],
+)
+def test_the_estimate_of_accidents_is_that_of_the_manual(flows, n_signals, per_year, tmp_path):
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    for east, north in ((90.0, 0.0), (0.0, 90.0), (-90.0, 0.0), (0.0, -90.0)):
+        osm.road([middle, osm.node(east, north)])
+    [surveyed] = survey_junctions(read_map(osm.write(tmp_path, "cross.osm")))
+    assert surveyed.roads == (("residential", 2),) * 4
+    roads = tuple(("living_street", flow // 400) for flow in flows)
+    found = estimated_accidents(replace(surveyed, roads=roads, n_signals=n_signals))
+    assert found == pytest.approx(per_year)
+
+
+def test_where_no_accidents_are_known_a_wide_crossing_counts_most(tiny, city, never, tmp_path):
+    equal = run(tiny / "tiny.osm", city)
+    assert "--junction-weights proxy" in equal.warnings[0]
+    page = unescape((city / "report.html").read_text())
+    assert f'<p class="warning">{equal.warnings[0]}</p>' in page
+    result = run(tiny / "tiny.osm", city, budget_units=1, weights_file=Path("proxy"))
+    assert result.warnings[0] in unescape((city / "report.html").read_text())
+    # All arms have two lanes of 1,000 vehicles: crossing, three arms, and crossing with signals.
+    wanted = {
+        "n1": exp(-8.90) * 2_000**1.07,
+        "n2": exp(-13.36) * 2_000**1.52,
+        "n3": exp(-10.99) * 2_000**1.30,
+    }
+    total = sum(wanted.values())
+    assert {one.id: one.weight for one in result.junctions} == pytest.approx(
+        {name: value / total for name, value in wanted.items()}
+    )
+    text = (tiny / "tiny.osm").read_text()
+    assert text.count('v="C Lane"') == 2
+    street, lane = 'k="highway" v="residential"', 'v="C Lane"'
+    ways = [
+        way.replace(street, f'{street.replace("residential", "primary")}/><tag k="lanes" v="6"')
+        if lane in way
+        else way
+        for way in text.split("<way")
+    ]
+    wide = tmp_path / "tiny.osm"
+    wide.write_text("<way".join(ways))
+    there = job.inputs.load_city([wide], SEARCH.reading, CityWish(budget_units=1))
+    values = job.inputs.load_values(there, CityWish(weights_file=Path("proxy")))
+    share = dict(
+        zip([one.surveyed.junction.id for one in there.junctions], values.weight, strict=True)
+    )
+    assert share["n3"] > 0.9 * sum(share.values())
+    with pytest.raises(InputError, match="weight_column: got 'n'; expected a file of --junction"):
+        CityWish(weights_file=Path("proxy"), weight_column="n")
 
 
 def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path, no_pages):
