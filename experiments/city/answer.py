@@ -203,6 +203,7 @@ class CityStepRecord(Record, frozen=True, kw_only=True):
     """A step of the city's front: a junction gets more."""
 
     junction: str
+    folder: str = ""  # of the junction
     units: Count  # new ones at it from here on
     taken: Amount  # by all junctions together: EUR, or units
     apr: Share  # accidents prevented at all junctions together, by weight
@@ -343,6 +344,7 @@ def choose_for_city(
         front=tuple(
             CityStepRecord(
                 junction=city.junctions[solved[step.junction]].label,
+                folder=f"{JUNCTIONS}/{city.junctions[solved[step.junction]].folder}",
                 units=int(options.units[step.row]),
                 taken=step.taken,
                 apr=step.apr,

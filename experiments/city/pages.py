@@ -24,6 +24,7 @@ from ..figures.axes import (
     Style,
     finish_axes,
     new_axes,
+    root_figure,
 )
 from ..figures.labels import Label, draw_labels
 from ..language import localized, tr, trn
@@ -69,6 +70,7 @@ def render_city_report(
     city_map: Picture,
     front: Axes,
     *,
+    sums: Mapping[str, Any],
     poles: Sequence[Mapping[str, Any]],
     paged: Container[str],
 ) -> str:
@@ -83,7 +85,7 @@ def render_city_report(
     more = tr("What more money buys") if by_cost else tr("What more sensors buy")
     sections = [
         _section("junctions", tr("What each junction gets"), result, paged),
-        _section("front", more, result, partial(build_picture, front), steps, n_within),
+        _section("front", more, result, partial(build_picture, front), steps, n_within, sums),
         _section("proof", tr("How good it is proven to be"), result),
         *([_section("order", tr("What to order"), result, poles)] if result.purchases else []),
         *([_section("not-done", tr("What was not done"), failed)] if failed else []),
@@ -97,6 +99,59 @@ def render_city_report(
         sections=sections,
         interactive=None,
     )
+
+
+def build_sums(
+    maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
+) -> dict[str, Any]:
+    """What each sum of money or number of sensors buys, for a slider beside an empty map.
+
+    ``stops`` are the steps of the city's front and the choice itself: what each says, and what it
+    changes at junctions, by their index, against the stop before. ``spots`` are the places of
+    these in the map: % of its width and height.
+    """
+    places = np.array(positions_m).reshape(-1, 2)
+    axes = new_map_axes(maps, places)
+    picture = build_picture(axes, title="", caption="", alt=tr("Streets and buildings of the maps"))
+    width, height = root_figure(axes).canvas.get_width_height()
+    x, y = axes.transData.transform(places).T
+    spots = np.round(np.column_stack([100.0 * x / width, 100.0 - 100.0 * y / height]), 2)
+    index = {one.folder: number for number, one in enumerate(result.junctions)}
+    is_done = sum(one.weight for one in result.junctions if not one.reason)
+    got: dict[int, int] = {}
+    states = [(0.0, result.apr_before, got)]
+    for step in result.front:
+        got = got | {index[step.folder]: step.units}
+        states.append((step.taken, step.apr, got))
+    chosen = {number: one.units for number, one in enumerate(result.junctions) if one.units}
+    own = result.cost_eur if result.by == "cost" else float(result.units)
+    states = [one for one in states if one[0] != own or one[1] > result.stages[0].objective]
+    states = sorted([*states, (own, result.stages[0].objective, chosen)], key=lambda one: one[:2])
+    stops: list[dict[str, Any]] = []
+    before: dict[int, int] = {}
+    for taken, apr, now in states:
+        said = {"served": len(now), "share": percent(is_done * apr)}
+        says = trn(
+            "{n} sensor (junctions: {served}) prevents {share} of the accidents.",
+            "{n} sensors (junctions: {served}) prevent {share} of the accidents.",
+            sum(now.values()),
+            **said,
+        )
+        if result.by == "cost":
+            says = f"{euros(taken)}: {says}"
+        sets = {key: now.get(key, 0) for key in before | now if now.get(key) != before.get(key)}
+        stops.append({"says": says, "sets": sets, "is_chosen": now is chosen})
+        before = now
+    used = sorted({number for stop in stops for number in stop["sets"]})
+    return {
+        "picture": picture,
+        "shown": {
+            "stops": stops,
+            "spots": {number: spots[number].tolist() for number in used},
+            "names": {number: result.junctions[number].label for number in used},
+        },
+        "chosen": next(n for n, one in enumerate(stops) if one["is_chosen"]),
+    }
 
 
 def render_junction_page(

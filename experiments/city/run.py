@@ -462,13 +462,15 @@ def write_city(
         tables[GEOPACKAGE] = _to_geopackage(units, result.junctions, crs=city.crs)
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
-    drawn, picture = pages.build_city_map([*city.roads, *city.others], position, result)
+    maps = [*city.roads, *city.others]
+    drawn, picture = pages.build_city_map(maps, position, result)
     front = pages.plot_city_front(result)
     tables["map.png"] = to_png(drawn)
     tables["front.png"] = to_png(front)
     write_files(out, tables)
     paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
-    report = pages.render_city_report(result, picture, front, poles=poles, paged=paged)
+    sums = pages.build_sums(maps, position, result)
+    report = pages.render_city_report(result, picture, front, sums=sums, poles=poles, paged=paged)
     result = replace(result, seconds=finish())
     write_files(out, {REPORT: report.encode(), SUMMARY: to_json_text(result).encode()})
     write_manifest(out)

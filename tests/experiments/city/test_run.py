@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from babel.messages.pofile import read_po
+from browser_pages import open_page, start_browser
 from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
 from osm_text import OsmText
@@ -626,3 +627,59 @@ def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pag
         drawn["chosen"], [[result.cost_eur, 100 * result.stages[0].objective]]
     )
     assert len(drawn["steps"]) == len(result.front) + 1
+
+
+def stops_of(city):
+    page = (city / "report.html").read_text()
+    return json.loads(page.split('id="sum-data">')[1].split("</script>")[0])
+
+
+def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never):
+    for wish in ({"budget_units": 2}, {"budget_eur": 9_500.0}, {"budget_units": 0}):
+        result = run(tiny / "tiny.osm", city, **wish)
+        shown = stops_of(city)
+        states, got = [], {}
+        for stop in shown["stops"]:
+            got = got | {int(index): n for index, n in stop["sets"].items()}
+            states.append({index: n for index, n in got.items() if n})
+        chosen = {index: one.units for index, one in enumerate(result.junctions) if one.units}
+        [at] = [number for number, stop in enumerate(shown["stops"]) if stop["is_chosen"]]
+        assert states[at] == chosen
+        assert f" prevent {percent(result.stages[0].objective)} of the" in shown["stops"][at][
+            "says"
+        ].replace("prevents", "prevent")
+        assert sum(states[-1].values()) == 3
+        says = [stop["says"] for stop in shown["stops"]]
+        steps = [percent(step.apr) for step in result.front]
+        assert all(any(share in one for one in says) for share in steps)
+        if "budget_eur" in wish:
+            costs = [f"{step.taken:,.0f} EUR: " for step in result.front]
+            assert all(any(one.startswith(cost) for one in says) for cost in costs)
+        assert {shown["names"][key] for key in shown["spots"]} == {
+            one.label for one in result.junctions
+        }
+
+
+@pytest.mark.system
+def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
+    page_of = tiny / "city" / "report.html"
+    with start_browser() as browser, open_page(browser, page_of.as_uri()) as page:
+        assert page.is_visible("#sum-chosen")
+        assert page.locator("#sum-map span:visible").count() == 2
+        slider = page.locator("#sum")
+        slider.press("End")
+        assert page.inner_text("#sum-says").startswith("3 sensors (junctions: 3) prevent 100.0 %")
+        assert page.locator("#sum-gets li").count() == 3
+        assert page.locator("#sum-map span:visible").count() == 3
+        assert not page.is_visible("#sum-chosen")
+        slider.press("Home")
+        assert page.locator("#sum-gets li").count() == 0
+        page.click("#junctions ~ * a[href^='junctions/']")
+        page.wait_for_url("**/junctions/*/report.html")
+        assert page.is_visible("text=Look closer")
+    with (
+        start_browser() as browser,
+        open_page(browser, page_of.as_uri(), java_script_enabled=False) as page,
+    ):
+        assert not page.is_visible("#sums")
+        assert page.is_visible("text=The first 3 steps; 2 of them fit into the budget")
