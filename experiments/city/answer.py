@@ -255,6 +255,11 @@ class CityResult(Record, frozen=True, kw_only=True):
     front: tuple[CityStepRecord, ...]
     cheapest: str = ""  # useful choice, in words
     gain_years: float | None = None  # gain times years of what is mounted earlier
+    # accidents, where it is known in how many years they were counted: of all junctions, those
+    # prevented when all is mounted, and those prevented in the years that were asked about
+    accidents_per_year: Amount | None = None
+    prevented_per_year: Amount | None = None
+    prevented_in_years: Amount | None = None
     purchases: tuple[CityPurchaseRecord, ...] = ()
     search: CitySearchRecord
     sentences: tuple[str, ...] = ()
@@ -363,7 +368,26 @@ def choose_for_city(
         not_counted=city.notes,
         notes=(*city.notes, *values.notes),
     )
+    result = replace(result, **_accidents(values, junctions, wish.years))
     return replace(result, sentences=_sentences(result, wish, phases))
+
+
+def _accidents(
+    values: CityValues, junctions: Sequence[CityJunctionRecord], years: int | None
+) -> dict[str, float]:
+    """Accidents in a year, and those prevented: in a year, and in the years asked about."""
+    if values.per_year is None:
+        return {}
+    prevented = values.per_year * [one.apr - one.apr_before for one in junctions]
+    found = {
+        "accidents_per_year": float(values.per_year.sum()),
+        "prevented_per_year": float(prevented.sum()),
+    }
+    if years is None:
+        return found
+    # What is mounted in a year prevents from then on.
+    there = [max(years + 1 - max(one.year, 1), 0) for one in junctions]
+    return found | {"prevented_in_years": float(prevented @ there)}
 
 
 def _junctions(
@@ -485,6 +509,7 @@ def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tup
     lines = [" ".join([_head(result), *not_done(result)])]
     if result.units == 0:
         lines.append(result.cheapest)
+    lines += _over_years(result, wish.years)
     lines.append(_proof(apr, result.bound_of_fronts))
     if result.apr_before > 0.0:
         lines.append(
@@ -578,6 +603,29 @@ def not_done(result: CityResult) -> list[str]:
             )
         )
     return found
+
+
+def _over_years(result: CityResult, years: int | None) -> Iterator[str]:
+    """Accidents and money by the year, where it is known in how many years they were counted."""
+    if result.prevented_per_year is not None:
+        yield tr(
+            "Of {all:.1f} accidents a year {prevented:.1f} would be prevented, if as many happen "
+            "as were counted.",
+            all=result.accidents_per_year,
+            prevented=result.prevented_per_year,
+        )
+    if result.prevented_in_years and years is not None:
+        yield trn(
+            "In {n} year that is {prevented:.1f} accidents less for {cost}, {each} each; running "
+            "the sensors is not counted.",
+            "In {n} years that is {prevented:.1f} accidents less for {cost} ({yearly} a year), "
+            "{each} each; running the sensors is not counted.",
+            years,
+            prevented=result.prevented_in_years,
+            cost=euros(result.cost_eur),
+            yearly=euros(result.cost_eur / years),
+            each=euros(result.cost_eur / result.prevented_in_years),
+        )
 
 
 def _years(phases: Phases, wish: CityWish) -> str:

@@ -44,6 +44,7 @@ class CityWish:
     # counts: geometry.maps.place_lists.read_counts; or PROXY
     weights_file: Path | None = None
     weight_column: str = ""
+    counted_years: float | None = None  # in which the accidents of `weights_file` happened
     snap_m: float = 50.0  # from a place that counts to its junction, at most
     districts: Path | None = None  # areas that each reach `min_district_apr`
     min_district_apr: float = 0.0
@@ -51,23 +52,26 @@ class CityWish:
     near_m: float = 0.0  # a junction belongs to such an area if it is no farther away
     keep: tuple[Path, ...] = ()  # layouts, or folders of a city, of the units mounted already
     units_per_year: int | None = None
-    years: int | None = None
+    years: int | None = None  # that money is for, and in which everything is mounted
 
     def __post_init__(self) -> None:
         for name, other in _TOGETHER.items():
             value = getattr(self, name)
             if value and not getattr(self, other):
                 raise InputError(name, value, f"`{other}` as well")
-        if self.weights_file == PROXY and self.weight_column:
-            raise InputError("weight_column", self.weight_column, "a file of --junction-weights")
+        if self.years and not (self.units_per_year or self.counted_years):
+            raise InputError("years", self.years, "`units_per_year` or `counted_years` as well")
+        for name in ("weight_column", "counted_years"):
+            if self.weights_file == PROXY and getattr(self, name):
+                raise InputError(name, getattr(self, name), "a file of --junction-weights")
 
 
 # Wishes that need another one.
 _TOGETHER = {
-    "years": "units_per_year",
     "min_district_apr": "districts",
     "districts": "min_district_apr",
     "weight_column": "weights_file",
+    "counted_years": "weights_file",
 }
 
 
@@ -283,6 +287,7 @@ class CityValues:
     least_apr: FloatArray  # (n,)
     districts: tuple[tuple[str, tuple[int, ...]], ...]  # names and junctions
     notes: tuple[str, ...]  # Rows and districts that were not used
+    per_year: FloatArray | None = None  # (n,): accidents, where it is known in how many years
 
     def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
         """The wishes for the junctions that have a front, by their indices."""
@@ -319,6 +324,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     elif wish.weights_file is not None:
         weight, source, more = _weights(city, wish.weights_file, wish, places)
         notes += more
+    per_year = weight / wish.counted_years if wish.counted_years else None
     least = np.zeros(len(places))
     if wish.areas is not None:
         areas = read_areas(wish.areas, crs=crs)
@@ -353,6 +359,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
         least_apr=least,
         districts=tuple(districts),
         notes=tuple(notes),
+        per_year=per_year,
     )
 
 

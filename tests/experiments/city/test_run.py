@@ -407,6 +407,37 @@ def test_districts_areas_and_years(tiny, city, never, tmp_path, no_pages):
     assert few.units == 2
 
 
+def test_accidents_and_money_are_told_by_the_year(tiny, city, never, tmp_path, no_pages):
+    table = tmp_path / "accidents.csv"
+    table.write_text("junction,count\nn1,10\nn2,20\nn3,30\n")
+    heavy = area(tmp_path / "middle.geojson", 13.40368, name="middle", weight=3)
+    given = {"weights_file": table, "counted_years": 5.0, "areas": heavy}
+    counts = {"n1": 10, "n2": 20, "n3": 30}
+    result = run(tiny / "tiny.osm", city, **given)
+    by_hand = sum(counts[one.id] / 5.0 * (one.apr - one.apr_before) for one in result.junctions)
+    assert result.accidents_per_year == pytest.approx(12.0)
+    assert result.prevented_per_year == pytest.approx(by_hand)
+    assert result.prevented_in_years is None
+    said = f"Of 12.0 accidents a year {by_hand:.1f} would be prevented, if as many happen as were"
+    assert any(one.startswith(said) for one in result.sentences)
+    result = run(tiny / "tiny.osm", city, years=10, **given)
+    assert result.prevented_in_years == pytest.approx(10.0 * by_hand)
+    each = result.cost_eur / (10.0 * by_hand)
+    assert any(
+        f"({result.cost_eur / 10.0:,.0f} EUR a year), {each:,.0f} EUR each;" in one
+        for one in result.sentences
+    )
+    # One sensor a year: what is mounted in the second year is there for nine.
+    result = run(tiny / "tiny.osm", city, years=10, units_per_year=1, **given)
+    assert sorted(one.year for one in result.junctions if one.units) == [1, 2]
+    by_hand = sum(
+        counts[one.id] / 5.0 * (one.apr - one.apr_before) * (11 - one.year)
+        for one in result.junctions
+        if one.units
+    )
+    assert result.prevented_in_years == pytest.approx(by_hand)
+
+
 def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     tiny, city, never, no_pages
 ):
@@ -500,7 +531,8 @@ def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):
         ({"min_arms": 9}, r"no junction that counts: 3 junctions have fewer than 9 arms"),
         ({"within": area(tmp_path / "far.geojson", 20.0)}, r"--within: .* expected an area with"),
         ({"keep": (tmp_path,)}, r"--keep: .* expected a folder of place-rsus city with layouts"),
-        ({"years": 2}, r"years: got 2; expected `units_per_year` as well"),
+        ({"years": 2}, r"years: got 2; expected `units_per_year` or `counted_years` as well"),
+        ({"counted_years": 2}, r"counted_years: got 2; expected `weights_file` as well"),
         ({"min_district_apr": 0.5}, r"min_district_apr: got 0.5; expected `districts` as well"),
     ):
         with pytest.raises(InputError, match=message):
