@@ -5,20 +5,22 @@
 """
 
 import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from msgspec import Meta
 from msgspec.structs import replace
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
-from placement.city.choose import Phases, choose, city_front, plan_phases
+from placement.city.choose import choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.steering import TOLERANCE
@@ -333,7 +335,7 @@ def choose_for_city(
         budget_units=wish.budget_units,
         budget_eur=wish.budget_eur,
         weights=values.source,
-        warnings=tuple(_warnings(wish, search)),
+        warnings=says("warnings", wish, search, wish.weights_file == PROXY),
         units=sum(one.units for one in junctions),
         cost_eur=sum(one.cost_eur for one in junctions),
         apr_before=float(share @ options.apr[first]),
@@ -369,7 +371,8 @@ def choose_for_city(
         notes=(*city.notes, *values.notes),
     )
     result = replace(result, **_accidents(values, junctions, wish.years))
-    return replace(result, sentences=_sentences(result, wish, phases))
+    head = " ".join([*says("head", result), *says("undone", result)])
+    return replace(result, sentences=(head, *says("rest", result, wish, phases, TOLERANCE)))
 
 
 def _accidents(
@@ -488,175 +491,25 @@ def _cheapest(
     gain = share[options.junction] * (options.apr - options.apr[first][options.junction])
     useful = np.flatnonzero(gain > TOLERANCE)
     if not len(useful):
-        return tr("No sensor at any junction prevents anything.")
+        return says("cheapest", 0, "", 0.0, 0.0)[0]
     order = np.lexsort((-gain[useful], options.units[useful], options.cost_eur[useful]))
     best = int(useful[order[0]])
-    return trn(
-        "The cheapest useful choice is {n} sensor at {junction} for {cost}: it would prevent "
-        "{share} of the city's accidents.",
-        "The cheapest useful choice is {n} sensors at {junction} for {cost}: they would prevent "
-        "{share} of the city's accidents.",
-        int(options.units[best]),
-        junction=city.junctions[solved[int(options.junction[best])]].label,
-        cost=euros(options.cost_eur[best]),
-        share=percent(float(gain[best])),
+    label = city.junctions[solved[int(options.junction[best])]].label
+    sizes = int(options.units[best]), float(options.cost_eur[best]), float(gain[best])
+    return says("cheapest", sizes[0], label, *sizes[1:])[0]
+
+
+@cache
+def _templates() -> Any:
+    loader = PackageLoader(__package__, "")
+    words = {"tr": tr, "trn": trn, "percent": percent, "euros": euros}
+    environment = Environment(
+        loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    return environment.get_template("sentences.txt.j2", globals=words).module
 
 
-def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tuple[str, ...]:
-    """The answer in words: first all that it comes down to, and what was not done for it."""
-    apr = result.stages[0]
-    lines = [" ".join([_head(result), *not_done(result)])]
-    if result.units == 0:
-        lines.append(result.cheapest)
-    lines += _over_years(result, wish.years)
-    lines.append(_proof(apr, result.bound_of_fronts))
-    if result.apr_before > 0.0:
-        lines.append(
-            tr(
-                "Sensors mounted already prevent {share} of the accidents.",
-                share=percent(result.apr_before),
-            )
-        )
-    if phases is not None:
-        lines.append(_years(phases, wish))
-    if result.not_done:
-        lost = sum(one.weight for one in result.junctions if one.reason)
-        lines.append(
-            tr(
-                "Junctions that are left out have {lost} of the accidents and count as if nothing "
-                "were prevented there; of those at the others {share} are prevented.",
-                lost=percent(lost),
-                share=percent(apr.objective),
-            )
-        )
-    return tuple(lines)
-
-
-def _warnings(wish: CityWish, search: CitySearch) -> Iterator[str]:
-    if wish.weights_file is None:
-        yield tr(
-            "No accidents were given: every junction counts the same, a crossing of many lanes as "
-            "much as a quiet corner. --junction-weights FILE says where accidents happen, "
-            "--junction-weights proxy estimates it from class and lanes of the roads and from "
-            "traffic lights."
-        )
-    elif wish.weights_file == PROXY:
-        yield tr(
-            "No accidents were given: where they happen is estimated from class and lanes of the "
-            "roads and from traffic lights (--junction-weights proxy)."
-        )
-    if search.is_coarse:
-        yield tr(
-            "Only a ninth of the possible mountings was tried (--coarse): good for a first look, "
-            "not for an order."
-        )
-
-
-def _head(result: CityResult) -> str:
-    if result.units == 0:
-        if result.budget_eur is None:
-            spent = trn("{n} sensor", "{n} sensors", result.budget_units or 0)
-        else:
-            spent = euros(result.budget_eur)
-        return trn(
-            "Nothing at {n} junction for at most {spent}.",
-            "Nothing at {n} junctions for at most {spent}.",
-            len(result.junctions) - result.not_done,
-            spent=spent,
-        )
-    return trn(
-        "{n} sensor at {served} of {junctions} junctions for {cost}: {share} of the accidents at "
-        "all of them are prevented.",
-        "{n} sensors at {served} of {junctions} junctions for {cost}: {share} of the accidents at "
-        "all of them are prevented.",
-        result.units,
-        served=sum(one.units > 0 for one in result.junctions),
-        junctions=len(result.junctions),
-        cost=euros(result.cost_eur),
-        share=percent(result.of_all("apr")),
-    )
-
-
-def not_done(result: CityResult) -> list[str]:
-    """What was left out, not driven, and not proven: a sentence each."""
-    found = []
-    if result.not_done:
-        found.append(
-            trn("{n} junction is left out.", "{n} junctions are left out.", result.not_done)
-        )
-    if result.runs < result.possible_runs:
-        found.append(
-            tr(
-                "{n:,} of {possible:,} simulated collisions could not be driven: room is missing.",
-                n=result.possible_runs - result.runs,
-                possible=result.possible_runs,
-            )
-        )
-    if not result.is_proven_best:
-        of_all = sum(one.weight for one in result.junctions if not one.reason)
-        bound = result.stages[0].bound
-        found.append(
-            tr(
-                "It is not proven that this is best: up to {share} could be prevented.",
-                share=percent(1.0 if bound is None else of_all * bound),
-            )
-        )
-    return found
-
-
-def _over_years(result: CityResult, years: int | None) -> Iterator[str]:
-    """Accidents and money by the year, where it is known in how many years they were counted."""
-    if result.prevented_per_year is not None:
-        yield tr(
-            "Of {all:.1f} accidents a year {prevented:.1f} would be prevented, if as many happen "
-            "as were counted.",
-            all=result.accidents_per_year,
-            prevented=result.prevented_per_year,
-        )
-    if result.prevented_in_years and years is not None:
-        yield trn(
-            "In {n} year that is {prevented:.1f} accidents less for {cost}, {each} each; running "
-            "the sensors is not counted.",
-            "In {n} years that is {prevented:.1f} accidents less for {cost} ({yearly} a year), "
-            "{each} each; running the sensors is not counted.",
-            years,
-            prevented=result.prevented_in_years,
-            cost=euros(result.cost_eur),
-            yearly=euros(result.cost_eur / years),
-            each=euros(result.cost_eur / result.prevented_in_years),
-        )
-
-
-def _years(phases: Phases, wish: CityWish) -> str:
-    said = trn(
-        "At most {most} sensors a year: all are mounted after {n} year, those that gain most per "
-        "sensor first.",
-        "At most {most} sensors a year: all are mounted after {n} years, those that gain most per "
-        "sensor first.",
-        int(phases.year.max(initial=0)),
-        most=wish.units_per_year,
-    )
-    is_proven = phases.bound <= phases.gain_years
-    return " ".join([said, *([tr("No other order is better (proven).")] if is_proven else [])])
-
-
-def _proof(apr: StageRecord, of_fronts: float) -> str:
-    if apr.gap == 0.0:
-        return tr(
-            "Proven: no other sensors for the same budget, at these sites and in these poses, "
-            "prevent more."
-        )
-    if of_fronts <= apr.objective + TOLERANCE:
-        return tr(
-            "No choice prevents more than {share} at the junctions that are done; among the "
-            "layouts found this choice is the best one, what is open are the fronts of the "
-            "junctions.",
-            share=percent(apr.bound),
-        )
-    return tr(
-        "No choice prevents more than {share} at the junctions that are done, none among the "
-        "layouts found more than {found}.",
-        share=percent(apr.bound),
-        found=percent(of_fronts),
-    )
+def says(macro: str, *values: object) -> tuple[str, ...]:
+    """Sentences of a macro of ``sentences.txt.j2``, as the language that is spoken has them."""
+    lines = str(getattr(_templates(), macro)(*values)).splitlines()
+    return tuple(line for line in map(str.strip, lines) if line)

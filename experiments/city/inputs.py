@@ -18,7 +18,7 @@ from geometry.maps.source_map import SourceMap
 from placement.city.choose import CityWishes, District
 from placement.layout import Layout, load_layout
 
-from ..language import tr, trn
+from ..language import tr
 from ..results.folders import LAYOUT_FILE, sha256
 from ..results.record import Record
 
@@ -225,38 +225,21 @@ def _counting(
         if not left:
             expected = f"an area with some of the {len(found)} junctions"
             raise InputError("--within", str(wish.within), expected)
-        notes.append(
-            trn(
-                "{n} junction lies outside {file}",
-                "{n} junctions lie outside {file}",
-                len(found) - len(left),
-                file=wish.within.name,
-            )
-        )
+        n_outside = len(found) - len(left)
+        notes.append(tr("Junctions outside {file}: {n}.", file=wish.within.name, n=n_outside))
     if wish.junctions:
-        return _named(left, roads, wish.junctions), notes
+        named = _named(left, roads, wish.junctions)
+        return named, [*notes, tr("Junctions not named: {n}.", n=len(left) - len(named))]
     large = [one for one in left if len(one.surveyed.arms) >= wish.min_arms]
     lit = [one for one in large if one.surveyed.n_signals or not wish.signals_only]
-    if len(large) < len(left):
-        n_small = len(left) - len(large)
-        notes.append(
-            trn(
-                "{n} junction has fewer than {least} arms",
-                "{n} junctions have fewer than {least} arms",
-                n_small,
-                least=wish.min_arms,
-            )
-        )
-    if len(lit) < len(large):
-        notes.append(
-            trn(
-                "{n} junction has no traffic lights",
-                "{n} junctions have no traffic lights",
-                len(large) - len(lit),
-            )
-        )
+    for few, all_of_them, said in (
+        (large, left, tr("Junctions with fewer than {n} arms", n=wish.min_arms)),
+        (lit, large, tr("Junctions without traffic lights")),
+    ):
+        if len(few) < len(all_of_them):
+            notes.append(f"{said}: {len(all_of_them) - len(few)}.")
     if not lit:
-        got = Unquoted("no junction that counts: " + "; ".join(notes))
+        got = Unquoted("no junction that counts: " + " ".join(notes))
         raise InputError(roads.name, got, "some")
     return lit, notes
 
@@ -320,7 +303,11 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     if wish.weights_file == PROXY:
         weight = np.array([estimated_accidents(one.surveyed) for one in city.junctions])
         source = tr("estimated from class and lanes of the roads and from traffic lights")
-        notes += _unknown_roads(city)
+        roads = [name for one in city.junctions for name, _ in one.surveyed.roads]
+        if "" in roads:
+            notes.append(
+                tr("The map does not say the class of all roads: there lanes count alone.")
+            )
     elif wish.weights_file is not None:
         weight, source, more = _weights(city, wish.weights_file, wish, places)
         notes += more
@@ -386,20 +373,6 @@ def estimated_accidents(surveyed: importing.Surveyed) -> float:
     return float(np.exp(model["a"]) * major ** model["b"] * minor ** model["c"])
 
 
-def _unknown_roads(city: City) -> list[str]:
-    """How many junctions have roads whose class the map does not say; nothing where none has."""
-    n = sum(any(not name for name, _ in one.surveyed.roads) for one in city.junctions)
-    if not n:
-        return []
-    return [
-        trn(
-            "{n} junction has roads whose class the map does not say: lanes alone count there.",
-            "{n} junctions have roads whose class the map does not say: lanes alone count there.",
-            n,
-        )
-    ]
-
-
 def _weights(
     city: City, path: Path, wish: CityWish, places: FloatArray
 ) -> tuple[FloatArray, str, list[str]]:
@@ -423,14 +396,14 @@ def _weights(
         source = tr("{file}, each row counts 1, by junction", **said)
         if counts.column:
             source = tr("{file}, column {column}, by junction", **said)
-        note = trn(
-            "{file}: {n} row of a junction that does not count, {first}.",
-            "{file}: {n} rows of junctions that do not count, such as {first}.",
-            len(lost),
-            file=path.name,
-            first=lost[0] if lost else "",
+        if not lost:
+            return weight, source, []
+        said |= {"n": len(lost), "first": lost[0]}
+        return (
+            weight,
+            source,
+            [tr("{file}: rows of junctions that do not count, such as {first}: {n}.", **said)],
         )
-        return weight, source, [note] if lost else []
     nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
     is_near = nearest >= 0
     if not is_near.any():
@@ -458,11 +431,7 @@ def _weights(
     n_zero = int((weight == 0.0).sum())
     if n_zero:
         notes.append(
-            trn(
-                "{n} junction has no weight and gets nothing for itself.",
-                "{n} junctions have no weight and get nothing for themselves.",
-                n_zero,
-            )
+            tr("Junctions without a weight, which get nothing for themselves: {n}.", n=n_zero)
         )
     return weight, source, notes
 

@@ -32,7 +32,7 @@ from ..parts.section import Bullets, Code, Html, Picture, Section, build_picture
 from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
 from ..scene.pictures import new_map_axes, plot_scene_plan
-from .answer import CityFrontRecord, CityJunctionRecord, CityResult, not_done
+from .answer import CityFrontRecord, CityJunctionRecord, CityResult, says
 
 MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""
@@ -47,15 +47,8 @@ def _templates() -> Any:
     source = (files(__package__) / "sections.html.j2").read_text(encoding="utf-8")
     words = {
         **{"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS},
-        "undone": not_done,
+        "undone": partial(says, "undone"),
         "whole": lambda value: localized(f"{value:,.0f}"),
-        "objectives": lambda: {
-            "apr": tr("accidents prevented"),
-            "apr_one_failed": tr("if at each junction the sensor needed most fails"),
-            "smallest_margin_s": tr("smallest time to spare (s)"),
-            "mean_margin_s": tr("mean time to spare (s)"),
-            "cost_eur": tr("cost (EUR)"),
-        },
     }
     return page_environment().from_string(source, globals=words).module
 
@@ -130,23 +123,15 @@ def build_sums(
     stops: list[dict[str, Any]] = []
     before: dict[int, int] = {}
     for taken, apr, now in states:
-        said = {"served": len(now), "share": percent(is_done * apr)}
-        says = trn(
-            "{n} sensor (junctions: {served}) prevents {share} of the accidents.",
-            "{n} sensors (junctions: {served}) prevent {share} of the accidents.",
-            sum(now.values()),
-            **said,
-        )
-        if result.by == "cost":
-            says = f"{euros(taken)}: {says}"
         sets = {key: now.get(key, 0) for key in before | now if now.get(key) != before.get(key)}
-        stops.append({"says": says, "sets": sets, "is_chosen": now is chosen})
+        at = {"taken": taken, "share": is_done * apr, "n": sum(now.values()), "served": len(now)}
+        stops.append({**at, "sets": sets, "is_chosen": now is chosen})
         before = now
     used = sorted({number for stop in stops for number in stop["sets"]})
     return {
         "picture": picture,
+        "stops": stops,
         "shown": {
-            "stops": stops,
             "spots": {number: spots[number].tolist() for number in used},
             "names": {number: result.junctions[number].label for number in used},
         },
@@ -161,24 +146,6 @@ def render_junction_page(
 
     `question` is the name of the file of the runs that are driven, in the page's folder.
     """
-    answer = [
-        tr("This junction gets no new sensor."),
-        tr(
-            "{runs} runs, {sites} sites, {poses} poses.",
-            runs=record.runs,
-            sites=record.sites,
-            poses=record.poses,
-        ),
-    ]
-    if one.units:
-        answer[0] = trn(
-            "{n} new sensor for {cost}: {share} of its accidents are prevented, before {before}.",
-            "{n} new sensors for {cost}: {share} of its accidents are prevented, before {before}.",
-            one.units,
-            cost=euros(one.cost_eur),
-            share=percent(one.apr),
-            before=percent(one.apr_before),
-        )
     again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
     assert record.front is not None
     points = record.front.points
@@ -201,7 +168,10 @@ def render_junction_page(
         notes = Bullets(record.notes[:60])
         sections.append(Section("notes", tr("Left out or assumed"), [notes]))
     return page_template().render(
-        title=one.label, answer=answer, sections=sections, interactive=None
+        title=one.label,
+        answer=[_templates().gets(one), _templates().sizes(record)],
+        sections=sections,
+        interactive=None,
     )
 
 

@@ -38,7 +38,7 @@ from scenarios.weights import weight_files
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
 from ..figures.axes import to_png
-from ..language import speaking, trn
+from ..language import speaking, tr
 from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress, follow_parent
 from ..results.drives import versions
@@ -116,15 +116,8 @@ def run_city(
     task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
     done = _find_done(out, city, task_of)
     n_todo = len(city.junctions) - len(done)
-    said = {"n_all": city.n_all, "done": len(done), "source": values.source}
-    tell(
-        trn(
-            "{n} junction of {n_all}; done already: {done}. {source}.",
-            "{n} junctions of {n_all}; done already: {done}. {source}.",
-            len(city.junctions),
-            **said,
-        )
-    )
+    said = {"n": len(city.junctions), "all": city.n_all, "done": len(done), "source": values.source}
+    tell(tr("Junctions: {n} of {all}; done already: {done}. Weights: {source}.", **said))
     progress.kept = f"junctions that are done are kept in {out}; the same command goes on"
     if n_todo:
         todo = {one.scene_name: one for one in city.junctions if one.folder not in done}

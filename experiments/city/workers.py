@@ -25,7 +25,7 @@ from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
 from placement.compute import Compute
 from placement.question import Question
 
-from ..language import trn
+from ..language import tr
 from ..progress import follow_parent
 from ..results.record import build_unit_records
 from .answer import CityFrontRecord, cause_of
@@ -215,14 +215,7 @@ def start_workers(
 ) -> Iterator[LocalWorkers]:
     """Processes on this machine, each with at most so much memory."""
     with LocalWorkers(n_workers, max_bytes=check_memory(memory)) as processes:
-        tell(
-            trn(
-                "{n} worker of at most {memory} memory.",
-                "{n} workers of at most {memory} memory each.",
-                n_workers,
-                memory=memory,
-            )
-        )
+        tell(tr("Workers: {n}, of at most {memory} memory each.", n=n_workers, memory=memory))
         yield processes
 
 

@@ -27,7 +27,7 @@ def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tm
     code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
     assert code == 0
     assert text.startswith("1 sensor at 1 of 2 junctions for ")
-    assert "2 junctions of 3; done already: 0. every junction counts the same." in err
+    assert "Junctions: 2 of 3; done already: 0. Weights: every junction counts the same." in err
     code, text, err = run("city", path, "--budget", 1, "--out", out, *few, "--json", "--quiet")
     assert (code, err) == (0, "")
     result = json.loads(text)

@@ -342,7 +342,8 @@ def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path
     table.write_text("junction,cars\nn1,3\nn99,4\n")
     result = run(tiny / "tiny.osm", city, weights_file=table)
     assert [one.weight for one in result.junctions if one.id == "n1"] == [1.0]
-    assert any("1 row of a junction that does not count, n99." in note for note in result.notes)
+    lost = "accidents.csv: rows of junctions that do not count, such as n99: 1."
+    assert lost in result.notes
 
 
 def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path, here, no_pages):
@@ -528,7 +529,7 @@ def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):
     assert [one.id for one in run(tiny_map, city, within=east).junctions] == ["n3"]
     for wish, message in (
         ({"junctions": "n77"}, r"--junctions: got 'n77'; expected one of n\d"),
-        ({"min_arms": 9}, r"no junction that counts: 3 junctions have fewer than 9 arms"),
+        ({"min_arms": 9}, r"no junction that counts: Junctions with fewer than 9 arms: 3."),
         ({"within": area(tmp_path / "far.geojson", 20.0)}, r"--within: .* expected an area with"),
         ({"keep": (tmp_path,)}, r"--keep: .* expected a folder of place-rsus city with layouts"),
         ({"years": 2}, r"years: got 2; expected `units_per_year` or `counted_years` as well"),
