@@ -67,7 +67,7 @@ from .answer import (
 from .workers import JunctionTask, check_memory, run_junctions, start_workers
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
-JUNCTION_TABLE, POLE_TABLE, UNITS = "junctions.csv", "poles.csv", "units"
+JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
 CITY_VERSION = 3
 """Counts up when the same inputs give another front: older ones in a folder are made anew."""
 
@@ -452,7 +452,7 @@ def write_city(
     }
     (out / GEOPACKAGE).unlink(missing_ok=True)
     if city.roads[0].crs:
-        tables[GEOPACKAGE] = _to_geopackage(units, result.junctions, crs=city.crs)
+        tables[GEOPACKAGE] = _to_geopackage(units, poles, result.junctions, crs=city.crs)
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
     maps = [*city.roads, *city.others]
@@ -494,12 +494,16 @@ def _poles(
 
 
 def _to_geopackage(
-    units: Sequence[Mapping[str, Any]], junctions: Sequence[CityJunctionRecord], *, crs: str
+    units: Sequence[Mapping[str, Any]],
+    poles: Sequence[Mapping[str, Any]],
+    junctions: Sequence[CityJunctionRecord],
+    *,
+    crs: str,
 ) -> bytes:
-    """Layers "units" (points with height) and "junctions" in the coordinates of the map.
+    """Layers "units" (points with height), "poles" and "junctions" in the coordinates of the map.
 
-    Units may be of maps with other reference systems. Format: OGC 12-128, "GeoPackage Encoding
-    Standard".
+    Units and poles may be of maps with other reference systems. Format: OGC 12-128, "GeoPackage
+    Encoding Standard".
     """
     import geopandas as gpd
     import pandas as pd
@@ -507,21 +511,23 @@ def _to_geopackage(
 
     columns = (
         *("id", "name", "map", "weight", "district", "units", "cost_eur", "year"),
-        *("apr_before", "apr", "apr_one_failed", "gain", "reason"),
+        *("apr_before", "apr", "apr_one_failed", "gain", "reason", "cause"),
     )
+
+    def places(rows: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
+        for row in rows:
+            here = [row["map_x"], row["map_y"]]
+            yield here if row["map_crs"] == crs else transform(here, row["map_crs"], crs)
+
     rows = [{name: getattr(one, name) for name in columns} for one in junctions]
     points = gpd.points_from_xy([one.x for one in junctions], [one.y for one in junctions])
     layers = [(inputs.JUNCTIONS, "Point", rows, points)]
     if units:
-        places = [
-            transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)
-            if unit["map_crs"] != crs
-            else (unit["map_x"], unit["map_y"])
-            for unit in units
-        ]
         heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
-        points = gpd.points_from_xy(*zip(*places, strict=True), z=heights_m)
-        layers.append((UNITS, "Point Z", [dict(unit) for unit in units], points))
+        points = gpd.points_from_xy(*zip(*places(units), strict=True), z=heights_m)
+        layers.append(("units", "Point Z", [dict(unit) for unit in units], points))
+        points = gpd.points_from_xy(*zip(*places(poles), strict=True))
+        layers.append(("poles", "Point", [dict(pole) for pole in poles], points))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / GEOPACKAGE
         for name, kind, records, geometry in layers:
@@ -536,7 +542,7 @@ def _to_geopackage(
 
 _GOT = (
     *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
-    *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
+    *("apr_before", "apr", "apr_one_failed", "reason", "cause", "folder"),
 )
 _TOOK = ("sites", "poses", "runs", "frames", "cpu_s", "peak_memory_mib")
 

@@ -175,6 +175,11 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert units.crs == "EPSG:4326"
     places = gpd.read_file(city / "city.gpkg", layer="junctions")
     assert places.units.sum() == 2
+    carrying = gpd.read_file(city / "city.gpkg", layer="poles")
+    assert carrying.units.sum() == 2
+    assert carrying.crs == units.crs
+    assert sorted(carrying.site) == sorted(units.site)
+    assert {*carrying.geometry.x.round(9)} == {*units.geometry.x.round(9)}
     assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
 
 
