@@ -38,7 +38,9 @@ _CAUSES = {
     "no road": mark("On the map no road ends at it."),
     "no site": mark("There is no pole or other place that could carry another sensor."),
     "no run": mark("None of the collisions asked for can happen there: roads or room are missing."),
-    "no accident": mark("No accident is known near it by which its collisions could be weighed."),
+    "no accident": mark(
+        "No known accident near it is like one of its collisions: nothing weighs them."
+    ),
     "time": mark("It took longer than it was given (--max-junction-seconds)."),
     "memory": mark("It took more memory than it was given (--worker-memory)."),
 }

@@ -15,10 +15,10 @@ from geometry.maps.source_map import SourceMap
 from geometry.scene import Scene
 from placement.city.fronts import JunctionFront
 from placement.layout import Layout
+from placement.optimiser.steering import TOLERANCE
 
 from ..figures.axes import (
     BLUE,
-    NARROW_IN,
     VERMILION,
     WIDTH_IN,
     Style,
@@ -28,7 +28,7 @@ from ..figures.axes import (
 )
 from ..figures.labels import Label, draw_labels
 from ..language import localized, tr, trn
-from ..parts.section import Bullets, Code, Html, Picture, Section, build_picture
+from ..parts.section import Bullets, Code, Html, Section, build_picture
 from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
 from ..scene.pictures import new_map_axes, plot_scene_plan
@@ -38,6 +38,7 @@ MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""
 
 _MAX_STEPS = 60
+_SAME = 0.5  # euros, or units
 _ARROW_M = 9.0
 
 
@@ -60,7 +61,8 @@ def _section(name: str, title: str, *values: object, macro: str = "") -> Section
 
 def render_city_report(
     result: CityResult,
-    city_map: Picture,
+    city_map: Axes,
+    narrow_map: Axes,
     front: Axes,
     *,
     sums: Mapping[str, Any],
@@ -87,7 +89,7 @@ def render_city_report(
     ]
     return page_template().render(
         title=tr("Roadside sensors for {maps}", maps=result.map_names),
-        overview=_templates().overview(result, city_map),
+        overview=_templates().overview(result, partial(build_picture, city_map, narrow=narrow_map)),
         answer=list(result.sentences[1:]),
         sections=sections,
         interactive=None,
@@ -118,8 +120,9 @@ def build_sums(
         states.append((step.taken, step.apr, got))
     chosen = {number: one.units for number, one in enumerate(result.junctions) if one.units}
     own = result.cost_eur if result.by == "cost" else float(result.units)
-    states = [one for one in states if one[0] != own or one[1] > result.stages[0].objective]
-    states = sorted([*states, (own, result.stages[0].objective, chosen)], key=lambda one: one[:2])
+    best = result.stages[0].objective
+    states = [one for one in states if abs(one[0] - own) > _SAME or one[1] > best + TOLERANCE]
+    states = sorted([*states, (own, best, chosen)], key=lambda one: one[:2])
     stops: list[dict[str, Any]] = []
     before: dict[int, int] = {}
     for taken, apr, now in states:
@@ -199,31 +202,6 @@ _CHOSEN: Style = {
     **{"linestyle": "none", "marker": "D", "ms": 7.5, "mfc": VERMILION, "mec": "black", "mew": 0.6},
     **{"gid": "chosen", "zorder": 5},
 }
-
-
-def build_city_map(
-    maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
-) -> tuple[Axes, Picture]:
-    """:func:`plot_city_map`, and the picture of it with its words, for a phone as well."""
-    drawn = plot_city_map(maps, positions_m, result)
-    n_served = sum(one.units > 0 for one in result.junctions)
-    picture = build_picture(
-        drawn,
-        title=tr("What each junction gets"),
-        caption=tr(
-            "Circles grow with the gain and darken with the number of sensors, which stands in "
-            "them. Beside the largest ones are rank and name, as in the table below. Streets and "
-            "buildings are those of the maps."
-        ),
-        alt=tr(
-            "Map with {served} junctions that get sensors and {rest} that get none; the table "
-            "below lists all of them.",
-            served=n_served,
-            rest=len(result.junctions) - n_served,
-        ),
-        narrow=plot_city_map(maps, positions_m, result, width_in=NARROW_IN),
-    )
-    return drawn, picture
 
 
 def plot_city_map(

@@ -37,7 +37,7 @@ from scenarios.weights import weight_files
 
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
-from ..figures.axes import to_png
+from ..figures.axes import NARROW_IN, to_png
 from ..language import speaking, tr
 from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress, follow_parent
@@ -456,14 +456,17 @@ def write_city(
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
     maps = [*city.roads, *city.others]
-    drawn, picture = pages.build_city_map(maps, position, result)
+    drawn = pages.plot_city_map(maps, position, result)
+    narrow = pages.plot_city_map(maps, position, result, width_in=NARROW_IN)
     front = pages.plot_city_front(result)
     tables["map.png"] = to_png(drawn)
     tables["front.png"] = to_png(front)
     write_files(out, tables)
     paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
     sums = pages.build_sums(maps, position, result)
-    report = pages.render_city_report(result, picture, front, sums=sums, poles=poles, paged=paged)
+    report = pages.render_city_report(
+        result, drawn, narrow, front, sums=sums, poles=poles, paged=paged
+    )
     result = replace(result, seconds=finish())
     write_files(out, {REPORT: report.encode(), SUMMARY: to_json_text(result).encode()})
     write_manifest(out)

@@ -202,21 +202,13 @@ def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, c
         place = {"name": road.name, "x": x, "y": y, "turn_deg": round(upright_deg)}
         if not re.fullmatch(r"(way|road) \S+", road.name):
             names.setdefault((road.name, x // _NAMED_AGAIN_M, y // _NAMED_AGAIN_M), place)
-    junctions = [
-        {
-            **{"id": one.junction.id, "name": one.junction.name, "x": place[0], "y": place[1]},
-            **{"arms": len(one.arms), "lanes": one.n_lanes},
-            **{"signals": one.n_signals, "crossings": one.n_crossings},
-        }
-        for one, place in zip(surveyed, on_page(places), strict=True)
-    ]
     environment = page_environment().overlay(loader=PackageLoader(__package__, ""))
     return environment.get_template("junctions.html.j2").render(
         name=maps[0].name,
         box=[0, 0, *np.round(high - low + 2.0 * around, 1)],
         streets="".join("M" + "L".join(f"{x:g},{y:g}" for x, y in way) for way in ways),
         names=list(names.values()),
-        junctions=junctions,
+        junctions=list(zip(surveyed, on_page(places).tolist(), strict=True)),
         command=command,
         language=language,
     )
