@@ -15,6 +15,7 @@ from itertools import product
 from math import exp
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
@@ -231,6 +232,27 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp
     # More time is another question: what was in time stays in the folder, the rest is told.
     with pytest.raises(InputError, match=r"no junction with a front.*; expected more time or memo"):
         run(tiny / "tiny.osm", city, search=replace(SEARCH, max_junction_s=LEAST_S))
+
+
+def test_the_headline_says_what_was_left_out_not_driven_and_not_proven(tiny, city, never, no_pages):
+    result = run(tiny / "tiny.osm", city)
+    assert result.runs == result.possible_runs > 0
+    assert city_answer.says("undone", result) == ()
+    first, *others = result.junctions
+    left = msgspec.structs.replace(
+        result,
+        junctions=(msgspec.structs.replace(first, reason="x", cause="time"), *others),
+        not_done=1,
+        runs=1_234,
+        possible_runs=5_678,
+        stages=(msgspec.structs.replace(result.stages[0], bound=0.9, gap=0.1), *result.stages[1:]),
+    )
+    # A bound of 90 % at two of three junctions of the same weight is one of 60 % of all accidents.
+    assert city_answer.says("undone", left) == (
+        "1 junction is left out.",
+        "4,444 of 5,678 simulated collisions could not be driven: room is missing.",
+        "It is not proven that this is best: up to 60.0 % could be prevented.",
+    )
 
 
 def test_each_foreseen_error_has_its_cause(tmp_path):
