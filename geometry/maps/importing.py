@@ -49,7 +49,9 @@ _READERS = {
     ".xodr": ("opendrive", "read_opendrive", ()),
     "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
     "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
-    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
+    **dict.fromkeys(
+        _STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left", "staggered_m"))
+    ),
     **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
     ".city.json": ("city_models", "read_cityjson", ()),
     ".citygml": ("city_models", "read_citygml", ()),
@@ -73,6 +75,7 @@ class Surveyed:
     position: FloatArray
     n_signals: int = 0  # poles with traffic lights inside it, or at most 15 m from its outline
     n_crossings: int = 0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
+    roads: tuple[tuple[str, int], ...] = ()  # of each arm: class, and driving lanes in and out
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
@@ -258,10 +261,13 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         arms = build_junction(scene).arms
     except InputError:  # no lane ends at the outline
         arms = {}
+    classes = {lane.id: lane.road_class for lane in lanes}
+    lanes_of = [(*arm.entry_lanes, *arm.exit_lanes) for arm in arms.values()]
     return Surveyed(
         junction=junction,
         arms=tuple(arms),
-        n_lanes=sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values()),
+        n_lanes=sum(map(len, lanes_of)),
+        roads=tuple((classes[here[0].id] if here else "", len(here)) for here in lanes_of),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
     )
@@ -276,6 +282,8 @@ class ReadingOptions:
     up: str | None = None
     class_name: str = "building"  # of meshes, point clouds and footprints that do not state theirs
     keeps_left: bool | None = None  # whether traffic keeps left; by default what the map says
+    # side roads that meet a road of OpenStreetMap from either side, no farther apart: one junction
+    staggered_m: float = 0.0
     crs: str = ""  # coordinate reference system of files that do not name one; empty: none
     layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
     # shift of everything without roads, which is then taken to lie in the coordinates of the map

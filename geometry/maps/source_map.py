@@ -203,6 +203,7 @@ class MapLane:
     to_junction: str = ""
     speed_limit_kmh: float | None = None  # where it leads into a junction, or else out of one
     turns: tuple[Turn, ...] = ()  # by its markings, see :class:`geometry.scene.Lane`
+    road_class: str = ""  # there, as OpenStreetMap calls it ("primary"); empty: not known
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"

@@ -144,8 +144,11 @@ class Clusters:
             self.members[one] += self.members.pop(other)
 
 
-def find_clusters(network: Network) -> Clusters:
-    """Nodes where roads meet, or roads and yards at a signal; those of one junction together."""
+def find_clusters(network: Network, *, staggered_m: float = 0.0) -> Clusters:
+    """Nodes where roads meet, or roads and yards at a signal; those of one junction together.
+
+    Two side roads that meet a road from either side no farther apart than `staggered_m` are one.
+    """
     clusters = Clusters()
     for row, ends in network.ends.items():
         edges = [network.edges[index] for index, _ in ends]
@@ -156,7 +159,7 @@ def find_clusters(network: Network) -> Clusters:
         if is_meeting and is_on_ground and not is_fork(network, ends):
             clusters.add(row)
     _join_roundabouts(network, clusters)
-    _join_near(network, clusters)
+    _join_near(network, clusters, staggered_m)
     return clusters
 
 
@@ -211,7 +214,7 @@ def _size_m(network: Network, rows: Sequence[int]) -> float:
     return float(np.hypot(*np.ptp(network.elements.positions_m[rows], axis=0)))
 
 
-def _join_near(network: Network, clusters: Clusters) -> None:
+def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None:
     limits, of_row = DEFAULTS["junction"], clusters.of_row
     links = []
     for street in trace_streets(network, of_row.__contains__):
@@ -221,7 +224,8 @@ def _join_near(network: Network, clusters: Clusters) -> None:
             edges = [[network.edges[index] for index, _ in network.ends[at]] for at in (begin, end)]
             names = [{one.name for one in here if one.is_oneway and one.name} for here in edges]
             is_wide = bool(names[0] & names[1] - {street.parts[0][0].name})
-            if street.length_m <= limits["join_carriageways_m" if is_wide else "join_m"]:
+            most_m = limits["join_carriageways_m" if is_wide else "join_m"]
+            if street.length_m <= max(most_m, staggered_m * _is_staggered(network, street)):
                 links.append((street.length_m, begin, end))
     for _, begin, end in sorted(links):
         one, other = of_row[begin], of_row[end]
@@ -232,6 +236,26 @@ def _join_near(network: Network, clusters: Clusters) -> None:
             network.edges[index].is_roundabout for row in rows for index, _ in network.ends[row]
         ):
             clusters.join(one, other)
+
+
+def _is_staggered(network: Network, street: Street) -> bool:
+    """True if at each end of a street one side road leaves it, and they lie on either side."""
+    (first, is_along), (last, runs_along) = street.parts[0], street.parts[-1]
+    sides = []
+    for at, edge, is_first in ((0, first, is_along), (-1, last, not runs_along)):
+        ends = [one for one in network.ends[int(street.rows[at])] if not _is_yard(network, one)]
+        others = [one for one in ends if (network.edges[one[0]], one[1]) != (edge, is_first)]
+        if len(ends) != 3 or len(others) != 2:
+            return False
+        own = next(one for one in ends if one not in others)
+        ahead_deg = network.bearing_deg(own)
+        turns_deg = [(network.bearing_deg(one) - ahead_deg) % 360.0 for one in others]
+        sides.append(max(turns_deg, key=lambda turn: abs(turn - 180.0)) < 180.0)
+    return sides[0] == sides[1]  # to the same hand of who looks along the street from either end
+
+
+def _is_yard(network: Network, end: End) -> bool:
+    return network.edges[end[0]].is_service
 
 
 # ---------- junctions
@@ -246,10 +270,12 @@ class Reach:
     to_junction: str = ""
 
 
-def find_junctions(network: Network) -> tuple[list[Reach], list[MapJunction]]:
+def find_junctions(
+    network: Network, *, staggered_m: float = 0.0
+) -> tuple[list[Reach], list[MapJunction]]:
     """Streets outside junctions with the reach of their lanes, and junctions by their ids."""
     elements = network.elements
-    clusters = find_clusters(network)
+    clusters = find_clusters(network, staggered_m=staggered_m)
     known: _Placed = {}
     for number_of_round in count():
         streets = trace_streets(network, clusters.of_row.__contains__)

@@ -32,6 +32,7 @@ class _Part(NamedTuple):
     level: int
     limit_kmh: float | None
     is_two_way: bool
+    road_class: str
 
 
 _Piece = tuple[str, list[_Part]]  # id of a lane, and its parts one after the other
@@ -65,7 +66,8 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
             key = strip.kind, strip.place, strip.number
             limit_kmh = speed_limit_kmh(edge.tags, is_forward=strip.is_forward == is_along)
             is_two_way = len(section.directions) > 1
-            part = _Part(strip, spans[index], (begin_m, end_m), edge.level, limit_kmh, is_two_way)
+            means = edge.level, limit_kmh, is_two_way, edge.tags["highway"]
+            part = _Part(strip, spans[index], (begin_m, end_m), *means)
             piece = open_pieces.pop(key, None) if is_continued else None
             following[key] = piece or (f"{edge.id} {strip.kind} {strip.place} {strip.number}", [])
             following[key][1].append(part)
@@ -146,6 +148,7 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     if not is_forward:
         points = points[::-1]
         from_junction, to_junction = to_junction, from_junction
+    last_part = parts[-1 if is_forward == bool(to_junction) else 0]  # as of `speed_limit_kmh`
     return MapLane(
         id=name,
         kind=parts[0].strip.kind,
@@ -153,7 +156,8 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
         centreline_m=points,
         from_junction=from_junction,
         to_junction=to_junction,
-        speed_limit_kmh=parts[-1 if is_forward == bool(to_junction) else 0].limit_kmh,
+        speed_limit_kmh=last_part.limit_kmh,
+        road_class=last_part.road_class,
         turns=parts[-1 if is_forward else 0].strip.turns,
     )
 
