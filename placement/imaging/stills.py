@@ -21,8 +21,7 @@ from geometry.kernels import kernel
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
-from geometry.sensors import CameraModel
-from geometry.sensors import pixel_rays as look_through
+from geometry.sensors import CameraModel, pixel_grid
 from geometry.weather import Weather
 from scenarios.runs import Run
 
@@ -52,6 +51,7 @@ from .picture import (
     build_shot,
     expose_image,
     ground_albedo,
+    lens_rays,
     names_of,
     pixel_rays,
     ray_parts,
@@ -429,9 +429,7 @@ def silhouette(
         rows = (below / focal).astype(np.float32)[:, None, None] * down
         ways = np.ascontiguousarray((ahead + rows + columns).reshape(-1, 3))
     else:
-        rows_px, columns_px = np.indices((window.height, window.width)).reshape(2, -1)
-        where = columns_px + window.left, rows_px + window.top
-        ways = np.nan_to_num(look_through(*where, pose, camera).astype(np.float32))
+        ways = lens_rays(pose, pixel_grid(camera)[window.rows, window.columns].reshape(-1, 2))
     _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
     return (triangle >= 0).reshape(window.height, window.width)
 

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 
 from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
 from geometry.poses import Pose
-from geometry.sensors import pixel_grid, pixel_rays, project_points
+from geometry.sensors import pixel_grid, project_points
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
