@@ -109,13 +109,6 @@ def _widen(box: FloatArray, first: int, column: float, row: float) -> None:
 
 
 @kernel
-def _area(box: FloatArray, first: int) -> float:
-    """Area of a box of four numbers; 0 if it holds nothing."""
-    across, up = box[first + 2] - box[first], box[first + 3] - box[first + 1]
-    return float(max(across, 0.0) * max(up, 0.0))
-
-
-@kernel
 def _box_points(
     lens: FloatArray,
     axes: Array,
@@ -163,11 +156,11 @@ def _is_out(lens: FloatArray, box: FloatArray, min_height_px: float) -> bool:
 @kernel
 def _share_inside(lens: FloatArray, is_folded: bool, box: FloatArray) -> float:
     """Share of a body's box in the picture, of the boxes of :func:`_box_points`."""
-    whole = max(_area(box, 0), 1.0e-9)
     if not is_folded:  # cut off by the picture's edges alone
         box[8], box[9] = max(box[0], 0.0), max(box[1], 0.0)
         box[10], box[11] = min(box[2], lens[_SIZE]), min(box[3], lens[_SIZE + 1])
-    return float(min(_area(box, 8) / whole, 1.0))
+    shown = max(box[10] - box[8], 0.0) * max(box[11] - box[9], 0.0)
+    return float(min(shown / max((box[2] - box[0]) * (box[3] - box[1]), 1.0e-9), 1.0))
 
 
 @kernel
