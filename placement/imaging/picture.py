@@ -545,7 +545,10 @@ def expose_image(
         exposure_s=load_imager()["rain_exposure_s"],
         rng=np.random.default_rng([*seed, *size]),
     )
-    white_cdpm2 = white_luminance(radiance, load_imager())
+    metered = radiance
+    if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
+        metered = radiance[None, np.isfinite(pixel_grid(shot.camera)[..., 0])]
+    white_cdpm2 = white_luminance(metered, load_imager())
     rgb = np.empty((*size, 3), dtype=np.uint8)
 
     def expose(tile: tuple[slice, slice]) -> None:

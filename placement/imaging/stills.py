@@ -448,8 +448,11 @@ def _meter(shot: Shot) -> float:
     across = (np.arange(n_columns, dtype=np.float32) + 0.5) * (camera.width_px / n_columns)
     down = (np.arange(n_rows, dtype=np.float32) + 0.5) * (camera.height_px / n_rows)
     grid = np.stack(np.meshgrid(across, down), axis=-1).astype(np.float32).reshape(-1, 2)
-    seen: FloatRays = shade_rays(shot, pixel_rays(shot, grid[:, 0], grid[:, 1]))[0].radiance
-    return white_luminance(seen.reshape(n_rows, n_columns, 3), load_imager(), every=1)
+    ways = pixel_rays(shot, grid[:, 0], grid[:, 1])
+    seen: FloatRays = shade_rays(shot, ways)[0].radiance
+    seen = seen[ways.any(axis=1)]  # what a lens leaves dark does not count
+    n_rows = n_rows if len(seen) == len(ways) else 1
+    return white_luminance(seen.reshape(n_rows, -1, 3), load_imager(), every=1)
 
 
 def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
