@@ -261,21 +261,6 @@ def picture_rays(columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel)
     return rays
 
 
-def pixel_rays(
-    columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
-) -> FloatArray:
-    """Directions (n, 3) through pixels' centres, world frame; 1 along the optical axis."""
-    columns = np.asarray(columns_px, dtype=np.float64) + 0.5
-    rows = np.asarray(rows_px, dtype=np.float64) + 0.5
-    if camera.is_pinhole:
-        across = (columns - 0.5 * camera.width_px) / camera.focal_length_px
-        down = (rows - 0.5 * camera.height_px) / camera.focal_length_px
-    else:
-        across, down = picture_rays(columns, rows, camera).T
-    in_camera = np.stack([across, down, np.ones_like(columns)], axis=1)
-    return in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
-
-
 @lru_cache(maxsize=4)  # 33 MB each at 1080 rows
 def pixel_grid(camera: CameraModel) -> FloatArray:
     """Points (height, width, 2) at depth 1 that the middles of all pixels show; NaN: none."""
@@ -284,16 +269,14 @@ def pixel_grid(camera: CameraModel) -> FloatArray:
     return freeze(rays.reshape(camera.height_px, camera.width_px, 2))
 
 
-def border_rays(camera: CameraModel) -> FloatArray:
-    """Points (n, 2) at depth 1 along the picture's edge, clockwise; NaN where there is none."""
-    steps = np.linspace(0.0, 1.0, _N_BORDER, endpoint=False)
-    x = np.concatenate([steps, np.ones(_N_BORDER), 1.0 - steps, np.zeros(_N_BORDER)])
-    return picture_rays(x * camera.width_px, np.roll(x, _N_BORDER) * camera.height_px, camera)
-
-
 @lru_cache(maxsize=64)
 def _widest_fov_deg(camera: CameraModel) -> float:
-    return float(np.degrees(2.0 * _angles_rad(border_rays(camera), camera).max()))
+    """Twice the largest angle off the axis along the picture's edge."""
+    steps = np.linspace(0.0, 1.0, _N_BORDER, endpoint=False)
+    x = np.concatenate([steps, np.ones(_N_BORDER), 1.0 - steps, np.zeros(_N_BORDER)])
+    y = np.roll(x, _N_BORDER)
+    rays = picture_rays(x * camera.width_px, y * camera.height_px, camera)
+    return float(np.degrees(2.0 * _angles_rad(rays, camera).max()))
 
 
 @lru_cache(maxsize=64)
