@@ -67,13 +67,19 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     (a_x, a_y, a_z), (n_x, n_y, n_z) = across, normal
     onwards = (n_y * a_z - n_z * a_y, n_z * a_x - n_x * a_z, n_x * a_y - n_y * a_x)
     flat = (vertices - middle) @ np.array([across, onwards]).T
-    ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
-    triangles = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3).astype(np.int32)
-    a, b, c = flat[triangles[:, 0]], flat[triangles[:, 1]], flat[triangles[:, 2]]
+    return vertices, clip_ears(flat, np.cumsum([len(ring) for ring in rings]))
+
+
+def clip_ears(flat_m: FloatArray, ends: ArrayLike) -> NDArray[np.int32]:
+    """Counter-clockwise triangles (m, 3) of rings (n, 2), outer first, each up to one of `ends`."""
+    corners = np.asarray(ends, dtype=np.uint32)
+    found = mapbox_earcut.triangulate_float64(flat_m, corners)
+    triangles: NDArray[np.int32] = np.asarray(found, dtype=np.int32).reshape(-1, 3)
+    a, b, c = np.moveaxis(flat_m[triangles], 1, 0)
     ab, ac = b - a, c - a
-    signed = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    triangles[signed < 0.0] = triangles[signed < 0.0, ::-1]
-    return vertices, triangles
+    turns_right = ab[:, 0] * ac[:, 1] < ab[:, 1] * ac[:, 0]
+    triangles[turns_right] = triangles[turns_right, ::-1]
+    return triangles
 
 
 def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:

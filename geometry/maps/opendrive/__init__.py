@@ -72,7 +72,7 @@ def read_opendrive(path: Path) -> SourceMap:
     junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]
     connections = _connections(roads, junctions, where)
     for one in junctions:
-        arms = [roads[name] for name, at in ends.items() if one.id in (at.start, at.end)]
+        arms = [roads[name] for name, at in ends.items() if one.id in at]
         if arms and all(road.is_motorway for road in arms):  # cars are led on through it
             why = "motorways merge or part where nobody walks"
             omissions.add("junctions", f"junction {one.id}", why)

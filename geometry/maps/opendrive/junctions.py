@@ -97,9 +97,7 @@ def find_road_ends(
         return found if found in junctions and junctions[found].has_surface else ""
 
     return {
-        road.id: RoadEnds(
-            start=junction_at(road, road.before, "start"), end=junction_at(road, road.after, "end")
-        )
+        road.id: (junction_at(road, road.before, "start"), junction_at(road, road.after, "end"))
         for road in roads.values()
         if road.junction == NO_JUNCTION
     }
@@ -113,7 +111,7 @@ def leading_roads(
     """Roads that lead to each junction, by its id, with the driving lanes recorded there."""
     found: dict[str, tuple[LeadingRoad, ...]] = defaultdict(tuple)
     for road_id, at in ends.items():
-        for junction, is_start in ((at.start, True), (at.end, False)):
+        for junction, is_start in zip(at, (True, False), strict=True):
             section = sampled[road_id][0 if is_start else -1]
             if junction and (lead := _leading_road(roads[road_id], section, is_start)):
                 found[junction] += (lead,)
