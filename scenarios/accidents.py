@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -29,6 +29,7 @@ _Columns = Mapping[str, tuple[str, ...]]
 
 
 class _Unfallatlas(Struct, frozen=True, kw_only=True):
+    columns: dict[str, tuple[str, ...]]
     events: _Codes
     unused: _Codes
     head_on: tuple[str, ...]
@@ -36,6 +37,7 @@ class _Unfallatlas(Struct, frozen=True, kw_only=True):
 
 
 class _Stats19(Struct, frozen=True, kw_only=True):
+    columns: dict[Literal["vehicles", "casualties", "collisions"], dict[str, tuple[str, ...]]]
     cars: tuple[str, ...]
     bicycles: tuple[str, ...]
     motorcycles: tuple[str, ...]
@@ -174,13 +176,8 @@ _UNFALLATLAS_USERS = {"istfuss": "on foot", "istrad": "bicycle", "istkrad": "mot
 
 def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().unfallatlas
-    columns = {name: (name,) for name in ("utyp1", *_UNFALLATLAS_USERS, "istpkw")} | {
-        "light": ("ulichtverh", "licht"),
-        "x": ("xgcswgs84",),
-        "y": ("ygcswgs84",),
-    }
     places, what = [], []
-    for row in _rows(path, columns, optional={"uart": ("uart",)}):
+    for row in _rows(path, rules.columns, optional={"uart": ("uart",)}):
         places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         users = [user for column, user in _UNFALLATLAS_USERS.items() if row[column] == "1"]
         code = row["utyp1"]
@@ -214,34 +211,19 @@ def _beside(path: Path) -> tuple[Path, Path]:
     raise InputError(str(path), Unquoted(f"the name {path.name}"), 'one with "collision" in it')
 
 
-_INDEX: _Columns = {"index": ("collision_index", "accident_index")}
-
-
 def _read_stats19(
     collisions: Path, vehicles: Path, casualties: Path
 ) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().stats19
-    of_vehicles = {
-        "reference": ("vehicle_reference",),
-        "type": ("vehicle_type",),
-        "manoeuvre": ("vehicle_manoeuvre",),
-        "to": ("vehicle_direction_to",),
-    }
     drivers: dict[str, dict[str, dict[str, str]]] = {}
-    for row in _rows(vehicles, {**_INDEX, **of_vehicles}):
+    for row in _rows(vehicles, rules.columns["vehicles"]):
         drivers.setdefault(row["index"], {})[row["reference"]] = row
     walkers: dict[str, list[dict[str, str]]] = {}
-    of_casualties = {
-        "reference": ("vehicle_reference",),
-        "class": ("casualty_class",),
-        "movement": ("pedestrian_movement",),
-    }
-    for row in _rows(casualties, {**_INDEX, **of_casualties}):
+    for row in _rows(casualties, rules.columns["casualties"]):
         if row["class"] == "3":
             walkers.setdefault(row["index"], []).append(row)
     places, what = [], []
-    of_collisions = {"x": ("longitude",), "y": ("latitude",), "light": ("light_conditions",)}
-    for row in _rows(collisions, {**_INDEX, **of_collisions}):
+    for row in _rows(collisions, rules.columns["collisions"]):
         places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         index, light = row["index"], rules.light.get(row["light"], "")
         road_user, event, unused = _collision(drivers.get(index, {}), walkers.get(index, []), rules)

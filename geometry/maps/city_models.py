@@ -16,7 +16,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import read_text
+from ..files import load_data, read_text
 from ..notes import Note
 from ..scene import join
 from ..untrusted_files import local_name, parse_object, read_xml
@@ -40,32 +40,13 @@ _VERSIONS = ("1.0", "1.1", "2.0")
 _MAX_RING = 100_000
 _SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
 _SURFACES_AT |= {"CompositeSolid": 2}
-_HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
 _WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
-# Class of thing by the type of an object.
-CLASS_OF_TYPE = {
-    "Building": "building",
-    "BuildingPart": "building",
-    "BuildingInstallation": "building",  # balconies, outer stairs, chimneys
-    "BuildingConstructiveElement": "building",
-    "OtherConstruction": "wall",  # city walls, sheds, tanks
-    "CityFurniture": "wall",  # opaque like one, unless its name says lamp or tree
-    "SolitaryVegetationObject": "vegetation",
-    "PlantCover": "vegetation",
-}
+_TYPES: dict[str, Any] = load_data("geometry.maps", "words.toml")["city"]
+CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
+"""Class of thing by the type of an object."""
 _Table = Mapping[str, Any]
 _GML = "CityGML"
-_OTHER_TYPES = (
-    *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),
-    *("Square", "Waterway", "WaterBody", "LandUse", "ReliefFeature", "TINRelief", "RasterRelief"),
-    *("GenericCityObject", "GenericOccupiedSpace", "TransportationComplex", "CityObjectGroup"),
-    *("Room", "BuildingRoom", "BuildingFurniture", "BuildingUnit", "Storey"),
-)
-_SURFACE_TYPES = (
-    *("GroundSurface", "WallSurface", "RoofSurface", "ClosureSurface", "OuterCeilingSurface"),
-    *("OuterFloorSurface", "GenericThematicSurface"),
-)
 _GEOMETRY = re.compile(r"lod([0-4])(\w+)")
 _FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
 _NAMES_OF_GML = ("name", "class", "function", "usage")
@@ -75,7 +56,6 @@ _GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
 _HREF = "{http://www.w3.org/1999/xlink}href"
 # Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
 _Shape = tuple[int, int, list[Polygon3D]]
-_HEIGHT_UNITS_M = {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "cm": 0.01, "km": 1000.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -242,7 +222,7 @@ def _objects(
 
 def _height_m(attributes: _Table) -> float | None:
     """Height in the first of the known attributes; None: there is none, or no number."""
-    value = next((attributes[key] for key in _HEIGHTS if key in attributes), None)
+    value = next((attributes[key] for key in _TYPES["heights"] if key in attributes), None)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if abs(value) <= sys.float_info.max else None
@@ -437,9 +417,9 @@ class _Document:
                 name = local_name(child)
                 if name in CLASS_OF_TYPE:
                     yield child
-                elif name in _OTHER_TYPES:
+                elif name in _TYPES["left_out"]:
                     left_out[name] += 1
-                    continue  # with its content: rooms, bridge parts
+                    continue
                 stack.append(child)
 
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:
@@ -478,11 +458,11 @@ class _Document:
             if match:
                 level = int(match[1])
                 is_flat = match[2] in _FOOTPRINTS
-                if level == 0 and (not is_flat or local_name(element) in _SURFACE_TYPES[1:]):
+                if level == 0 and (not is_flat or local_name(element) in _TYPES["surfaces"][1:]):
                     continue
                 rank = 2 if "Solid" in match[2] else int(match[2] != "RoofEdge")
                 yield level, rank, list(self._polygons(child, depth + 1, 0))
-            elif name in ("boundedBy", "boundary") or name in _SURFACE_TYPES:
+            elif name in ("boundedBy", "boundary") or name in _TYPES["surfaces"]:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
@@ -561,7 +541,7 @@ def _measured_height_m(feature: Element) -> float | None:
         for value in values:
             unit = value.attrib.get("uom", "m").rpartition("#")[2].rpartition(":")[2].lower()
             with suppress(ValueError, KeyError):
-                return float((value.text or "").strip()) * _HEIGHT_UNITS_M[unit]
+                return float((value.text or "").strip()) * float(_TYPES["height_units_m"][unit])
     return None
 
 

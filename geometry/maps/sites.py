@@ -450,14 +450,10 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
 
 def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
+    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
+    islands = [[one for one in part.interiors if Polygon(one).area > _ISLAND_M2] for part in parts]
     return shapely.union_all(
-        [
-            Polygon(
-                part.exterior, [hole for hole in part.interiors if Polygon(hole).area > _ISLAND_M2]
-            )
-            for part in shapely.get_parts(area)
-            if part.geom_type == "Polygon"
-        ]
+        [Polygon(part.exterior, holes) for part, holes in zip(parts, islands, strict=True)]
     )
 
 

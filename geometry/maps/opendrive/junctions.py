@@ -1,7 +1,7 @@
 """Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -158,12 +158,7 @@ def build_junctions(
     members: dict[str, list[str]] = {}
     for road in roads.values():
         members.setdefault(road.junction, []).append(road.id)
-    # Lanes of arms that end or begin at each junction, as lines that lead away from it.
-    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
-    for lane in (lane for lane in lanes if lane.kind in _ARM_KINDS):
-        line = lane.centreline_m[:, :2]
-        tips[lane.from_junction].append((lane, line))
-        tips[lane.to_junction].append((lane, line[::-1]))
+    tips = lanes_by_junction(lane for lane in lanes if lane.kind in _ARM_KINDS)
     junctions = []
     apart: set[tuple[str, str]] = set()
     for record in records.values():
@@ -174,7 +169,7 @@ def build_junctions(
         if n_points > _MAX_POINTS:
             got = f"roads of {n_points:,} points"
             refuse(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
-        own_tips = tips.get(record.id, [])
+        own_tips = tips[record.id]
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
             surface = _surface(pieces)
             fitted, far = (None, []) if surface is None else fit_outline(surface, own_tips)
@@ -214,6 +209,16 @@ def build_junctions(
         )
         for lane in lanes
     ]
+
+
+def lanes_by_junction(lanes: Iterable[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:
+    """Lanes that end or begin at each junction, by its id, as lines (n, 2) away from it."""
+    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
+    for lane in lanes:
+        line = lane.centreline_m[:, :2]
+        tips[lane.from_junction].append((lane, line))
+        tips[lane.to_junction].append((lane, line[::-1]))
+    return tips
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:

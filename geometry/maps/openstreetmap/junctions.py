@@ -393,11 +393,10 @@ def _reaches(
     reaches = {}
     for index, street in enumerate(streets):
         numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
-        cuts = [
+        from_m, to_m = (
             _road_beside_m(network, street, at) if number is None else mouths.get((index, at == 0))
             for number, at in zip(numbers, (0, -1), strict=True)
-        ]
-        from_m, to_m = cuts
+        )
         if from_m is None or to_m is None:
             continue  # inside a junction
         free_m = max(street.length_m - least_m, 0.0)

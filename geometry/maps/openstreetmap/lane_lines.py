@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
-from ...lines import along_m, unit
+from ...lines import along_m, points_at, unit
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
@@ -261,6 +261,5 @@ def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
     """A line that begins at another point and leads straight to itself, some metres on."""
     along = along_m(points_m)
-    run = min(_BEND_M, float(along[-1]))
-    joint = [np.interp(run, along, points_m[:, axis]) for axis in range(3)]
-    return np.vstack([begin_m, joint, points_m[along > run + _SAME_POINT_M]])
+    run = np.minimum(_BEND_M, along[-1])
+    return np.vstack([begin_m, points_at(points_m, run), points_m[along > run + _SAME_POINT_M]])

@@ -4,10 +4,11 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from itertools import chain, pairwise
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
@@ -572,9 +573,8 @@ class Street:
     def __post_init__(self) -> None:
         points: list[FloatArray] = []
         rows: list[IntArray] = []
-        for edge, is_along in self.parts:
-            step = 1 if is_along else -1
-            skip = 1 if points else 0
+        for at, (edge, is_along) in enumerate(self.parts):
+            step, skip = 1 if is_along else -1, min(at, 1)
             points.append(edge.points_m[::step][skip:])
             rows.append(edge.rows[::step][skip:])
         joined = np.concatenate(points)
@@ -730,9 +730,4 @@ def surface(street: Street, begin_m: float, end_m: float) -> BaseGeometry:
         edges = [middle + sign * 0.5 * section.width_m * across for sign in (1.0, -1.0)]
         edges = [edge[has_no_knot(edge, middle)] for edge in edges]
         pieces.append(make_valid(Polygon(np.concatenate([edges[0], edges[1][::-1]]))))
-    if not pieces:
-        return Polygon()
-    whole = pieces[0]
-    for piece in pieces[1:]:
-        whole = whole.union(piece)
-    return whole
+    return reduce(shapely.union, pieces) if pieces else Polygon()

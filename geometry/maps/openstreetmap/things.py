@@ -45,6 +45,7 @@ _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
 _WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
 _POLES = ("mast", "utility_pole", "pole")
+_ROADSIDE = {"street_lamp": "lamp post", "traffic_signals": "traffic light", "traffic_sign": "sign"}
 _NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
 _NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 _Place = tuple[Reach, float]  # a street and how far along it [m]
@@ -60,23 +61,20 @@ _Span = tuple[float, float, bool]  # bottom and top above the ground [m], whethe
 
 def find_barriers(elements: Elements) -> Iterator[Thing]:
     """Walls, hedges and boarded fences; transparent fences and damaged outlines are noted."""
+    limits = DEFAULTS["barrier"]
     for way in elements.ways:
-        kind = way.tags.get("barrier", "")
+        tags = way.tags
+        kind = tags.get("barrier", "")
         if kind not in _KINDS:
             continue
         note = partial(elements.omissions.add, "barriers", f"way {way.id}")
-        fence = way.tags.get("fence_type", way.tags.get("material", ""))
-        if kind == "fence" and fence not in DEFAULTS["barrier"]["opaque_fences"]:
+        fence = tags.get("fence_type", tags.get("material", ""))
+        if kind == "fence" and fence not in limits["opaque_fences"]:
             why = "seen through: no fence_type that says otherwise"
             elements.omissions.add("fences", f"way {way.id}", why)
             continue
-        limits = DEFAULTS["barrier"]
-        tagged_m = _tagged_m(
-            way.tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note
-        )
-        thick_m = _tagged_m(
-            way.tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
-        )
+        tagged_m = _tagged_m(tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note)
+        thick_m = _tagged_m(tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note)
         top_m = float(limits[kind]["height_m"]) if tagged_m is None else tagged_m
         thick_m = float(limits[kind]["thickness_m"]) if thick_m is None else thick_m
         for number, footprint in enumerate(_footprints(way, elements, thick_m)):
@@ -204,17 +202,10 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
 
 
 def _kind(tags: Tags) -> str:
-    if tags.get("highway") == "street_lamp":
-        return "lamp post"
-    if tags.get("highway") == "traffic_signals":
-        return "traffic light"
-    if "traffic_sign" in tags or tags.get("highway") == "traffic_sign":
-        return "sign"
-    if tags.get("man_made") in _POLES or tags.get("power") == "pole":
-        return "pole"
-    if tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole":
-        return "pole"
-    return ""
+    kind = _ROADSIDE.get(tags.get("highway", ""), "sign" if "traffic_sign" in tags else "")
+    has_camera = tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole"
+    is_pole = has_camera or tags.get("man_made") in _POLES or tags.get("power") == "pole"
+    return kind or ("pole" if is_pole else "")
 
 
 def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
@@ -347,10 +338,8 @@ def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iter
     on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
     for part in shapely.get_parts(on_road):
         if isinstance(part, LineString) and part.length > _LEAST_M and part.distance(axis) < 1e-6:
-            is_along = walk.project(shapely.Point(part.coords[0])) <= walk.project(
-                shapely.Point(part.coords[-1])
-            )
-            yield part if is_along else part.reverse()
+            begin_m, end_m = (walk.project(shapely.Point(part.coords[at])) for at in (0, -1))
+            yield part if begin_m <= end_m else part.reverse()
 
 
 def _direction(line: LineString) -> FloatArray:
@@ -384,13 +373,10 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
         other, is_start = next(end for end in ends if end[0] != index)
         beyond = network.edges[other].points_m[1 if is_start else -2]
         before, after = (beyond, after) if at == 0 else (before, beyond)
-    steps = [
-        step / np.hypot(*step)
-        for step in (points[at] - before, after - points[at])
-        if np.hypot(*step) > 1e-6
-    ]
-    along = np.sum(steps, axis=0)
-    along = steps[0] if np.hypot(*along) < 1e-6 else along / np.hypot(*along)
+    steps = (points[at] - before, after - points[at])
+    ways = [unit(step) for step in steps if np.hypot(*step) > 1e-6]
+    along = np.sum(ways, axis=0)
+    along = ways[0] if np.hypot(*along) < 1e-6 else unit(along)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
     return np.asarray(points[at] + half_m * np.stack([-left, left]))
