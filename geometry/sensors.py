@@ -328,5 +328,4 @@ class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 @cache
 def load_limits() -> _Limits:
     """All of them."""
-    name = "limits.toml"
-    return read_data(__package__, name, _Limits)
+    return read_data(__package__, "limits.toml", _Limits)

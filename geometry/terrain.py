@@ -161,13 +161,9 @@ def standing_footprint(scene: Scene, index: int) -> Any:
 
 def houses_of(scene: Scene) -> Any:
     """Ground that buildings and walls cover: a shapely geometry, world frame, metres."""
-    return shapely.union_all(
-        [
-            standing_footprint(scene, index)
-            for index, thing in enumerate(scene.instances)
-            if thing.class_name in ("building", "wall")
-        ]
-    )
+    kinds = [thing.class_name for thing in scene.instances]
+    solid = [index for index, kind in enumerate(kinds) if kind in ("building", "wall")]
+    return shapely.union_all([standing_footprint(scene, index) for index in solid])
 
 
 def pitch_on_ground_deg(
@@ -184,9 +180,8 @@ def pitch_on_ground_deg(
         return np.zeros(position.shape[:-1])
     yaw = np.radians(np.asarray(yaw_deg, dtype=np.float64))
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    rise_m = terrain.at(position + front_m * ahead) - terrain.at(
-        position + (front_m - wheelbase_m) * ahead
-    )
+    front, rear = (position + at_m * ahead for at_m in (front_m, front_m - wheelbase_m))
+    rise_m = terrain.at(front) - terrain.at(rear)
     return np.degrees(np.arctan2(rise_m, wheelbase_m))
 
 
@@ -218,9 +213,8 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
     if np.isnan(height).all():  # points on a line, or a few: the ground next to them is as high
-        aside = (
-            0.5 * (line[1] - line[0]) * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
-        )
+        ways = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+        aside = 0.5 * (line[1] - line[0]) * ways
         height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
     if np.isnan(height).all():  # and none of them in the square
         height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)

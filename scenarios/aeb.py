@@ -133,8 +133,6 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
 
     It is at most 0, and minus infinity if even braking at the VUT's start does not help.
 
-    Notes
-    -----
     Swept, not solved: paths may bend, and contact may set in, vanish and set in again with later
     onsets. The sweep goes over onsets and times at once, coarsely where the bodies are far apart;
     see :func:`scenarios.encounters.find_first_touch`. An onset 10 microseconds later leads to
@@ -209,8 +207,6 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
 
     An onset at or after the impact, or none, leaves the VUT its speed.
 
-    Notes
-    -----
     Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
     come nearest in between: no shortcut of :func:`last_brake_time_s` is used. The first look at
     which they touch is narrowed down to 4 microseconds.

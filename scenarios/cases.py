@@ -371,8 +371,6 @@ def load_own_cases(path: str | Path) -> dict[str, Case]:
     cannot be read or has no case, a case has the name of one of the package's, or a field is
     missing or not of its kind.
 
-    Examples
-    --------
     A child that runs, met by cars at 30 and 40 km/h::
 
         [SCHOOL]

@@ -6,8 +6,6 @@ moment and straight on from there, each at its speed of that moment: what would 
 nobody had reacted. A pair that only passes near is replayed so that both are at the same time
 where their ways cross: the post-encroachment time is taken out.
 
-References
-----------
 .. [1] J. C. Hayward, "Near-miss determination through use of a scale of danger", 1972.
 .. [2] C. Hyden, "The development of a method for traffic safety evaluation: the Swedish Traffic
    Conflicts Technique", 1987.
@@ -99,7 +97,7 @@ def find_encounters(
     `ttc_s`, and others whose bodies come at most so near, `within_m`. Returned by vehicle, then by
     VRU, in the order of `tracks`; and how many cannot be replayed, by reasons.
 
-    Notes ----- Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
+    Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
     which they move. The least time to collision is looked for while the vehicle drives forwards,
     and until the bodies first touch: those who walk beside a car are thinner than these boxes.
     """
@@ -212,13 +210,9 @@ def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] |
     points = shapely.get_coordinates(shapely.intersection(*lines))
     if not len(points):
         return None
-    along = [along_m(way) for way in ways]
-    passed = np.array(
-        [
-            np.interp(line.project(shapely.points(points)), far, time_s)
-            for line, far in zip(lines, along, strict=True)
-        ]
-    )
+    at_m = [line.project(shapely.points(points)) for line in lines]
+    pairs = zip(at_m, map(along_m, ways), strict=True)
+    passed = np.array([np.interp(at, along, time_s) for at, along in pairs])
     first, second = passed[:, np.abs(passed[0] - passed[1]).argmin()].tolist()
     return first, second
 

@@ -131,8 +131,6 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     into the junction: its mouth, the origin of stations, is its end. Else its start. Raises
     InputError: the line has no length.
 
-    Notes
-    -----
     A map's lane is a chain of chords; driven as it is, a body would jump in yaw at every point. The
     course is the cubic smoothing spline [1]_ of the chain's points, taken every half metre, which
     minimises the sum of (distance to the chain)^2 + L^4 (second derivative)^2 along the line with
@@ -140,8 +138,6 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     and a corner of the chain is cut by 0.35 L times its angle (0.25 m for 20 degrees). Beyond both
     ends it goes straight on, in the direction that the lane has there.
 
-    References
-    ----------
     .. [1] C. H. Reinsch, "Smoothing by spline functions", 1967; scipy's make_smoothing_spline.
     """
     points = np.asarray(centreline_m, dtype=np.float64).reshape(-1, 2).tolist()
@@ -323,8 +319,6 @@ class Turn:
         Before the curve and behind its end the path is straight. The angle counts in degrees,
         counter-clockwise.
 
-        Notes
-        -----
         A clothoid that begins with a curvature is a piece of one that begins without; the points
         of that one are Fresnel's integrals.
         """
@@ -498,8 +492,6 @@ def follow_gently(
     leave each of them, > 0. `origin`: the lane at whose start its origin is; their number: where
     the last one ends.
 
-    Notes
-    -----
     The smoothing spline of :func:`follow_lane` with L = 16 m, whose points weigh more from round to
     round where it leaves the lanes farther than it may, and 5 m to both sides of there.
     """

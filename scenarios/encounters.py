@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import dist, isfinite
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from msgspec import Meta
@@ -84,8 +84,6 @@ class Encounter:
 
         `deceleration_mps2` is the most that the VUT brakes with.
 
-        Notes
-        -----
         A gap is n . d - r: d from middle to middle, the normal n turns with its body, the reach r
         of both bodies along n depends on the angle between them. Near means that d is at most
         three times the half diagonals of both together, and r once.
@@ -132,8 +130,7 @@ def first_contact_s(encounter: Encounter) -> float:
     return touch_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cells:
+class Cells(NamedTuple):
     """Rectangles in the plane of two times: the middle of each and half its size, (n,) each."""
 
     first_s: FloatArray
@@ -161,14 +158,11 @@ def find_first_touch(
     at, and `measure` must say of all small ones, by ``GRAZING_M``, that they do or do not touch:
     else the search might not end.
 
-    Notes
-    -----
     Branch and bound: a cell whose bodies are further apart than they can move within it holds no
     contact, so nothing is overlooked between two looks. The others are divided, the earliest
     first.
     """
-    pool = np.stack([cells.first_s, cells.second_s, cells.half_first_s, cells.half_second_s])
-    pool, touch_s = _look(pool, measure, np.inf)
+    pool, touch_s = _look(np.stack(cells), measure, np.inf)
     while pool.shape[1] > 0:
         begin = pool[0] - pool[2]
         safe_s = float(begin.min())
@@ -197,9 +191,7 @@ def _look(
     pool: FloatArray, measure: Callable[[Cells], Measures], touch_s: float
 ) -> tuple[FloatArray, float]:
     """Cells that may hold an earlier contact, as :func:`_divide` takes them; the earliest one."""
-    seen = measure(
-        Cells(first_s=pool[0], second_s=pool[1], half_first_s=pool[2], half_second_s=pool[3])
-    )
+    seen = measure(Cells(*pool[:4]))
     if seen.touches.any():
         touch_s = min(touch_s, float(pool[0][seen.touches].min()))
     kept = seen.may_touch & (pool[0] - pool[2] < touch_s)

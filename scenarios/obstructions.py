@@ -46,8 +46,6 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     Raises CannotCarryError: a body has no room; names it and what stands there. NoKerbError: lanes
     or the junction cover all places of the parked bodies.
 
-    Notes
-    -----
     Looked at with rays along the middle and both flanks of the ways, and around and across the
     parked bodies' footprints. A VRU passes next to a pole that stands on its line. What the map
     does not show does not stand in the way.
@@ -415,14 +413,8 @@ def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
 
 @cache
 def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
-    corners = np.array(
-        [
-            [x * length_m, y * thickness_m, z * height_m]
-            for z in (0.0, 1.0)
-            for y in (-0.5, 0.5)
-            for x in (-0.5, 0.5)
-        ]
-    )
+    unit = [[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
+    corners = np.array(unit) * [length_m, thickness_m, height_m]
     return Actor(
         name=f"wall {length_m:g} x {thickness_m:g} x {height_m:g} m",
         class_name="wall",
@@ -430,8 +422,4 @@ def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
         width_m=thickness_m,
         height_m=height_m,
         shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
-        cycle_m=0.0,
-        reference_ahead_m=0.0,
-        wheelbase_m=0.0,
-        front_axle_ahead_m=0.0,
     )

@@ -76,11 +76,9 @@ def load_placements() -> tuple[CasePlacement, ...]:
 
 def find_placement(scene_name: str, case: Case, approach: str) -> CasePlacement | None:
     """Where a case is driven from an approach of a scene; None if no file says."""
-    wanted = scene_name, case.name, approach
-    found = (
-        one for one in load_placements() if (one.scene_name, one.case.name, one.approach) == wanted
-    )
-    return next(found, None)
+    wanted, every = (scene_name, case.name, approach), load_placements()
+    keys = ((one.scene_name, one.case.name, one.approach) for one in every)
+    return next((one for one, key in zip(every, keys, strict=True) if key == wanted), None)
 
 
 def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Actor) -> Staging:

@@ -312,21 +312,16 @@ def mirror_staging(staging: Staging) -> Staging:
         replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
         for motion in (encounter.vut_motion, encounter.vru_motion)
     )
-    obstruction = tuple(
-        replace(
-            placed,
-            pose=Pose(
-                position_m=placed.pose.position_m * [1.0, -1.0, 1.0],
-                yaw_deg=-placed.pose.yaw_deg,
-                pitch_deg=placed.pose.pitch_deg,
-            ),
-        )
-        for placed in staging.obstruction
-    )
+
+    def turned_over(pose: Pose) -> Pose:
+        position_m = pose.position_m * [1.0, -1.0, 1.0]
+        return replace(pose, position_m=position_m, yaw_deg=-pose.yaw_deg)
+
+    obstruction = (replace(one, pose=turned_over(one.pose)) for one in staging.obstruction)
     return replace(
         staging,
         encounter=replace(encounter, vut_motion=vut_motion, vru_motion=vru_motion),
-        obstruction=obstruction,
+        obstruction=tuple(obstruction),
         aside=staging.aside * NORTH_TO_SOUTH,
         back=staging.back * NORTH_TO_SOUTH,
     )
