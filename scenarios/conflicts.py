@@ -6,6 +6,8 @@ moment and straight on from there, each at its speed of that moment: what would 
 nobody had reacted. A pair that only passes near is replayed so that both are at the same time
 where their ways cross: the post-encroachment time is taken out.
 
+References
+----------
 .. [1] J. C. Hayward, "Near-miss determination through use of a scale of danger", 1972.
 .. [2] C. Hyden, "The development of a method for traffic safety evaluation: the Swedish Traffic
    Conflicts Technique", 1987.

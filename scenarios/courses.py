@@ -138,6 +138,8 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     and a corner of the chain is cut by 0.35 L times its angle (0.25 m for 20 degrees). Beyond both
     ends it goes straight on, in the direction that the lane has there.
 
+    References
+    ----------
     .. [1] C. H. Reinsch, "Smoothing by spline functions", 1967; scipy's make_smoothing_spline.
     """
     points = np.asarray(centreline_m, dtype=np.float64).reshape(-1, 2).tolist()

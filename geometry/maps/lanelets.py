@@ -321,6 +321,8 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
 
     Raises InputError if the file cannot be read, or has no lanelet for cars.
 
+    References
+    ----------
     .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC 2018, and
        ``lanelet2_core/doc/LaneletPrimitives.md`` in its repository.
     """
@@ -440,6 +442,8 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     Its traffic lights and signs become poles; its obstacles are left out: they drive in one
     scenario. Raises InputError if the file cannot be read, or has no lanelet for cars.
 
+    References
+    ----------
     .. [1] M. Althoff, M. Koschi, S. Manzinger, "CommonRoad: Composable benchmarks for motion
        planning on roads", IV 2017, and the documentation of its XML format, 2020a.
     """
