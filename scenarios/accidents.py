@@ -245,10 +245,8 @@ def _collision(
             event = rules.on_foot.get(walkers[0]["movement"], "")
         return "on foot", event, "" if event else unknown
     types = {"bicycle": rules.bicycles, "motorcycle": rules.motorcycles, "car": rules.cars}
-    kinds = {
-        user: [one for one in drivers.values() if one["type"] in known]
-        for user, known in types.items()
-    }
+    every = list(drivers.values())
+    kinds = {user: [one for one in every if one["type"] in types[user]] for user in types}
     if not kinds["car"]:
         return "car", "", "without a car"
     if len(drivers) != 2:

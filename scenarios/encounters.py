@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from math import dist, isfinite
 from typing import Annotated, NamedTuple
@@ -11,7 +12,7 @@ from msgspec import Meta
 
 from geometry.actors import Actor, footprint_sizes
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_field
 from geometry.footprints import FootprintSizes, gaps_between
 
 from .courses import follow_way
@@ -41,11 +42,10 @@ class Encounter:
     _sizes: FootprintSizes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if got := self.vut_motion.acceleration_distance_m:
-            expected = "0: the VUT is up to speed when it sets off"
-            raise InputError("encounter.vut_motion.acceleration_distance_m", got, expected)
-        if self.vut_motion.speed_mps == 0.0:
-            raise InputError("encounter.vut_motion.speed_mps", 0.0, "> 0: the VUT drives")
+        check = partial(check_field, vut := self.vut_motion, "encounter.vut_motion")
+        is_steady = vut.acceleration_distance_m == 0.0
+        check("acceleration_distance_m", is_steady, "0: the VUT is up to speed when it sets off")
+        check("speed_mps", vut.speed_mps != 0.0, "> 0: the VUT drives")
         object.__setattr__(self, "_sizes", footprint_sizes(self.vut, self.vru))
 
     def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
@@ -122,10 +122,8 @@ def first_contact_s(encounter: Encounter) -> float:
     after_s = np.expm1(np.arange(n_cells + 1) * np.log1p(_STEP_GROWTH))
     edges = min(vut.start_time_s, vru.start_time_s) + after_s * (_FIRST_STEP_S / _STEP_GROWTH)
     middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
-    nothing = np.zeros(n_cells)
-    cells = Cells(
-        first_s=middle, second_s=nothing, half_first_s=0.5 * np.diff(edges), half_second_s=nothing
-    )
+    half, nothing = 0.5 * np.diff(edges), np.zeros(n_cells)
+    cells = Cells(first_s=middle, second_s=nothing, half_first_s=half, half_second_s=nothing)
     _, touch_s = find_first_touch(cells, measure, tolerance_s=_CONTACT_TOLERANCE_S)
     return touch_s
 
@@ -253,10 +251,11 @@ class RecordedEncounter:
         early_s = first_contact_s(found)
         if not abs(early_s) <= _MAX_EARLY_S:
             return None
-        vut_motion, vru_motion = (
-            replace(motion, start_time_s=motion.start_time_s - early_s)
-            for motion in (found.vut_motion, found.vru_motion)
-        )
+
+        def later(motion: Motion) -> Motion:
+            return replace(motion, start_time_s=motion.start_time_s - early_s)
+
+        vut_motion, vru_motion = later(found.vut_motion), later(found.vru_motion)
         return replace(found, vut_motion=vut_motion, vru_motion=vru_motion)
 
 
@@ -264,6 +263,5 @@ def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
     course = follow_way(way.points_m, way.yaw_deg)
     start_m = course.station_of(way.points_m[0]) if speed_mps > 0.0 else 0.0
     start_s = way.end_s + start_m / speed_mps if speed_mps > 0.0 else -known_s
-    return Motion(
-        path=CoursePath(course=course, start_m=start_m), speed_mps=speed_mps, start_time_s=start_s
-    )
+    path = CoursePath(course=course, start_m=start_m)
+    return Motion(path=path, speed_mps=speed_mps, start_time_s=start_s)

@@ -69,11 +69,11 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     if not (aside_m or back_m):
         return staging
     east, north = aside_m * staging.aside + back_m * staging.back
-    obstruction = tuple(
-        replace(body, pose=replace(body.pose, position_m=body.pose.position_m + [east, north, 0.0]))
-        for body in staging.obstruction
-    )
-    return replace(staging, obstruction=obstruction)
+    moved = []
+    for body in staging.obstruction:
+        position_m = body.pose.position_m + [east, north, 0.0]
+        moved.append(replace(body, pose=replace(body.pose, position_m=position_m)))
+    return replace(staging, obstruction=tuple(moved))
 
 
 def is_way_free(
@@ -341,9 +341,8 @@ def park(
     front bumper; `side` is +1 to the left of it, -1 to the right.
     """
     line = row_way.direction(bumper_m)
-    left_m = {
-        actor: side * (obstruction.side_gap_m + 0.5 * actor.width_m) for actor in obstruction.bodies
-    }
+    gap_m, bodies = obstruction.side_gap_m, obstruction.bodies
+    left_m = {actor: side * (gap_m + 0.5 * actor.width_m) for actor in bodies}
     return Staging(
         encounter=encounter,
         obstruction=_row(obstruction, row_way, bumper_m, left_m),

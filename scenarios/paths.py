@@ -1,7 +1,7 @@
 """Paths on the road plane and motion along them."""
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import sin
 from typing import ClassVar, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, freeze, set_arrays
-from geometry.errors import InputError
+from geometry.errors import InputError, check_field
 
 from .courses import Course, Turn
 
@@ -259,17 +259,15 @@ class Motion:
     def __post_init__(self) -> None:
         if self.speed_mps != 0.0 or self.acceleration_distance_m != 0.0:
             _check_speed(self.speed_mps, self.acceleration_distance_m, "motion.")
-        if not np.isfinite(self.start_time_s):
-            raise InputError("motion.start_time_s", self.start_time_s, "a finite time")
+        check = partial(check_field, self, "motion")
+        check("start_time_s", bool(np.isfinite(self.start_time_s)), "a finite time")
         if np.isposinf(self.brake_time_s):
             return
-        if not 0.0 < self.deceleration_mps2 < np.inf:
-            raise InputError("motion.deceleration_mps2", self.deceleration_mps2, "> 0 m/s^2")
-        if not 0.0 <= self.final_speed_mps < self.speed_mps:
-            raise InputError("motion.final_speed_mps", self.final_speed_mps, "0 <= it < speed_mps")
-        up_to_speed_s = self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
-        if not up_to_speed_s <= self.brake_time_s:  # nor is it NaN
-            raise InputError("motion.brake_time_s", self.brake_time_s, f"from {up_to_speed_s:g} on")
+        check("deceleration_mps2", 0.0 < self.deceleration_mps2 < np.inf, "> 0 m/s^2")
+        is_slower = 0.0 <= self.final_speed_mps < self.speed_mps
+        check("final_speed_mps", is_slower, "0 <= it < speed_mps")
+        begin_s = self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
+        check("brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on")  # nor NaN
 
     @property
     def acceleration_mps2(self) -> float:
@@ -298,9 +296,8 @@ class Motion:
             return self.speed_mps * moving_s
         up_to_speed_s = 2.0 * self.acceleration_distance_m / self.speed_mps
         gaining_s = np.minimum(moving_s, up_to_speed_s)
-        return self.acceleration_distance_m * (gaining_s / up_to_speed_s) ** 2 + self.speed_mps * (
-            moving_s - gaining_s
-        )
+        gained_m = self.acceleration_distance_m * (gaining_s / up_to_speed_s) ** 2
+        return gained_m + self.speed_mps * (moving_s - gaining_s)
 
 
 def travel_time_s(

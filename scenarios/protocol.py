@@ -12,6 +12,7 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
+from geometry.scene import Turn as Movement
 
 from . import staging, ways
 from .cases import Case
@@ -440,9 +441,8 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
         turn = pick_turn(asked.case.turn, asked.vut_speed_kmh)
     except InputError as error:
         raise CannotCarryError(str(error)) from None
-    joined = ways.joints(
-        junction, asked.arm, target, "left" if asked.case.turn == "far" else "right"
-    )
+    movement: Movement = "left" if asked.case.turn == "far" else "right"
+    joined = ways.joints(junction, asked.arm, target, movement)
     found = [(junction.followed(before), connection, after) for before, connection, after in joined]
     lines: list[Callable[[], ways.Turning]] = [
         partial(ways.along_connection, before, connection, after, vut)
@@ -506,9 +506,8 @@ def _lay_turn_across(asked: _Asked, turn: Callable[[], ways.Turning], across: _L
     """
     case, vut, turning, vru_way = asked.case, asked.vut, turn(), across().way
     path = turning.path_with(0.0)
-    crossing_m, vru_m = staging.find_crossing(
-        vut, path, vru_way.tangent, turning.turn_m + vut.length_m
-    )
+    search_m = turning.turn_m + vut.length_m
+    crossing_m, vru_m = staging.find_crossing(vut, path, vru_way.tangent, search_m)
     short_m = case.vru.width_m / np.sqrt(2.0) if case.meets_corner else 0.0
     vut_distance_m = crossing_m - (0.5 * vut.length_m - vut.front_axle_ahead_m) - short_m
     vru_s = _travel_s(case, _travel_m(case, 0.0))

@@ -165,10 +165,8 @@ def set_off(
     """
     braking = {}
     if case.braking is not None:
-        braking = {
-            "deceleration_mps2": case.braking.deceleration_mps2,
-            "final_speed_mps": case.braking.final_speed_kmh * MPS_PER_KMH,
-        }
+        braking["deceleration_mps2"] = case.braking.deceleration_mps2
+        braking["final_speed_mps"] = case.braking.final_speed_kmh * MPS_PER_KMH
 
     def later(seconds: float) -> Encounter:
         return Encounter(
@@ -308,15 +306,15 @@ def mirror_staging(staging: Staging) -> Staging:
     side of a parked car stays.
     """
     encounter = staging.encounter
-    vut_motion, vru_motion = (
-        replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
-        for motion in (encounter.vut_motion, encounter.vru_motion)
-    )
+
+    def in_mirror(motion: Motion) -> Motion:
+        return replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
 
     def turned_over(pose: Pose) -> Pose:
         position_m = pose.position_m * [1.0, -1.0, 1.0]
         return replace(pose, position_m=position_m, yaw_deg=-pose.yaw_deg)
 
+    vut_motion, vru_motion = in_mirror(encounter.vut_motion), in_mirror(encounter.vru_motion)
     obstruction = (replace(one, pose=turned_over(one.pose)) for one in staging.obstruction)
     return replace(
         staging,

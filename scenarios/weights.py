@@ -122,10 +122,9 @@ def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
     of_case = [run for run in runs if run.case.name == row["case"]]
     if not of_case:
         return "a case that is driven: " + ", ".join(dict.fromkeys(run.case.name for run in runs))
-    ways = ", ".join(
-        dict.fromkeys(f"{run.approach} at {run.position} by {run.weather}" for run in of_case)
-    )
-    return f"an approach, position and weather in which {row['case']} is driven: {ways}"
+    ways = [f"{run.approach} at {run.position} by {run.weather}" for run in of_case]
+    known = ", ".join(dict.fromkeys(ways))
+    return f"an approach, position and weather in which {row['case']} is driven: {known}"
 
 
 # ---------- weights by Euro NCAP's points of 2026; needs the extra `rating`
@@ -411,10 +410,8 @@ def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> 
     n_positions = Counter(key[:2] for key in n_runs)
     asked = {(one.case.name, one.approach) for one in refused} | set(n_positions)
     n_approaches = Counter(case for case, _ in asked)
-    weight = np.array(
-        [1.0 / (n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key]) for key in keys]
-    )
-    return _shares(weight)
+    alike = [n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key] for key in keys]
+    return _shares(1.0 / np.array(alike))
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:

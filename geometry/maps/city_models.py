@@ -92,20 +92,14 @@ def read_cityjson(path: Path) -> SourceMap:
     scale, translate = _transform(head.get("transform"), where)
     templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
-        with np.errstate(over="ignore"):  # city_map refuses what is not finite
+        with np.errstate(over="ignore"):  # _city_map refuses what is not finite
             corners = _vectors(document.get("vertices", []), f"{where}: vertices")
             vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
-    return city_map(
-        objects,
-        name=path.name,
-        where=where,
-        declared_crs=crs if isinstance(crs, str) else "",
-        follows_authority=False,  # CityJSON has easting first, whatever the reference system says
-        skipped=skipped,
-    )
+    # Easting comes first, whatever the reference system says.
+    return _city_map(path, objects, skipped, crs if isinstance(crs, str) else "", by_axes=False)
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
@@ -172,10 +166,9 @@ class _Templates:
         template, here = self.templates[index], f"{self.where}.templates[{index}]"
         if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
             refuse(here, "no geometry", "one")
-        return [
-            [ring @ matrix[:3, :3].T + matrix[:3, 3] + vertices[anchor[0]] for ring in polygon]
-            for polygon in _polygons(template, self.vertices, here)
-        ]
+        turn, shift, foot = matrix[:3, :3].T, matrix[:3, 3], vertices[anchor[0]]
+        polygons = _polygons(template, self.vertices, here)
+        return [[ring @ turn + shift + foot for ring in polygon] for polygon in polygons]
 
 
 def _objects(
@@ -292,16 +285,19 @@ def _is_index(value: Any, n: int) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < n
 
 
-def city_map(
+def _city_map(
+    path: Path,
     objects: Sequence[CityObject],
-    *,
-    name: str,
-    where: str,
-    declared_crs: str,
-    follows_authority: bool,
     skipped: Sequence[Note],
+    declared_crs: str,
+    *,
+    by_axes: bool,
 ) -> SourceMap:
-    """Build a map from the objects of a city model; InputError: nothing solid, or too much."""
+    """Map of the objects of a city model, whose axes may be in the order of its reference system.
+
+    Raises InputError: nothing solid, or too much.
+    """
+    where = str(path)
     objects = [item for item in objects if item.polygons]
     if not objects:
         expected = "objects of level of detail 0 to 3" + _said(skipped)
@@ -310,9 +306,7 @@ def city_map(
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
         refuse(where, "a coordinate that is not finite", "finite numbers")
-    place = georeference(
-        points[:, :2], declared_crs, where=where, follows_authority=follows_authority
-    )
+    place = georeference(points[:, :2], declared_crs, where=where, follows_authority=by_axes)
     points = place.to_metres(points, where)
     in_metres = iter(np.split(points, np.cumsum([len(ring) for ring in rings])[:-1]))
     things: list[Thing] = []
@@ -333,7 +327,7 @@ def city_map(
     if not things:
         refuse(where, "no surface with an area", "buildings" + _said(flat))
     return SourceMap(
-        name=name,
+        name=path.name,
         crs=place.crs,
         source_crs=place.source_crs,
         heights="absolute",
@@ -388,14 +382,7 @@ def read_citygml(path: Path) -> SourceMap:
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3 in this file")
     declared, follows_authority = _reference_system(root, where)
-    return city_map(
-        objects,
-        name=path.name,
-        where=where,
-        declared_crs=declared,
-        follows_authority=follows_authority,
-        skipped=skipped,
-    )
+    return _city_map(path, objects, skipped, declared, by_axes=follows_authority)
 
 
 class _Document:
@@ -431,9 +418,8 @@ class _Document:
             key=lambda one: (_rank(one[0]), one[1]),
             default=(-1, -1),
         )
-        has_parts = any(
-            local_name(part) in CLASS_OF_TYPE and part is not feature for part in feature.iter()
-        )
+        parts = (part for part in feature.iter() if part is not feature)
+        has_parts = any(local_name(part) in CLASS_OF_TYPE for part in parts)
         if level < 0 or (level == 0 and has_parts):
             if not has_parts:
                 empty[type_name] += 1

@@ -276,9 +276,8 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
 
 
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
-    geometry = shapely.transform(
-        shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
-    )
+    flat, where = shapely.force_2d(feature.geometry), feature.where
+    geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
     parts = parts_of(geometry)
     if not any(part.geom_type == "Polygon" for part in parts):
         style = {"cap_style": "flat", "join_style": "mitre"}

@@ -62,9 +62,8 @@ class Lanelet:
     @property
     def polygon(self) -> Any:
         """Its ground."""
-        return shapely.make_valid(
-            shapely.Polygon(np.concatenate([self.left_m[:, :2], self.right_m[::-1, :2]]))
-        )
+        ring_m = np.concatenate([self.left_m[:, :2], self.right_m[::-1, :2]])
+        return shapely.make_valid(shapely.Polygon(ring_m))
 
     @property
     def edges_m(self) -> FloatArray:
@@ -211,16 +210,12 @@ def _lanes(
                 break
             chain.append(following)
             done.add(following)
-        ends = [
-            next((junction_of[one] for one in some if one in junction_of), "")
-            for some in (before[start], follows[chain[-1]])
-        ]
-        yield _map_lane(
-            [roads[one] for one in chain],
-            roads[start].id,
-            from_junction=ends[0],
-            to_junction=ends[1],
+        ends = (before[start], follows[chain[-1]])
+        begin, end = (
+            next((junction_of[one] for one in some if one in junction_of), "") for some in ends
         )
+        pieces = [roads[one] for one in chain]
+        yield _map_lane(pieces, roads[start].id, from_junction=begin, to_junction=end)
 
 
 def _connections(

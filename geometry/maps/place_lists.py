@@ -374,9 +374,8 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
         got = f"coordinates in {table.crs[:80] or 'an unknown system'}"
         refuse(feature.where, got, "a map that says where on earth it lies: `crs`")
     declared = _declared_crs(table, feature.where)
-    moved: BaseGeometry = shapely.transform(
-        shapely.force_2d(feature.geometry), lambda points: transform(points, declared.to_wkt(), crs)
-    )
+    flat, own_crs = shapely.force_2d(feature.geometry), declared.to_wkt()
+    moved: BaseGeometry = shapely.transform(flat, lambda points: transform(points, own_crs, crs))
     if not np.isfinite(shapely.get_coordinates(moved)).all():
         refuse(feature.where, "a place that is nowhere", f"places in {crs}")
     return moved

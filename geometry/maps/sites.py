@@ -158,10 +158,8 @@ def tidy_sites(
         raise InputError("snap_m", snap_m, "metres, at least 0")
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
-    reasons = {
-        index: f"inside {thing.class_name} {thing.id}"
-        for index, thing in _things_over(positions, buildings).items()
-    }
+    around = _things_over(positions, buildings)
+    reasons = {at: f"inside {thing.class_name} {thing.id}" for at, thing in around.items()}
     left = [index for index in range(len(sites)) if index not in reasons]
     kept: list[int] = []
     for index in sorted(left, key=lambda index: (-sites[index].n_said, index)):
@@ -349,10 +347,8 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> lis
 def _listed(
     path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float, notes: list[Note]
 ) -> list[SiteWish]:
-    every = [
-        replace(wish, position_m=surroundings.frame.take(wish.position_m, roads))
-        for wish in read_sites(path, crs=roads.crs)
-    ]
+    listed, frame = read_sites(path, crs=roads.crs), surroundings.frame
+    every = [replace(wish, position_m=frame.take(wish.position_m, roads)) for wish in listed]
     wishes = [wish for wish in every if np.hypot(*wish.position_m) <= radius_m]
     if n_far := len(every) - len(wishes):
         why = f"farther than {radius_m:g} m from the junction"
@@ -506,9 +502,8 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
     notes: list[Note] = []
     for pole, place in placed:
         what = f"{pole.kind} {pole.id}"
-        away_m = {
-            mast.id: float(np.hypot(*(mast.position_m - pole.position_m)[:2])) for mast in masts
-        }
+        offsets_m = {mast.id: (mast.position_m - pole.position_m)[:2] for mast in masts}
+        away_m = {name: float(np.hypot(*offset_m)) for name, offset_m in offsets_m.items()}
         mast = min(away_m, key=away_m.__getitem__, default="")
         hangs = bool(place.why) and pole.kind in ("traffic light", "sign")
         if hangs and mast and away_m[mast] <= _MAST_ARM_M:

@@ -148,9 +148,8 @@ def extrude(
     parts = polygons_of(shape, above_m2=_MIN_FOOTPRINT_M2)
     if not parts:
         refuse(where, "an outline without area", "a footprint")
-    solids = [
-        trimesh.creation.extrude_polygon(part, top_m - bottom_m, engine="earcut") for part in parts
-    ]
+    extruded = trimesh.creation.extrude_polygon
+    solids = [extruded(part, top_m - bottom_m, engine="earcut") for part in parts]
     vertices, triangles = join([(solid.vertices, solid.faces) for solid in solids])
     return vertices + [0.0, 0.0, bottom_m], triangles
 
@@ -461,9 +460,8 @@ def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
     kind = load_pole_kinds()[pole.kind]
     height_m = pole.height_m or kind.height_m
     foot = np.append(pole.position_m[:2], 0.0)
-    body = trimesh.creation.cylinder(
-        radius=kind.radius_m, segment=[foot, foot + [0.0, 0.0, height_m]], sections=_SECTIONS
-    )
+    ends = [foot, foot + [0.0, 0.0, height_m]]
+    body = trimesh.creation.cylinder(radius=kind.radius_m, segment=ends, sections=_SECTIONS)
     class_name = "traffic light" if pole.kind == "traffic light" else "lamp post"
     return class_name, (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
 

@@ -78,9 +78,8 @@ def read_opendrive(path: Path) -> SourceMap:
             omissions.add("junctions", f"junction {one.id}", why)
             junctions = [other for other in junctions if other is not one]
     found = read_objects(roads, omissions)
-    lanes += [
-        lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)
-    ]
+    for road_id, spaces in found.spaces.items():
+        lanes += build_rows(roads[road_id], spaces)
     poles, painted = read_signals(roads, sampled, offset, omissions)
     crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
     for element in root.iter("include"):

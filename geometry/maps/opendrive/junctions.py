@@ -127,9 +127,8 @@ def _leading_road(road: Road, section: SampledSection, is_start: bool) -> Leadin
     ]
     if not lanes:
         return None
-    n_following = sum(
-        ((lane.record.number < 0) != road.keeps_left) != lane.record.is_reversed for lane in lanes
-    )
+    records = [lane.record for lane in lanes]
+    n_following = sum(((one.number < 0) != road.keeps_left) != one.is_reversed for one in records)
     edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
     middle_m = 0.5 * (min(edges_m) + max(edges_m))
     ahead_m = min(_AHEAD_M, road.length_m)

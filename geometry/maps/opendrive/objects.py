@@ -430,9 +430,8 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
         return list(poles)
     positions = np.array([pole.position_m[:2] for pole in poles])
     # First those at the very same place: of thousands there, every pair would count.
-    _, first, cell = np.unique(
-        np.round(positions / _CELL_M), axis=0, return_index=True, return_inverse=True
-    )
+    cells = np.round(positions / _CELL_M)
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     tree = cKDTree(positions[first])
     pairs = tree.query_pairs(load_facts()["signals"]["same_pole_m"], output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2)

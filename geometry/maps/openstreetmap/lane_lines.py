@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -46,10 +47,8 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
 
 def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
     street = reach.street
-    spans = [
-        (max(low, reach.begin_m), min(high, reach.end_m))
-        for low, high in zip(street.breaks_m[:-1], street.breaks_m[1:], strict=True)
-    ]
+    breaks = pairwise(street.breaks_m)
+    spans = [(max(low, reach.begin_m), min(high, reach.end_m)) for low, high in breaks]
     parts = [index for index, (low, high) in enumerate(spans) if high - low > 1e-3]
     parts, spans = _without_stubs(parts, spans, reach)
     open_pieces: dict[tuple[str, str, int], _Piece] = {}

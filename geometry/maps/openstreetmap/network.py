@@ -232,9 +232,8 @@ class CrossSection:
 
 def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSection:
     """Strips side by side along a road, a one-way one along its nodes; senseless tags are noted."""
-    left, right = (
-        roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
-    )
+    left = roadside_strips(tags, note, side="left", keeps_left=keeps_left)
+    right = roadside_strips(tags, note, side="right", keeps_left=keeps_left)
     counts = count_lanes(tags, note)
     beside_m = sum(width for _, width, _ in (*left[0], *right[0]))
     widths, counts = _lane_widths(tags, counts, beside_m, note)
@@ -602,9 +601,8 @@ class Street:
 
     def reversed(self) -> "Street":
         """Street from its end to its start."""
-        return replace(
-            self, parts=tuple((edge, not is_along) for edge, is_along in self.parts[::-1])
-        )
+        turned = ((edge, not is_along) for edge, is_along in self.parts[::-1])
+        return replace(self, parts=tuple(turned))
 
     def part_at(self, station_m: float) -> int:
         """Index of the part at a distance along the street."""

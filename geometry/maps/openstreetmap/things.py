@@ -159,7 +159,7 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
 
 
 # ---------- poles
-def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
+def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
     """Poles next to roads that could carry sensors; lamps without a pole are noted.
 
     Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
@@ -169,7 +169,7 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
     for reach in reaches:
         for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
             places[int(row)].append((reach, float(station_m)))
-    elements, poles = network.elements, []
+    elements = network.elements
     for row, tags in elements.node_tags.items():
         kind = _kind(tags)
         if not kind:
@@ -195,10 +195,7 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
             height_m = None
         for number, foot in enumerate(feet):
             name, position = numbered(f"n{node_id}", number), np.append(foot, 0.0)
-            poles.append(
-                Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
-            )
-    return tuple(poles)
+            yield Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
 
 
 def _kind(tags: Tags) -> str:
@@ -352,10 +349,8 @@ def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: fl
     begin, along = np.asarray(part.coords)[0, :2], _direction(part)
     reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
     ray = LineString([begin - reach_m * along, begin + reach_m * along])
-    stations = [
-        np.sort((shapely.get_coordinates(piece) - begin) @ along)
-        for piece in shapely.get_parts(shapely.intersection(ray, carriageway))
-    ]
+    pieces = shapely.get_parts(shapely.intersection(ray, carriageway))
+    stations = [np.sort((shapely.get_coordinates(piece) - begin) @ along) for piece in pieces]
     own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
     low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
     return begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
@@ -432,9 +427,7 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
     shapes = [make_valid(area.polygon) for area in outlines]
     part_shapes = [make_valid(area.polygon) for area in parts]
     tree = STRtree(shapes)
-    inside = tree.query(
-        [shapely.point_on_surface(shape) for shape in part_shapes], predicate="within"
-    )
+    inside = tree.query(shapely.point_on_surface(part_shapes), predicate="within")
     by_outline: dict[int, list[BaseGeometry]] = defaultdict(list)
     for part, outline in inside.T.tolist():
         by_outline[outline].append(part_shapes[part])
