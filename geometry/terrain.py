@@ -98,10 +98,8 @@ class Terrain:
         node = np.arange(n_rows * n_columns, dtype=np.int32).reshape(n_rows, n_columns)
         south_west, south_east = node[:-1, :-1].ravel(), node[:-1, 1:].ravel()
         north_west, north_east = node[1:, :-1].ravel(), node[1:, 1:].ravel()
-        triangles = np.stack(
-            [south_west, south_east, north_east, south_west, north_east, north_west], axis=1
-        )
-        return vertices, triangles.reshape(-1, 3)
+        corners = [south_west, south_east, north_east, south_west, north_east, north_west]
+        return vertices, np.stack(corners, axis=1).reshape(-1, 3)
 
 
 def _cell(lines_m: FloatArray, values_m: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
@@ -121,10 +119,9 @@ def terrain_of(scene: Scene) -> Terrain | None:
     east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
     north_m, row = np.unique(nodes[:, 1].round(_GRID_DECIMALS), return_inverse=True)
     order = np.lexsort((column, row))
-    is_grid = len(nodes) == len(east_m) * len(north_m) and np.array_equal(
-        row[order] * len(east_m) + column[order], np.arange(len(nodes))
-    )
-    if not is_grid:
+    number = row[order] * len(east_m) + column[order]
+    is_full = len(nodes) == len(east_m) * len(north_m)
+    if not (is_full and np.array_equal(number, np.arange(len(nodes)))):
         expected = "a plane z = 0, or heights on a grid, as imported scenes have them"
         refuse(f"{scene.name}: ground", f"{len(nodes)} nodes that are no grid", expected)
     height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
@@ -190,12 +187,9 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
     terrain = terrain_of(scene)
     if terrain is None:
         return tuple(bodies)
-    return tuple(
-        replace(
-            body, pose=replace(body.pose, position_m=on_ground(body.pose.position_m[:2], terrain))
-        )
-        for body in bodies
-    )
+    feet_m = [on_ground(body.pose.position_m[:2], terrain) for body in bodies]
+    poses = [replace(one.pose, position_m=m) for one, m in zip(bodies, feet_m, strict=True)]
+    return tuple(replace(body, pose=pose) for body, pose in zip(bodies, poses, strict=True))
 
 
 def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:

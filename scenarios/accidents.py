@@ -112,10 +112,8 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
     """Great circles from places to one place (haversine), (n,)."""
     latitude, longitude = np.radians(places_deg).T
     here_latitude, here_longitude = np.radians(place_deg)
-    chord = (
-        np.sin(0.5 * (latitude - here_latitude)) ** 2
-        + np.cos(latitude) * np.cos(here_latitude) * np.sin(0.5 * (longitude - here_longitude)) ** 2
-    )
+    up, across = 0.5 * (latitude - here_latitude), 0.5 * (longitude - here_longitude)
+    chord = np.sin(up) ** 2 + np.cos(latitude) * np.cos(here_latitude) * np.sin(across) ** 2
     return np.asarray(2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0))))
 
 
@@ -190,14 +188,8 @@ def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
             unused = "with several kinds of road users"
         elif not event:
             unused = rules.unused.get(code, f"of an unknown type (UTYP1 {code[:8]})")
-        what.append(
-            Accident(
-                road_user=users[0] if users else "car",
-                event=event,
-                light=rules.light.get(row["light"], ""),
-                unused=unused,
-            )
-        )
+        user, light = users[0] if users else "car", rules.light.get(row["light"], "")
+        what.append(Accident(road_user=user, event=event, light=light, unused=unused))
     return places, what
 
 

@@ -172,9 +172,8 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         counts = (since_onset >= 0.0) & (since_onset <= standstill + TIME_TOLERANCE_S)
         touches = ((separation <= 0.0) & counts).any(axis=0)
         touches |= may_touch & (onset_moves + speed * half_time <= GRAZING_M)
-        return Measures(
-            may_touch=may_touch, touches=touches, is_cut_along_first=onset_moves >= mean - lowest
-        )
+        by_onset = onset_moves >= mean - lowest
+        return Measures(may_touch=may_touch, touches=touches, is_cut_along_first=by_onset)
 
     n_onsets = int(-start / _ONSET_STEP_S) + 1
     step = -start / n_onsets

@@ -107,12 +107,9 @@ class Course:
 
     def between(self, begin_m: float, end_m: float) -> "Course":
         """The part between two stations; it goes straight on from there."""
-        first, last = self._index(begin_m), self._index(end_m) + 1
-        return _course(
-            self.begin_m + _STEP_M * first,
-            self.points_m[first : last + 1],
-            self.yaw_rad[first : last + 1],
-        )
+        first = self._index(begin_m)
+        part = slice(first, self._index(end_m) + 2)
+        return _course(self.begin_m + _STEP_M * first, self.points_m[part], self.yaw_rad[part])
 
     def _index(self, station_m: float) -> int:
         last = len(self.points_m) - 2
@@ -183,9 +180,8 @@ def _follow(
 def _led_on(chain_m: FloatArray) -> FloatArray:
     """A chain that goes straight on beyond both its ends."""
     ahead, behind = _end_direction(chain_m), _end_direction(chain_m[::-1])
-    return np.concatenate(
-        [chain_m[:1] + _BEYOND_M * behind, chain_m, chain_m[-1:] + _BEYOND_M * ahead]
-    )
+    begin, end = chain_m[:1] + _BEYOND_M * behind, chain_m[-1:] + _BEYOND_M * ahead
+    return np.concatenate([begin, chain_m, end])
 
 
 def _smoothed(

@@ -63,11 +63,8 @@ def load_placements() -> tuple[CasePlacement, ...]:
     """Where the study's cases are driven at its junction, from ``data/town05_runs.toml``."""
     where = "town05_runs.toml"
     table = read_table(load_data(__package__, where), _File, where)
-    parked = tuple(
-        body
-        for index, row in enumerate(table.parked_rows)
-        for body in row.bodies(f"{where}: parked_rows[{index}]")
-    )
+    rows = enumerate(table.parked_rows)
+    parked = tuple(one for at, row in rows for one in row.bodies(f"{where}: parked_rows[{at}]"))
     return tuple(
         _build_placement(entry, f"{where}: placements[{index}]", table.scene, parked)
         for index, entry in enumerate(table.placements)

@@ -180,9 +180,8 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
         if score.name not in TOTAL_SCORES:
             got = Unquoted(f"{score.name!r}, unknown to the installed {RATING}")
             raise InputError(f"{where}: scores[{index}]", got, "a score of it")
-        points[score.cases, score.weather] = float(
-            sum(part or 0.0 for part in TOTAL_SCORES[score.name].values())
-        )
+        parts = TOTAL_SCORES[score.name].values()
+        points[score.cases, score.weather] = float(sum(part or 0.0 for part in parts))
     return points
 
 

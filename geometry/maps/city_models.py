@@ -374,11 +374,8 @@ def read_citygml(path: Path) -> SourceMap:
     document = _Document(where, root)
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
-    objects = [
-        item
-        for feature in document.features(left_out)
-        if (item := document.city_object(feature, empty)) is not None
-    ]
+    found = (document.city_object(feature, empty) for feature in document.features(left_out))
+    objects = [item for item in found if item is not None]
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3 in this file")
     declared, follows_authority = _reference_system(root, where)
@@ -413,11 +410,8 @@ class _Document:
         """An object with its own surfaces, without those of its parts."""
         type_name = local_name(feature)
         shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
-        level, kind = max(
-            ((level, rank) for level, rank, _ in shapes),
-            key=lambda one: (_rank(one[0]), one[1]),
-            default=(-1, -1),
-        )
+        ranks = [(level, rank) for level, rank, _ in shapes]
+        level, kind = max(ranks, key=lambda one: (_rank(one[0]), one[1]), default=(-1, -1))
         parts = (part for part in feature.iter() if part is not feature)
         has_parts = any(local_name(part) in CLASS_OF_TYPE for part in parts)
         if level < 0 or (level == 0 and has_parts):

@@ -226,10 +226,9 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     if not table.features:
         refuse(where, "an empty layer", "footprints")
     left_out: Counter[str] = Counter()
+    kinds = [_kind(feature, class_name, left_out) for feature in table.features]
     solid = [
-        (feature, kind)
-        for feature in table.features
-        if (kind := _kind(feature, class_name, left_out)) is not None
+        (one, kind) for one, kind in zip(table.features, kinds, strict=True) if kind is not None
     ]
     if not solid:
         got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
@@ -240,9 +239,8 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     failed: list[Note] = []
     ids: Counter[str] = Counter()
     for feature, kind in solid:
-        wanted = next(
-            (str(feature.named[key]) for key in _WORDS["ids"] if key in feature.named), ""
-        )
+        named = feature.named
+        wanted = next((str(named[key]) for key in _WORDS["ids"] if key in named), "")
         thing_id = unique_id(wanted or feature.where.rpartition(": ")[2], ids)
         try:
             things.append(_raised(feature, kind, thing_id, place))
@@ -285,11 +283,8 @@ def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeferenc
         strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
         parts = [part for strip in strips for part in parts_of(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
-    pieces = [
-        extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=thing_id)
-        for part in parts
-        if part.geom_type == "Polygon" and not part.is_empty
-    ]
+    areas = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
+    pieces = [extrude_polygon(one, bottom_m=bottom_m, top_m=top_m, where=thing_id) for one in areas]
     if not pieces:
         refuse(thing_id, "no area", "a footprint")
     return Thing.of(thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed)

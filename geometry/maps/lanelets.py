@@ -149,9 +149,8 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
     for index in np.flatnonzero(is_wrong).tolist():
         why = "its left and right are exchanged: only so it leads from others, or to others"
         omissions.add("lanelets with exchanged sides", f"lanelet {roads[index].id}", why)
-    return [
-        other if wrong else one for one, other, wrong in zip(roads, turned, is_wrong, strict=True)
-    ]
+    every = zip(roads, turned, is_wrong, strict=True)
+    return [other if wrong else one for one, other, wrong in every]
 
 
 def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
@@ -463,16 +462,10 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         if any(len(bound) < 2 for bound in bounds):
             omissions.add("lanelets without bounds", f"lanelet {name}", "a bound has no points")
             continue
-        two_way = element.find("userBidirectional") is not None
-        lanelets.append(
-            _lanelet(
-                name,
-                *bounds,
-                kind=kind,
-                is_oneway=not two_way,
-                is_in_junction=name in crossing and kind == "driving",
-            )
-        )
+        one_way = element.find("userBidirectional") is None
+        inside = name in crossing and kind == "driving"
+        one = _lanelet(name, *bounds, kind=kind, is_oneway=one_way, is_in_junction=inside)
+        lanelets.append(one)
     poles = [
         Pole(id=f"{kind}-{one.get('id')}".replace(" ", "-"), kind=kind, position_m=place[0])
         for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign"))

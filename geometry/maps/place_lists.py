@@ -340,11 +340,10 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
     elif places is None:
-        fields = [known_columns(list(row), where) for where, row in rows]
-        places = [
-            read_position({known[name]: row[name] for name in known}, where, crs)
-            for (where, row), known in zip(rows, fields, strict=True)
-        ]
+        places = []
+        for where, row in rows:
+            known = known_columns(list(row), where)
+            places.append(read_position({known[one]: row[one] for one in known}, where, crs))
     positions = None if places is None else np.array(places).reshape(-1, 2)
     values = np.array(counts)
     return Counts(positions_m=positions, junctions=junctions, values=values, column=found)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -59,14 +60,9 @@ def read_opendrive(path: Path) -> SourceMap:
     sampled = _sample(roads)
     records = read_junction_records(root, where, omissions)
     ends = find_road_ends(roads, records, omissions)
-    lanes = join_stubs(
-        [
-            lane
-            for road in roads.values()
-            if road.junction == NO_JUNCTION
-            for lane in build_lanes(road, sampled[road.id], ends[road.id])
-        ]
-    )
+    outside = [road for road in roads.values() if road.junction == NO_JUNCTION]
+    pieces = (build_lanes(road, sampled[road.id], ends[road.id]) for road in outside)
+    lanes = join_stubs([*chain.from_iterable(pieces)])
     junctions, lanes = build_junctions(records, roads, sampled, lanes, omissions, where)
     leading = leading_roads(roads, ends, sampled)
     junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]

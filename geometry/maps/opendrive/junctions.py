@@ -120,11 +120,8 @@ def leading_roads(
 
 def _leading_road(road: Road, section: SampledSection, is_start: bool) -> LeadingRoad | None:
     index = 0 if is_start else -1
-    lanes = [
-        lane
-        for lane in section.lanes.values()
-        if lane_kind(lane.record.type) == "driving" and float(lane.width_m[index]) >= _MIN_LANE_M
-    ]
+    driving = [lane for lane in section.lanes.values() if lane_kind(lane.record.type) == "driving"]
+    lanes = [lane for lane in driving if float(lane.width_m[index]) >= _MIN_LANE_M]
     if not lanes:
         return None
     records = [lane.record for lane in lanes]
@@ -187,14 +184,9 @@ def build_junctions(
         points = np.concatenate([section.points_m for section in pieces])
         nearest = np.hypot(*(points[:, :2] - middle).T).argmin()
         streets = [roads[road].name for road in record.incoming if road in roads]
-        junctions.append(
-            MapJunction(
-                id=record.id,
-                name=record.name or " / ".join(dict.fromkeys(filter(None, streets))),
-                outline_m=outline,
-                height_m=float(points[nearest, 2]),
-            )
-        )
+        name = record.name or " / ".join(dict.fromkeys(filter(None, streets)))
+        height_m = float(points[nearest, 2])
+        junctions.append(MapJunction(id=record.id, name=name, outline_m=outline, height_m=height_m))
     there = {junction.id for junction in junctions}
 
     def known(lane: MapLane, name: str) -> str:

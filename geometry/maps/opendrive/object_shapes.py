@@ -209,13 +209,8 @@ def build_prism(
     """A solid over an outline (n, 2) with heights (n,) at its corners; level if that has holes."""
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
-        return extrude(
-            outline_m,
-            bottom_m=float(bottom_m.min()),
-            top_m=float(top_m.max()),
-            holes_m=holes_m,
-            where=where,
-        )
+        low_m, high_m = float(bottom_m.min()), float(top_m.max())
+        return extrude(outline_m, bottom_m=low_m, top_m=high_m, holes_m=holes_m, where=where)
     if not (top_m > bottom_m).any():
         raise InputError(f"{where}: height", float((top_m - bottom_m).max()), "metres, > 0")
     way = slice(None, None, 1 if shapely.LinearRing(outline_m).is_ccw else -1)
@@ -316,11 +311,8 @@ def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[Fl
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)
-    return [
-        hole
-        for hole in holes
-        if len(hole) > 2 and shape.intersects(shapely.Polygon(hole).representative_point())
-    ]
+    rings = [hole for hole in holes if len(hole) > 2]
+    return [one for one in rings if shape.intersects(shapely.Polygon(one).representative_point())]
 
 
 def _left_of(line_m: FloatArray) -> FloatArray:

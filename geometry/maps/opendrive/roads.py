@@ -455,10 +455,8 @@ def read_cross_sections(lateral: Element | None, where: str) -> CrossSections:
     if not any(value for pieces in rows.values() for row in pieces for value in row[1:]):
         rows.clear()
     stations = sorted(rows)
-    return CrossSections(
-        stations_m=np.array(stations, dtype=np.float64),
-        profiles=tuple(build_cubics(rows[station]) for station in stations),
-    )
+    profiles = tuple(build_cubics(rows[station]) for station in stations)
+    return CrossSections(stations_m=np.array(stations, dtype=np.float64), profiles=profiles)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -306,9 +306,8 @@ def _arms_by_cluster(
         key = tuple(tuple((edge.id, along) for edge, along in one.parts) for one in meeting)
         if key not in known:
             known[key] = [arm.mouth_m for arm in place_mouths(here, inside[number])]
-        arms[number] = [
-            replace(arm, mouth_m=mouth_m) for arm, mouth_m in zip(here, known[key], strict=True)
-        ]
+        placed = zip(here, known[key], strict=True)
+        arms[number] = [replace(arm, mouth_m=mouth_m) for arm, mouth_m in placed]
     return arms, inside
 
 
