@@ -131,11 +131,8 @@ def _bone_frames(
         turn = pick(turns_deg, take_text(bone, "turn", here), f"{here}.turn")
         joint = float_array(take_list(bone, "joint_m", here), (3,), f"{here}.joint_m")
         for side in _SIDES:
-            rotation, origin = pick(
-                {known: frame for (known, at), frame in frames.items() if at == side},
-                take_text(bone, "on", here),
-                f"{here}.on",
-            )
+            known = {bone_name: frame for (bone_name, at), frame in frames.items() if at == side}
+            rotation, origin = pick(known, take_text(bone, "on", here), f"{here}.on")
             # The left side does what the right side did half a cycle ago.
             angle_deg = turn[index if side < 0.0 else (index + _N_SHAPES // 2) % _N_SHAPES]
             place = origin + rotation @ (joint * [1.0, side, 1.0])

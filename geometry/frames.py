@@ -41,11 +41,8 @@ to_carla_yaw = from_carla_yaw
 
 def from_carla_pose(*, position_m: ArrayLike, yaw_deg: float, pitch_deg: float) -> Pose:
     """Pose from CARLA's frame to the world. Pitch is positive up in both."""
-    return Pose(
-        position_m=from_carla_points(position_m),
-        yaw_deg=float(from_carla_yaw(yaw_deg)),
-        pitch_deg=pitch_deg,
-    )
+    yaw_deg = float(from_carla_yaw(yaw_deg))
+    return Pose(position_m=from_carla_points(position_m), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
 
 
 def to_gltf_points(points_m: ArrayLike) -> FloatArray:

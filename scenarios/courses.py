@@ -85,13 +85,8 @@ class Course:
 
     def reversed(self) -> "Course":
         """Course driven the other way; the origin stays."""
-        return Course(
-            begin_m=-self.end_m,
-            points_m=freeze(self.points_m[::-1].copy()),
-            yaw_rad=freeze(self.yaw_rad[::-1] + np.pi),
-            max_bend_per_m=self.max_bend_per_m,
-            max_bend_change_per_m2=self.max_bend_change_per_m2,
-        )
+        points_m, yaw_rad = freeze(self.points_m[::-1].copy()), freeze(self.yaw_rad[::-1] + np.pi)
+        return replace(self, begin_m=-self.end_m, points_m=points_m, yaw_rad=yaw_rad)
 
     def crossings_m(self, line: Line) -> FloatArray:
         """Stations at which it crosses a straight line, ascending, (n,)."""

@@ -64,11 +64,8 @@ def stage_by_protocol(
     if case.kind == "turning":
         return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
-    places = (
-        _places_through(asked, position)
-        if position.is_behind or is_met_head_on
-        else _places_before(asked, position)
-    )
+    is_through = position.is_behind or is_met_head_on
+    places = (_places_through if is_through else _places_before)(asked, position)
     if _comes_through(case):
         return staging.first_that_fits(_crossings(asked, places), settle)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal

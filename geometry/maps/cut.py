@@ -220,12 +220,8 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
                 step = chain[1] - chain[0]
                 chain = np.array([chain[0], chain[0] + free_m * step / np.hypot(*step)])
             if free_m > _LEAST_ASSUMED_M:
-                yield Lane(
-                    id=f"{lane.id} beyond the map",
-                    kind=ASSUMED,
-                    width_m=lane.width_m,
-                    centreline_m=chain[::-1],
-                )
+                lane_id, line_m = f"{lane.id} beyond the map", chain[::-1]
+                yield Lane(id=lane_id, kind=ASSUMED, width_m=lane.width_m, centreline_m=line_m)
 
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:

@@ -459,12 +459,8 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, radius_m),
     )
-    return ImportedScene(
-        scene=replace(scene, notes=notes),
-        junctions=(chosen,),
-        chosen=chosen,
-        sources=tuple(source.name for source in maps),
-    )
+    scene, names = replace(scene, notes=notes), tuple(source.name for source in maps)
+    return ImportedScene(scene=scene, junctions=(chosen,), chosen=chosen, sources=names)
 
 
 def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:

@@ -408,11 +408,8 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
     is_on_road = shapely.intersects_xy(road, *positions.T)
-    solid = [
-        thing
-        for thing in standing_things(surroundings)
-        if thing.class_name in ("building", "wall") and len(thing.triangles)
-    ]
+    standing = [thing for thing in standing_things(surroundings) if len(thing.triangles)]
+    solid = [thing for thing in standing if thing.class_name in ("building", "wall")]
     walls = _things_over(positions, solid)
     boxes = [_box(thing) for thing in solid]
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))

@@ -121,12 +121,10 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
             roads[road_id] = read_road(element, where, offset)
     if not roads:
         refuse(where, "no road", "a document with roads")
-    return {
-        road_id: replace(
-            road, before=_beyond(road.before, joints), after=_beyond(road.after, joints)
-        )
-        for road_id, road in roads.items()
-    }
+    for road_id, road in roads.items():
+        before, after = _beyond(road.before, joints), _beyond(road.after, joints)
+        roads[road_id] = replace(road, before=before, after=after)
+    return roads
 
 
 def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:

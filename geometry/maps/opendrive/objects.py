@@ -232,12 +232,9 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
         t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
         points, _ = road.place(s_m, t_m)
         follows = (float(t_m.mean()) < 0.0) != road.keeps_left
-        yield MapLane(
-            id=f"{road.id}/parking {at}",
-            kind="parking",
-            width_m=float(np.mean([space.left_m - space.right_m for space in row])),
-            centreline_m=points if follows else points[::-1],
-        )
+        name, line_m = f"{road.id}/parking {at}", points if follows else points[::-1]
+        width_m = float(np.mean([space.left_m - space.right_m for space in row]))
+        yield MapLane(id=name, kind="parking", width_m=width_m, centreline_m=line_m)
 
 
 # ---------- all objects

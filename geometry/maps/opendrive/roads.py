@@ -385,10 +385,8 @@ class PiecewiseCubic:
         piece = np.searchsorted(self.starts_m, inside_m, side="right") - 1
         a, b, c, d = self.coefficients[np.maximum(piece, 0)].T
         h = starts_m - self.starts_m[np.maximum(piece, 0)]
-        shifted = np.stack(
-            [a + h * (b + h * (c + h * d)), b + h * (2.0 * c + 3.0 * h * d), c + 3.0 * h * d, d],
-            axis=1,
-        )
+        first = b + h * (2.0 * c + 3.0 * h * d)
+        shifted = np.stack([a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d], axis=1)
         return np.where((piece >= 0)[:, None], shifted, 0.0)
 
     def at(self, s_m: FloatArray) -> FloatArray:

@@ -272,14 +272,8 @@ def find_junctions(network: Network) -> tuple[list[Reach], list[MapJunction]]:
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
         rows, streets_inside = clusters.members[number], inside.get(number, [])
         outline = _outline(final, streets_inside, elements.positions_m[rows])
-        junctions.append(
-            MapJunction(
-                id=ids[number],
-                name=_name(final, streets_inside),
-                outline_m=outline,
-                roads=find_leading_roads(network, rows, outline),
-            )
-        )
+        name, roads = _name(final, streets_inside), find_leading_roads(network, rows, outline)
+        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
     junctions.sort(key=lambda junction: int(junction.id[1:]))
     return list(reaches.values()), junctions
 
@@ -341,12 +335,8 @@ def _take_stubs(
     """Take out of the arms what ends nowhere just beyond them; it is part of the junction."""
     stubs = []
     for number, here in arms.items():
-        ending = [
-            arm
-            for arm in here
-            if len(network.ends[int(arm.street.rows[-1])]) == 1
-            and arm.street.length_m - arm.mouth_m < _STUB_M
-        ]
+        blind = [arm for arm in here if len(network.ends[int(arm.street.rows[-1])]) == 1]
+        ending = [arm for arm in blind if arm.street.length_m - arm.mouth_m < _STUB_M]
         inside[number] += [arm.street for arm in ending]
         arms[number] = [arm for arm in here if arm not in ending]
         stubs += ending

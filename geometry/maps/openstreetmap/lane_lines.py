@@ -98,13 +98,9 @@ def _without_stubs(
 
 def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
     """Middle of a lane at a break, left of the street, and whether it simply continues."""
-    here, there = (
-        sorted(
-            (one for one in side if (one.kind, one.place) == (strip.kind, strip.place)),
-            key=lambda one: one.number,
-        )
-        for side in (own, others)
-    )
+    kind = strip.kind, strip.place
+    alike = ([one for one in side if (one.kind, one.place) == kind] for side in (own, others))
+    here, there = (sorted(found, key=lambda one: one.number) for found in alike)
     if not there:
         return strip.left_m, False
     if strip.kind != "driving":
@@ -228,13 +224,9 @@ def _meeting_groups(
                 if keys[other][1] != key[1] and keys[other][0] != key[0]:
                     gap_m = float(np.hypot(*(tree.data[at] - tip)[:2]))
                     found[other] = min(gap_m, found.get(other, np.inf))
-        ahead = {
-            other: gap_m
-            for other, gap_m in found.items()
-            if _ahead(lanes[groups[key][0]], key[1])
-            @ _ahead(lanes[groups[keys[other]][0]], not key[1])
-            > _SAME_WAY
-        }
+        own = _ahead(lanes[groups[key][0]], key[1])
+        ways = {other: _ahead(lanes[groups[keys[other]][0]], not key[1]) for other in found}
+        ahead = {other: gap_m for other, gap_m in found.items() if own @ ways[other] > _SAME_WAY}
         if ahead:
             other = min(ahead, key=ahead.__getitem__)
             links[(other, one) if key[1] else (one, other)] = ahead[other]

@@ -226,11 +226,8 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     street = reach.street
     index = street.part_at(station_m)
     edge, is_along = street.parts[index]
-    driven = [
-        is_forward
-        for is_forward in (True, False)
-        if street.sections[index].lanes(is_forward=is_forward)
-    ]
+    section = street.sections[index]
+    driven = [one for one in (True, False) if section.lanes(is_forward=one)]
     if station_m <= 0.0 and reach.from_junction:
         return [one for one in driven if not one]
     if station_m >= street.length_m and reach.to_junction:
@@ -266,11 +263,8 @@ def find_crosswalks(network: Network) -> FloatArray:
             continue
         for rows in known_runs(way, elements):
             walk = LineString(elements.positions_m[rows])
-            edges = [
-                network.edges[index]
-                for index in tree.query(walk, predicate="intersects").tolist()
-                if network.edges[index].level == level(way.tags)
-            ]
+            near = (network.edges[at] for at in tree.query(walk, predicate="intersects").tolist())
+            edges = [edge for edge in near if edge.level == level(way.tags)]
             found = [
                 line
                 for line in _over_roads(walk, edges)
@@ -568,11 +562,8 @@ class _Passages:
         is_gate = area.tags.get("historic") in _GATES or _building_kind(area.tags) in _GATES
         whole = make_valid(area.polygon)
         near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
-        found = [
-            (strip, clear_m)
-            for strip, clear_m, is_marked in near
-            if (is_gate or is_marked) and whole.intersection(strip).area > 1.0
-        ]
+        leading = [(strip, clear_m) for strip, clear_m, is_marked in near if is_gate or is_marked]
+        found = [(one, clear_m) for one, clear_m in leading if whole.intersection(one).area > 1.0]
         if not found:
             return None, 0.0
         ways = shapely.union_all([strip for strip, _ in found])
