@@ -572,12 +572,11 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
             known = ", ".join([*load_case_sets(), *families])
             expected = f"one of {known}, a .toml file, or several with commas between"
             raise InputError(where, word, expected)
-        within = [
-            one
-            for case in found
-            for is_named in [case.name == word and case.range == "extended"]
-            if (one := in_range(case, "extended" if is_named else case_range)) is not None
-        ]
+        within = []
+        for case in found:
+            is_named = case.name == word and case.range == "extended"
+            if (one := in_range(case, "extended" if is_named else case_range)) is not None:
+                within.append(one)
         for case in _each_once(within) if word == ALL_CASES else within:
             picked.setdefault(case.name, case)
     return tuple(picked.values())
@@ -587,11 +586,8 @@ def twins(cases: Iterable[Case]) -> dict[str, Case]:
     """By the name of a case of 2026 the one of 2023 that differs in speeds alone."""
     cases = tuple(cases)
     before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
-    return {
-        case.name: before[_alike(case)]
-        for case in cases
-        if case.source == "protocol-2026" and not case.pairs_kmh and _alike(case) in before
-    }
+    after = [case for case in cases if case.source == "protocol-2026" and not case.pairs_kmh]
+    return {case.name: before[_alike(case)] for case in after if _alike(case) in before}
 
 
 def _each_once(cases: Sequence[Case]) -> list[Case]:

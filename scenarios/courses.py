@@ -196,11 +196,9 @@ def _smoothed(
     length = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)))
     even = np.interp(np.arange(0.0, length[-1], _STEP_M), length, fine)
     place, direction = spline(even) + origin, derivative(even)
-    return _course_of(
-        place,
-        np.unwrap(np.arctan2(direction[:, 1], direction[:, 0])),
-        int(np.hypot(*(place - np.asarray(origin_m)).T).argmin()),
-    )
+    yaw_rad = np.unwrap(np.arctan2(direction[:, 1], direction[:, 0]))
+    nearest = int(np.hypot(*(place - np.asarray(origin_m)).T).argmin())
+    return _course_of(place, yaw_rad, nearest)
 
 
 def _spline(
@@ -384,13 +382,8 @@ class TurnAtSpeed(Struct, frozen=True, kw_only=True):
     @property
     def turn(self) -> Turn:
         """The curve."""
-        return Turn(
-            first_radius_m=self.first_radius_m,
-            radius_m=self.radius_m,
-            clothoid_deg=self.clothoid_deg,
-            arc_deg=self.arc_deg,
-            side=_SIDES[self.side],
-        )
+        same = ("first_radius_m", "radius_m", "clothoid_deg", "arc_deg")
+        return Turn(side=_SIDES[self.side], **{name: getattr(self, name) for name in same})
 
 
 @cache
@@ -490,11 +483,8 @@ def follow_gently(
     """
     at_origin = chains_m[origin][0] if origin < len(chains_m) else chains_m[-1][-1]
     free = np.repeat(free_m, [len(chain) for chain in chains_m])
-    return _gentle(
-        tuple(map(tuple, np.concatenate(chains_m).tolist())),
-        tuple(free.tolist()),
-        tuple(at_origin.tolist()),
-    )
+    points = tuple(map(tuple, np.concatenate(chains_m).tolist()))
+    return _gentle(points, tuple(free.tolist()), tuple(at_origin.tolist()))
 
 
 @lru_cache(maxsize=256)  # as _follow

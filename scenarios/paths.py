@@ -90,12 +90,9 @@ class TurnPath:
         beyond = on_turn - inside  # negative before the turn
         after = np.maximum(beyond, 0.0)
         exit_rad = table.exit_rad
-        body = _aligned_rad(
-            np.interp(inside, table.distance_m, table.body_rad),
-            exit_rad,
-            table.exit_half_lag_tan,
-            after / self.wheelbase_m,
-        )
+        on_curve = np.interp(inside, table.distance_m, table.body_rad)
+        lengths = after / self.wheelbase_m
+        body = _aligned_rad(on_curve, exit_rad, table.exit_half_lag_tan, lengths)
         ahead = (
             np.interp(inside, table.distance_m, table.ahead_m)
             + np.minimum(beyond, 0.0)
@@ -187,12 +184,10 @@ class TowedPath:
         station = self.start_m + np.asarray(distance_m, dtype=np.float64)
         front, _ = self.course.at(station)
         exit_rad = self.course.yaw_rad[-1]
-        body = _aligned_rad(
-            self.course.interpolate(station, self._body_rad),
-            exit_rad,
-            np.tan(0.5 * (exit_rad - self._body_rad[-1])),
-            np.maximum(station - self.course.end_m, 0.0) / self.wheelbase_m,
-        )
+        on_course = self.course.interpolate(station, self._body_rad)
+        half_lag_tan = np.tan(0.5 * (exit_rad - self._body_rad[-1]))
+        lengths = np.maximum(station - self.course.end_m, 0.0) / self.wheelbase_m
+        body = _aligned_rad(on_course, exit_rad, half_lag_tan, lengths)
         ahead = np.stack([np.cos(body), np.sin(body)], axis=-1)
         return front - self.front_axle_ahead_m * ahead, np.degrees(body)
 
@@ -337,14 +332,9 @@ def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
     path_rad = np.radians(angle_deg)
     lag = turn.side * _lag_rad(turn, wheelbase_m, distance)
     exit_rad = float(path_rad[-1])
-    return _TurnTable(
-        freeze(distance),
-        freeze(point[:, 0].copy()),
-        freeze(point[:, 1].copy()),
-        freeze(path_rad - lag),
-        exit_rad,
-        float(np.tan(0.5 * lag[-1])),
-    )
+    ahead, left = (freeze(axis.copy()) for axis in point.T)
+    half_lag_tan = float(np.tan(0.5 * lag[-1]))
+    return _TurnTable(freeze(distance), ahead, left, freeze(path_rad - lag), exit_rad, half_lag_tan)
 
 
 def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:

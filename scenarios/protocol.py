@@ -17,9 +17,9 @@ from geometry.scene import Turn as Movement
 from . import staging, ways
 from .cases import Case
 from .courses import follow_gently, follow_lane, pick_turn
-from .encounters import Encounter
+from .encounters import Encounter, first_contact_s
 from .obstructions import hide, park
-from .paths import MPS_PER_KMH, Path, travel_time_s
+from .paths import MPS_PER_KMH, Motion, Path, travel_time_s
 from .positions import AT_ZERO, Position, is_bound
 from .staging import CannotCarryError, NoRoadError, Staging
 
@@ -210,6 +210,7 @@ def _ways_through(
 
 # ---------- crossing and longitudinal cases
 _MOUTH_M = 15.0  # of a lane, that tell where it leads
+_MAX_EARLY_S = 0.3  # a corner that touches before the impact position is a tenth of a second early
 
 
 def _side(asked: _Asked, line: Line) -> Arm:
@@ -275,20 +276,47 @@ def _set_off(
     vru_begin_s: float | None = None,
     brakes_s: float = np.inf,
 ) -> Encounter:
-    """Both set off at `begin_s`, or the VRU at its own time, from a station of its way."""
-    vru = asked.case.vru
-    return staging.set_off(
-        asked.case,
-        vut=asked.vut,
-        vut_path=vut_path,
-        vut_start_s=begin_s,
-        vut_speed_kmh=asked.vut_speed_kmh,
-        vru_path=vru_way.vut_path(vru_m, vru)
-        if staging.is_vehicle(vru)
-        else vru_way.vru_path(vru_m),
-        vru_start_s=begin_s if vru_begin_s is None else vru_begin_s,
-        vru_brakes_s=brakes_s,
-    )
+    """Encounter whose bodies first touch at time 0.
+
+    Both set off at `begin_s`, or the VRU at its own time, from a station of its way; at `brakes_s`
+    it brakes as the case says. Where the corner of a turning VUT would touch a moment before the
+    impact position is reached, both set off that moment later. Raises CannotCarryError: the bodies
+    do not touch, or do so long before, somewhere else.
+    """
+    case, vru = asked.case, asked.case.vru
+    vru_path = vru_way.vut_path(vru_m, vru) if staging.is_vehicle(vru) else vru_way.vru_path(vru_m)
+    vru_start_s = begin_s if vru_begin_s is None else vru_begin_s
+    braking = {}
+    if case.braking is not None:
+        braking["deceleration_mps2"] = case.braking.deceleration_mps2
+        braking["final_speed_mps"] = case.braking.final_speed_kmh * MPS_PER_KMH
+
+    def later(seconds: float) -> Encounter:
+        return Encounter(
+            vut=asked.vut,
+            vut_motion=Motion(
+                path=vut_path,
+                speed_mps=asked.vut_speed_kmh * MPS_PER_KMH,
+                start_time_s=begin_s + seconds,
+            ),
+            vru=vru,
+            vru_motion=Motion(
+                path=vru_path,
+                speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
+                start_time_s=seconds + vru_start_s,
+                acceleration_distance_m=case.acceleration_distance_m,
+                brake_time_s=seconds + brakes_s,
+                **braking,
+            ),
+        )
+
+    encounter = later(0.0)
+    early_s = first_contact_s(encounter)
+    if not np.isfinite(early_s):
+        raise CannotCarryError("the bodies do not touch")
+    if abs(early_s) > _MAX_EARLY_S:
+        raise CannotCarryError(f"the bodies would touch {-early_s:.1f} s before they should")
+    return later(-early_s)
 
 
 def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[ways.Way, float, float]:
@@ -609,8 +637,5 @@ def _travel_s(case: Case, travel_m: float) -> float:
     if case.vru_speed_kmh == 0.0:
         assert case.steady_time_s is not None
         return case.steady_time_s
-    return travel_time_s(
-        travel_m,
-        speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
-        acceleration_distance_m=case.acceleration_distance_m,
-    )
+    speed_mps, run_up_m = case.vru_speed_kmh * MPS_PER_KMH, case.acceleration_distance_m
+    return travel_time_s(travel_m, speed_mps=speed_mps, acceleration_distance_m=run_up_m)

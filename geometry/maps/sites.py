@@ -14,6 +14,7 @@ from shapely import Polygon
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
 from ..files import float_of
+from ..junction import compass_point
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
 from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
@@ -43,7 +44,6 @@ _LONGER_M = 1.0  # the outline is not square to every lane
 _BELOW_ROOF_M = 0.3  # a sensor and its bracket
 AUTO, MAP, KERB = "auto", "map", "kerb:"
 _SPACINGS_M = (2.0, 100.0)
-_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
 # Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
 SETBACK_M = 0.5
 _MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
@@ -336,9 +336,8 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> lis
     named = []
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     for wish in sorted(wishes, key=lambda wish: float(np.hypot(*wish.position_m))):
-        east, north = wish.position_m
-        if np.hypot(east, north) <= radius_m:
-            octant = _OCTANTS[round(np.degrees(np.arctan2(north, east)) / 45.0) % 8]
+        if np.hypot(*wish.position_m) <= radius_m:
+            octant = "".join(word[0] for word in compass_point(wish.position_m).split("-"))
             count[octant] += 1
             named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
     return named
