@@ -154,9 +154,8 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
     """
     assumed = read_data(__package__, "calibrated.toml", _Assumed)
     right, _, ahead = camera.R_camera_world
-    yaw_deg, pitch_deg = np.degrees(
-        [np.arctan2(ahead[1], ahead[0]), np.arcsin(ahead[2].clip(-1, 1))]
-    )
+    yaw_rad, pitch_rad = np.arctan2(ahead[1], ahead[0]), np.arcsin(ahead[2].clip(-1, 1))
+    yaw_deg, pitch_deg = np.degrees([yaw_rad, pitch_rad])
     level = camera_rotation(yaw_deg, pitch_deg)
     half_rad = camera.lens.angle_of(0.5 * camera.width_px / camera.fx_px)
     if not half_rad > 0.0:
@@ -178,9 +177,8 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
         near_m=assumed.near_m,
         price_eur=assumed.price_eur,
     )
-    return model, Pose(
-        position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg)
-    )
+    pose = Pose(position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg))
+    return model, pose
 
 
 def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
@@ -238,14 +236,9 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
         shown = shown_points(at_depth_1, camera)
         shown[~is_shown(at_depth_1, camera)] = np.nan
         return np.column_stack([shown, depth])
-    return np.stack(
-        [
-            0.5 * camera.width_px + camera.focal_length_px * in_camera[:, 0] / safe,
-            0.5 * camera.height_px + camera.focal_length_px * in_camera[:, 1] / safe,
-            depth,
-        ],
-        axis=1,
-    )
+    middle_px = 0.5 * np.array([camera.width_px, camera.height_px])
+    shown = middle_px + camera.focal_length_px * in_camera[:, :2] / safe[:, None]
+    return np.column_stack([shown, depth])
 
 
 def picture_rays(columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel) -> FloatArray:
@@ -282,9 +275,8 @@ def _widest_fov_deg(camera: CameraModel) -> float:
 @lru_cache(maxsize=64)
 def sharpest_px_per_rad(camera: CameraModel) -> float:
     """Most pixels that an angle of one radian takes up anywhere in the picture of a lens."""
-    x, y = np.meshgrid(
-        *(np.linspace(0.0, side, _N_BORDER) for side in (camera.width_px, camera.height_px))
-    )
+    sides_px = (camera.width_px, camera.height_px)
+    x, y = np.meshgrid(*(np.linspace(0.0, side, _N_BORDER) for side in sides_px))
     ways = []
     for column, row in ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5)):
         inwards = np.where(x < camera.middle_px[0], column, -column)
@@ -333,5 +325,4 @@ class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 @cache
 def load_limits() -> _Limits:
     """All of them."""
-    name = "limits.toml"
-    return read_data(__package__, name, _Limits)
+    return read_data(__package__, "limits.toml", _Limits)

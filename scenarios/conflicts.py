@@ -59,9 +59,8 @@ def time_to_collision_s(
     yaws = [np.radians(np.asarray(yaw, dtype=float)) for yaw in (yaw_a_deg, yaw_b_deg)]
     gaps = gaps_between(offset, yaw_a_deg, yaw_b_deg, sizes=sizes)
     first, last = np.full(gaps.shape[1:], -np.inf), np.full(gaps.shape[1:], np.inf)
-    normals = [
-        (np.cos(yaw + turn), np.sin(yaw + turn)) for yaw in yaws for turn in (0.0, 0.5 * np.pi)
-    ]
+    turns = [yaw + turn for yaw in yaws for turn in (0.0, 0.5 * np.pi)]
+    normals = [(np.cos(turn), np.sin(turn)) for turn in turns]
     for gap, (east, north) in zip(gaps, normals, strict=True):
         apart = offset[..., 0] * east + offset[..., 1] * north
         speed = closing[..., 0] * east + closing[..., 1] * north
@@ -215,13 +214,9 @@ def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] |
     points = shapely.get_coordinates(shapely.intersection(*lines))
     if not len(points):
         return None
-    along = [along_m(way) for way in ways]
-    passed = np.array(
-        [
-            np.interp(line.project(shapely.points(points)), far, time_s)
-            for line, far in zip(lines, along, strict=True)
-        ]
-    )
+    at_m = [line.project(shapely.points(points)) for line in lines]
+    pairs = zip(at_m, map(along_m, ways), strict=True)
+    passed = np.array([np.interp(at, along, time_s) for at, along in pairs])
     first, second = passed[:, np.abs(passed[0] - passed[1]).argmin()].tolist()
     return first, second
 

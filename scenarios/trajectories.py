@@ -192,15 +192,10 @@ def _csv_samples(
             for name, index in at.items()
             if name not in ("id", "class")
         }
-        yield _Sample(
-            place,
-            row[at["id"]],
-            row[at["class"]] if "class" in at else class_name,
-            value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0),
-            value["x"],
-            value["y"],
-            value.get("heading", math.degrees(value.get("heading_rad", math.nan))),
-        )
+        word = row[at["class"]] if "class" in at else class_name
+        time_s = value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0)
+        yaw_deg = value.get("heading", math.degrees(value.get("heading_rad", math.nan)))
+        yield _Sample(place, row[at["id"]], word, time_s, value["x"], value["y"], yaw_deg)
 
 
 def _find_columns(

@@ -205,11 +205,11 @@ def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset
 def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
     """Words of street names, and their endings, to how they are shortened."""
     table = load_data(__package__, "streets.toml")
-    words, endings = (
-        {long: short for short, longs in table[key].items() for long in longs}
-        for key in ("words", "endings")
-    )
-    return words, endings
+
+    def short_of(key: str) -> dict[str, str]:
+        return {long: short for short, longs in table[key].items() for long in longs}
+
+    return short_of("words"), short_of("endings")
 
 
 def _listed(surveyed: Sequence[Surveyed]) -> str:
@@ -235,16 +235,10 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
     if source.crs and source.source_crs not in ("", source.crs):
         position = transform(position, source.crs, source.source_crs)
     # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
-    near = [
-        Lane(
-            id=lane.id,
-            kind=lane.kind,
-            width_m=lane.width_m,
-            centreline_m=lane.centreline_m[:, :2] - middle,
-        )
-        for lane in lanes
-        if lane.kind in ("driving", "parking")
-    ]
+    near = []
+    for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
+        line_m = lane.centreline_m[:, :2] - middle
+        near.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m))
     scene = Scene(
         name=junction.id,
         vertices_m=np.zeros((0, 3)),
@@ -473,12 +467,8 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, radius_m),
     )
-    return ImportedScene(
-        scene=replace(scene, notes=notes),
-        junctions=(chosen,),
-        chosen=chosen,
-        sources=tuple(source.name for source in maps),
-    )
+    scene, names = replace(scene, notes=notes), tuple(source.name for source in maps)
+    return ImportedScene(scene=scene, junctions=(chosen,), chosen=chosen, sources=names)
 
 
 def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
@@ -504,6 +494,5 @@ def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
     assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
     for class_name, number in assumed.most_common():
         what = f"heights of {number} of {every[class_name]} x {class_name}"
-        yield Note(
-            what, "not in the map: the usual ones of their kinds are assumed", kind="heights"
-        )
+        why = "not in the map: the usual ones of their kinds are assumed"
+        yield Note(what, why, kind="heights")

@@ -124,7 +124,7 @@ def read_openstreetmap(
         refuse(str(path), "no road with two nodes", "a map with roads")
     reaches, junctions = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
-    poles, crosswalks_m = find_poles(network, reaches), find_crosswalks(network)
+    poles, crosswalks_m = tuple(find_poles(network, reaches)), find_crosswalks(network)
     things = [
         *find_buildings(network),
         *find_bridges(network, reaches),

@@ -23,9 +23,8 @@ _STEP_M = 0.5
 _SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
 _SAME_ARM_GAP_M = 12.0
 _FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
-_STUB = "it ends nowhere, less than {:g} m beyond a junction: no arm".format(
-    DEFAULTS["cross_section"]["stub_m"]
-)
+_STUB_M: float = DEFAULTS["cross_section"]["stub_m"]
+_STUB = f"it ends nowhere, less than {_STUB_M:g} m beyond a junction: no arm"
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 _Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
 _Placed = dict[tuple[_Path, ...], list[float]]  # mouths of arms by the streets of a junction
@@ -182,10 +181,9 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
         if apart_deg(one, other) > _FORK_DEG or off_stem_deg < 90.0:
             continue
         is_split = not edges[2].is_oneway and one[1] != other[1]
-        is_ramp = one[1] == other[1] and any(
-            edge.tags["highway"].endswith("_link") or edge.tags["highway"] == "motorway"
-            for edge in edges
-        )
+        kinds = [edge.tags["highway"] for edge in edges]
+        has_ramp = any(kind.endswith("_link") or kind == "motorway" for kind in kinds)
+        is_ramp = one[1] == other[1] and has_ramp
         if is_split or is_ramp:
             return True
     return False
@@ -287,10 +285,8 @@ def find_junctions(
             break
     for stub in stubs:
         elements.omissions.add("roads", f"way {stub.street.parts[0][0].way_id}", _STUB)
-    ids = {
-        number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
-        for number, rows in clusters.members.items()
-    }
+    nodes = elements.node_ids
+    ids = {number: f"n{int(nodes[rows].min())}" for number, rows in clusters.members.items()}
     reaches = _reaches(network, streets, clusters, arms, ids)
     mouths = {
         (index, is_begin): reach.begin_m if is_begin else reach.street.length_m - reach.end_m
@@ -302,14 +298,8 @@ def find_junctions(
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
         rows, streets_inside = clusters.members[number], inside.get(number, [])
         outline = _outline(final, streets_inside, elements.positions_m[rows])
-        junctions.append(
-            MapJunction(
-                id=ids[number],
-                name=_name(final, streets_inside),
-                outline_m=outline,
-                roads=find_leading_roads(network, rows, outline),
-            )
-        )
+        name, roads = _name(final, streets_inside), find_leading_roads(network, rows, outline)
+        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
     junctions.sort(key=lambda junction: int(junction.id[1:]))
     return list(reaches.values()), junctions
 
@@ -332,15 +322,12 @@ def _arms_by_cluster(
             arms[end].append(Arm(street=street.reversed(), index=index, is_begin=False))
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
-        key = tuple(
-            tuple((edge.id, is_along) for edge, is_along in street.parts)
-            for street in (*(arm.street for arm in here), *inside[number])
-        )
+        meeting = [*(arm.street for arm in here), *inside[number]]
+        key = tuple(tuple((edge.id, along) for edge, along in one.parts) for one in meeting)
         if key not in known:
             known[key] = [arm.mouth_m for arm in place_mouths(here, inside[number])]
-        arms[number] = [
-            replace(arm, mouth_m=mouth_m) for arm, mouth_m in zip(here, known[key], strict=True)
-        ]
+        placed = zip(here, known[key], strict=True)
+        arms[number] = [replace(arm, mouth_m=mouth_m) for arm, mouth_m in placed]
     return arms, inside
 
 
@@ -372,15 +359,10 @@ def _take_stubs(
     network: Network, arms: dict[int, list[Arm]], inside: dict[int, list[Street]]
 ) -> list[Arm]:
     """Take out of the arms what ends nowhere just beyond them; it is part of the junction."""
-    least_m = DEFAULTS["cross_section"]["stub_m"]
     stubs = []
     for number, here in arms.items():
-        ending = [
-            arm
-            for arm in here
-            if len(network.ends[int(arm.street.rows[-1])]) == 1
-            and arm.street.length_m - arm.mouth_m < least_m
-        ]
+        blind = [arm for arm in here if len(network.ends[int(arm.street.rows[-1])]) == 1]
+        ending = [arm for arm in blind if arm.street.length_m - arm.mouth_m < _STUB_M]
         inside[number] += [arm.street for arm in ending]
         arms[number] = [arm for arm in here if arm not in ending]
         stubs += ending
@@ -399,7 +381,7 @@ def _drop_small(clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements:
         elif is_merge([arm.street.parts[0] for arm in here], nodes):
             small[number] = "motorways merge or part where nobody walks"
     for number, why in small.items():
-        node = min(int(elements.node_ids[row]) for row in clusters.members[number])
+        node = int(elements.node_ids[clusters.members[number]].min())
         elements.omissions.add("meetings of roads", f"node {node}", why)
         for row in clusters.members.pop(number):
             del clusters.of_row[row]
@@ -419,11 +401,10 @@ def _reaches(
     reaches = {}
     for index, street in enumerate(streets):
         numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
-        cuts = [
+        from_m, to_m = (
             _road_beside_m(network, street, at) if number is None else mouths.get((index, at == 0))
             for number, at in zip(numbers, (0, -1), strict=True)
-        ]
-        from_m, to_m = cuts
+        )
         if from_m is None or to_m is None:
             continue  # inside a junction
         free_m = max(street.length_m - least_m, 0.0)
@@ -535,15 +516,12 @@ def _directions(network: Network, end: End) -> frozenset[bool]:
 
 def _road(network: Network, end: End, line: Any, left_at_m: float) -> Iterator[LeadingRoad]:
     """The road on which an edge's line leaves a junction at a distance from one of its ends."""
-    least_m = DEFAULTS["cross_section"]["stub_m"]
     points = network.points_from(end)
-    point, ahead = (
-        np.array(shapely.line_interpolate_point(line, left_at_m + on_m).coords[0])
-        for on_m in (0.0, _AHEAD_M)
-    )
+    stations_m = [left_at_m, left_at_m + _AHEAD_M]
+    point, ahead = shapely.get_coordinates(shapely.line_interpolate_point(line, stations_m))
     way, rest_m = end, line.length - left_at_m
     passed = {end[0]}
-    while rest_m < least_m:  # the way beyond a node where it is only cut in two
+    while rest_m < _STUB_M:  # the way beyond a node where it is only cut in two
         index, is_start = way
         row = int(network.edges[index].rows[-1 if is_start else 0])
         others = [one for one in network.ends[row] if one[0] not in passed]
