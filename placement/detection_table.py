@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from scenarios.aeb import AebRule
 from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis
@@ -32,7 +32,7 @@ class DetectionTable:
         packed = np.array(self.packed, dtype=np.uint8)
         shape = (len(self.pose_ids), -(-self.axis.n_frames // 8))
         if packed.shape != shape:
-            raise InputError("packed", Unquoted(f"shape {packed.shape}"), f"shape {shape}")
+            refuse("packed", f"shape {packed.shape}", f"shape {shape}")
         object.__setattr__(self, "packed", freeze(packed))
 
     @property

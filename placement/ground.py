@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.raycast import RayCaster, build_caster
@@ -153,8 +153,6 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
 
 
 # ---------- private ground
-
-
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 
 
@@ -185,9 +183,9 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
     if found.crs and not scene.crs:
-        raise InputError(
+        refuse(
             str(path),
-            Unquoted(f"coordinates in {found.crs}"),
+            f"coordinates in {found.crs}",
             "a scene that says where on earth it lies, or coordinates of its map without a crs",
         )
 
@@ -205,10 +203,10 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         world = shapely.transform(shapely.force_2d(shape), to_world)
         # make_valid() takes neither what is not finite nor what is beyond any place.
         if not (np.abs(shapely.get_coordinates(world)) < _MAX_COORDINATE_M).all():
-            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
+            refuse(feature.where, "coordinates that cannot be", "a polygon")
         areas.append((name, shapely.make_valid(world)))
     if not areas:
-        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
+        refuse(str(path), "no polygon", "areas that cameras must not look into")
     return build_private_ground(areas)
 
 
@@ -219,12 +217,11 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
     """
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
-        expected = f"at most {_MAX_POINTS:,}"
-        raise InputError("no_look", Unquoted(f"{total_m2:,.0f} square metres"), expected)
+        refuse("no_look", f"{total_m2:,.0f} square metres", f"at most {_MAX_POINTS:,}")
     points, index = [], []
     for number, (name, shape) in enumerate(areas):
         if not shape.area > 0.0:
-            raise InputError(f"no_look: {name}", Unquoted("no area"), "a polygon")
+            refuse(f"no_look: {name}", "no area", "a polygon")
         west, south, east, north = shape.bounds
         x, y = np.meshgrid(
             np.arange(west + 0.5 * _POINT_SPACING_M, east, _POINT_SPACING_M),
@@ -305,7 +302,7 @@ def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArra
     if not kept.any():
         least = np.ceil(1000.0 * share.min()) / 1000.0
         expected = f"at least {least:g}, the share that the pose with the least in its picture sees"
-        raise InputError("no_look_share", Unquoted(f"{100.0 * max_share:.1f} %"), expected)
+        refuse("no_look_share", f"{100.0 * max_share:.1f} %", expected)
     return kept
 
 

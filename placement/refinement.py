@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray
 from geometry.clock import now_s
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -425,10 +425,9 @@ def _check_table(
     problem: PlacementProblem, setting: Setting, candidates: Sequence[CandidatePose]
 ) -> None:
     if problem.table.pose_ids != tuple(candidate.id for candidate in candidates):
-        raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")
+        refuse("candidates", "other poses", "the rows of the placement's table")
     if problem.table.axis.run_ids != setting.axis.run_ids:
-        expected = "a table of the runs as planned"
-        raise InputError("refine", Unquoted("a table of sampled worlds"), expected)
+        refuse("refine", "a table of sampled worlds", "a table of the runs as planned")
 
 
 # ---------- moves

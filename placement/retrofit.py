@@ -11,7 +11,7 @@ from functools import cmp_to_key
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import load_data, read_table
 from scenarios.runs import live_confirmation_times_s
 
@@ -460,8 +460,7 @@ class Adviser:
         problem, poses = self._beside(units)
         change = find_addition(problem, poses, budget_eur=None)
         if change is None:
-            got = Unquoted("no candidate that is an improvement")
-            raise InputError("the best next unit", got, "one")
+            refuse("the best next unit", "no candidate that is an improvement", "one")
         return Advice(
             units=self._named(units, poses.candidates, change.added),
             before=placement_value(problem, range(len(units))),
@@ -494,7 +493,7 @@ class Adviser:
         Raises InputError if nothing is mounted, or no unit can look elsewhere.
         """
         if not units:
-            raise InputError("re-aim", Unquoted("no unit"), "at least one unit")
+            refuse("re-aim", "no unit", "at least one unit")
         n, may_look = len(units), self._assembly.may_look
         poses = build_retrofit_poses(Layout(name="now", units=tuple(units)), self._grid, ())
         if may_look is not None:
@@ -505,7 +504,7 @@ class Adviser:
                 unit_index=poses.unit_index[kept],
             )
         if len(poses.candidates) == n:
-            raise InputError("re-aim", Unquoted("units that see all round"), "one that can turn")
+            refuse("re-aim", "units that see all round", "one that can turn")
         self._compute.progress("look from the units", 0, 0)
         problem = replace(
             self._assembly,
@@ -541,10 +540,10 @@ class Adviser:
         Raises InputError if nothing is mounted, or it avoids nothing.
         """
         if not units:
-            raise InputError("the cheapest that keeps this", Unquoted("no unit"), "a unit")
+            refuse("the cheapest that keeps this", "no unit", "a unit")
         share = apr(self._problem(units, self._wishes), range(len(units)))
         if share <= 0.0:
-            raise InputError("the cheapest that keeps this", Unquoted("an APR of 0"), "more")
+            refuse("the cheapest that keeps this", "an APR of 0", "more")
         wishes = replace(self._wishes, target=share, saves="cost", forced_sites=())
         return self._search(units, wishes)
 
@@ -557,7 +556,7 @@ class Adviser:
         """
         where = f"why not {site_id}"
         if not units:
-            raise InputError(where, Unquoted("no unit"), "a layout to compare it with")
+            refuse(where, "no unit", "a layout to compare it with")
         problem, poses = self._beside(units)
         standing = np.arange(len(units))
         free = fitting(replace(problem.limits, budget_units=None), standing)
@@ -566,7 +565,7 @@ class Adviser:
         rows = rows[rows >= len(units)]
         if not len(rows):
             expected = "a site with room, that is not forbidden"
-            raise InputError(where, Unquoted("no pose of the grid that is allowed there"), expected)
+            refuse(where, "no pose of the grid that is allowed there", expected)
         best = int(rows[best_joining(problem, standing.tolist(), rows)])
         beside = Advice(
             units=self._named(units, poses.candidates, [best]),
@@ -578,7 +577,6 @@ class Adviser:
         return beside, self._search(units, wishes)
 
     # ---------- problems
-
     def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
         """The optimiser's answer, started from the mounted units where that is allowed."""
         problem = self._problem(units, wishes)

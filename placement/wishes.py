@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import read_data
 from geometry.scene import Scene, Site
 
@@ -347,8 +347,7 @@ def _give_up(question: Question, survive: int) -> float:
     }
     asked = [name for name, is_asked in others.items() if is_asked]
     if question.give_up and asked:
-        got = Unquoted(f"it beside `{asked[0]}`")
-        raise InputError("give_up", got, "one of them")
+        refuse("give_up", f"it beside `{asked[0]}`", "one of them")
     if question.give_up is not None:
         return question.give_up
     return 0.0 if asked else GIVE_UP

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted, check_field, check_one_of
+from geometry.errors import InputError, check_field, check_one_of, refuse
 from geometry.files import Table, load_data, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px, iou
 
@@ -452,7 +452,7 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
     """Response table of a document; errors name the file and the line."""
     table = document.get("response")
     if not isinstance(table, dict):
-        raise InputError(str(source), Unquoted("no table [response]"), "a table [response]")
+        refuse(str(source), "no table [response]", "a table [response]")
     try:
         shares, recall = (
             float_array(take_list(table, key, "response"), (-1,), key)

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.files import read_data
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from .pictures import FrameCamera, PictureSource
 
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
-
-
 UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
 STAGE = "evaluate"
@@ -97,8 +95,6 @@ def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setti
 
 
 # ---------- the cache for the next call
-
-
 _KIND = "place-rsus/views/2"  # raise it whenever the same inputs give other detections
 
 
@@ -289,8 +285,6 @@ def _join(parts: Sequence[Evidence]) -> Evidence:
 
 
 # ---------- verdicts: confirmation, braking, contact
-
-
 _Contact = tuple[float, float, float]
 Party = tuple[BoolArray, float]
 """(n_frames,): detected frames that reach the VUT; how long it takes until it knows [s]."""
@@ -389,8 +383,6 @@ def judge_layouts(judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0) -> l
 
 
 # ---------- VRU awareness messages (VAM)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VamRule:
     """When a device sends: see ``data/vam.toml``."""
@@ -463,8 +455,6 @@ _ROUNDING_S = 1.0e-6
 
 
 # ---------- evaluation of layouts
-
-
 def evaluate_layout(
     layout: Layout, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> Evaluation:
@@ -485,7 +475,7 @@ def evaluate_layouts(
     runs, axis = setting.runs, setting.axis
     times_s = np.concatenate([run.time_s for run in runs])
     if tuple(run.id for run in runs) != axis.run_ids or not np.array_equal(times_s, axis.time_s):
-        raise InputError("axis", Unquoted("frames of other runs"), "the frame axis of these runs")
+        refuse("axis", "frames of other runs", "the frame axis of these runs")
     compute.progress(STAGE, 0, 0)
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin

@@ -38,9 +38,8 @@ from .surroundings import (
 
 _SIGHTS_AT_ONCE = 256
 
+
 # ---------- frames as a sensor has them before it
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Station:
     """A sensor's place, and road poses relative to the frame in which it stands."""
@@ -117,8 +116,6 @@ def _distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> Float
 
 
 # ---------- cameras
-
-
 def perceive_from_roadside(
     surroundings: Surroundings, pose: Pose, camera: CameraModel, *, min_height_px: float = 0.0
 ) -> Evidence:
@@ -219,8 +216,6 @@ def _place(pose: Pose, road_poses: FloatArray, tilt_deg: FloatArray) -> Placed:
 
 
 # ---------- LiDARs
-
-
 def scan_from_roadside(
     surroundings: Surroundings, pose: Pose, lidar: LidarModel, rng: np.random.Generator
 ) -> BoolArray:

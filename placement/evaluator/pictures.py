@@ -332,8 +332,6 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
 
 
 # ---------- a frame of a run as one unit sees it
-
-
 VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
 
 

@@ -35,9 +35,8 @@ if TYPE_CHECKING:
 _WHERE = "vut_camera.toml"
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 
+
 # ---------- triangles
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """Triangles (n_triangles, 3), rows of vertices (n_vertices, 3) in metres.
@@ -164,8 +163,6 @@ def build_static(
 
 
 # ---------- surroundings of runs
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
     """Everything that can be seen in the frames of some runs, laid end to end."""
@@ -314,8 +311,6 @@ def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> Fl
 
     In metres and degrees.
 
-    Examples
-    --------
     >>> road, vut = np.array([[0.0, 5.0, 90.0, 0.5]]), np.array([[0.0, 2.0, 90.0, 0.0]])
     >>> relative_road_poses(road, vut).round(9)
     array([[3. , 0. , 0. , 0.5]])
@@ -375,8 +370,6 @@ def _obstruction_key(run: Run) -> tuple[object, ...]:
 
 
 # ---------- the VUT's own camera
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VutCamera:
     """A camera on the VUT, facing ahead: level where the road is, else along its grade."""

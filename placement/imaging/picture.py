@@ -365,8 +365,6 @@ def ground_albedo() -> float:
 
 
 # ---------- whole pictures
-
-
 _EDGES = 12_000  # pixels that are smoothed at a time
 _TILE_PX = (90, 480)  # rows, columns drawn at a time: fit into a cache, and are near few lamps
 
@@ -570,8 +568,6 @@ def _tiles(size: tuple[int, ...]) -> list[tuple[slice, slice]]:
 
 
 # ---------- smooth edges: several rays for pixels along kerbs, roofs and shadows
-
-
 # Four points of a square, turned so that no two share a row or a column.
 _OFFSETS_PX = ((0.125, 0.375), (-0.375, 0.125), (0.375, -0.125), (-0.125, -0.375))
 

@@ -309,8 +309,6 @@ def _box(mesh: Mesh, origin_m: FloatArray) -> FloatArray:
 
 
 # ---------- crops
-
-
 _METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure
 
 
@@ -468,8 +466,6 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
 
 
 # ---------- kernels
-
-
 Point = tuple[float, float, float]  # or a way: in the axes of the world, from the camera
 # Depths in pixels (h, w), and the parts of their rays by column (w, 3) and by row (h, 3); through a
 # lens nothing, and the rays (h, w, 3).

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, refuse
 
 from .timing import COST_TOLERANCE_EUR, ROUNDING
 
@@ -76,7 +76,7 @@ class Limits:
         value = getattr(self, field)
         array = np.zeros(size, dtype=kind) if value is None else np.array(value, dtype=kind)
         if array.shape != (size,):
-            raise InputError(field, Unquoted(f"shape {array.shape}"), f"shape ({size},)")
+            refuse(field, f"shape {array.shape}", f"shape ({size},)")
         object.__setattr__(self, field, freeze(array))
         return array
 

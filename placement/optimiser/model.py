@@ -367,8 +367,6 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
 
 
 # ---------- cuts: failures, which no row of the model speaks of
-
-
 Fails = Callable[[WordArray], BoolArray]
 
 

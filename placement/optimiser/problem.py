@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, refuse
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis, live_confirmation_times_s
@@ -58,8 +58,6 @@ class Objective(StrEnum):
     def excess(self, value: float, other: float) -> float:
         """By how much a value is better than another one; negative if it is worse.
 
-        Examples
-        --------
         >>> Objective.APR.excess(0.75, 0.5), Objective.UNITS.excess(3.0, 2.0)
         (0.25, -1.0)
         """
@@ -98,8 +96,6 @@ def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
 
     The cost stands in it once: first where the cheapest layout is asked for, else last.
 
-    Examples
-    --------
     >>> [str(objective) for objective in objectives_in_order("fewest", survive=1)][:3]
     ['units', 'apr_survived', 'apr']
     """
@@ -191,10 +187,10 @@ def build_measure(
     samples = np.zeros(len(weight)) if sample_index is None else np.array(sample_index)
     samples = samples.astype(np.int64)
     if samples.shape != np.shape(weight) or (samples.size and samples.min() < 0):
-        raise InputError("sample_index", Unquoted("other samples"), "one, from 0, for each run")
+        refuse("sample_index", "other samples", "one, from 0, for each run")
     total = np.bincount(samples, weights=weight)
     if not (total > 0.0).all():
-        raise InputError("sample_index", Unquoted("a sample without weight"), "runs in each sample")
+        refuse("sample_index", "a sample without weight", "runs in each sample")
     return Measure(
         weight=freeze(np.array(weight, dtype=np.float64)),
         sample_index=freeze(samples),
@@ -204,8 +200,6 @@ def build_measure(
 
 
 # ---------- the problem and the value of a set
-
-
 Fusion = Literal["any", "single"]
 
 
@@ -264,9 +258,7 @@ class PlacementProblem:
     def __post_init__(self) -> None:
         n_poses = self.table.n_poses
         if self.limits.n_poses != n_poses:
-            raise InputError(
-                "site_index", Unquoted(f"{self.limits.n_poses} poses"), f"{n_poses} poses"
-            )
+            refuse("site_index", f"{self.limits.n_poses} poses", f"{n_poses} poses")
         if (self.table.axis.last_brake_time_s == np.inf).any():
             raise InputError("last_brake_time_s", np.inf, "a time, or minus infinity")
         check_one_of("fusion", self.fusion, get_args(Fusion))
@@ -280,7 +272,7 @@ class PlacementProblem:
         flags += [(floor.name, floor.is_counted, axis.n_runs, "run") for floor in self.floors]
         for name, flag, size, noun in flags:
             if flag is not None and flag.shape != (size,):
-                raise InputError(name, Unquoted(f"shape {flag.shape}"), f"a flag for each {noun}")
+                refuse(name, f"shape {flag.shape}", f"a flag for each {noun}")
         self.measure()  # checks samples and tail
 
     @property
@@ -304,7 +296,7 @@ class PlacementProblem:
         weight = np.where(floor.is_counted, self.table.axis.weight, 0.0)
         total = float(weight.sum())
         if total == 0.0:
-            raise InputError(floor.name, Unquoted("runs without weight"), "a run that counts")
+            refuse(floor.name, "runs without weight", "a run that counts")
         return build_measure(weight / total)
 
     def __repr__(self) -> str:
@@ -405,8 +397,6 @@ def objective_values(
 def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     """True if the first difference that exceeds rounding noise favours `value`.
 
-    Examples
-    --------
     >>> is_better(PlacementValue(1.0, 0.5, 0.2, 0.3, 9.0), PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
     True
     """
@@ -449,8 +439,6 @@ class Requirement:
 
 
 # ---------- windows that end in time, and what keeps them alive
-
-
 WordArray = NDArray[np.uint64]
 
 

@@ -382,8 +382,6 @@ def in_threads(
 
 
 # ---------- sets that tie
-
-
 class SomeWalk(Protocol):
     """A walk through all sets that meet needs, which may be raised on the way."""
 

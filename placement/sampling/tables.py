@@ -32,9 +32,8 @@ from .moving import TrafficCount
 from .uncertainty import Blinding, Uncertainty
 from .worlds import RandomStreams, Sample, draw_samples, link_frames, mount_key, pose_key, unit_key
 
+
 # ---------- misses
-
-
 def build_drawn_tables(
     sample: Sample,
     detector: ResponseDetector,
@@ -153,8 +152,6 @@ def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
 
 
 # ---------- detection tables of sampled worlds
-
-
 STAGE = "sampled detection tables"
 _log = logging.getLogger(__name__)
 _ROWS = 256  # unpacked at a time
@@ -402,8 +399,6 @@ def _progress_of(index: int, n_samples: int, progress: Progress) -> Progress:
 
 
 # ---------- frames that are not told: messages lost, units out of order, cameras dirty or dazzled
-
-
 def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     """A table without the detections that do not reach the VUT, the same ones in all weathers.
 

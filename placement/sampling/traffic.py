@@ -21,8 +21,6 @@ from scenarios.runs import Run
 from .uncertainty import StandingTraffic, VehicleKind
 
 # ---------- ways of VUT and VRU
-
-
 _STEP_M = 0.25  # along a way, from one footprint to the next
 _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 
@@ -135,8 +133,6 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
 
 
 # ---------- vehicles that stand
-
-
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls; and just below each roof
 _BELOW_ROOF_M = 0.1
 _MOUTH_M = 10.0  # so much of a lane says where it points at its mouth

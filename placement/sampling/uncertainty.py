@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, refuse
 from geometry.files import (
     Table,
     load_data,
@@ -33,8 +33,6 @@ from .moving import MovingTraffic, load_traffic, read_body
 _T = TypeVar("_T")
 
 # ---------- kinds of uncertainty
-
-
 _SPEEDS = ("pedestrian_kmh", "cyclist_kmh", "motorcyclist_kmh", "car_kmh")
 # Pairs of road users' limits: the unit, and the most that can be.
 _REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
@@ -213,11 +211,10 @@ class StandingTraffic:
 
     def _check_mix(self, use: str) -> None:
         if not self.vehicles:
-            raise InputError("vehicles", Unquoted("none"), "at least one kind of vehicle")
+            refuse("vehicles", "none", "at least one kind of vehicle")
         total = sum(getattr(kind, use) for kind in self.vehicles)
         if abs(total - 1.0) > _SUM_TOLERANCE:
-            got = Unquoted(f"a sum of {total:g}")
-            raise InputError(f"vehicles: {use}", got, "shares that sum to 1")
+            refuse(f"vehicles: {use}", f"a sum of {total:g}", "shares that sum to 1")
 
     @property
     def is_empty(self) -> bool:
@@ -366,8 +363,6 @@ def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Unce
 
 
 # ---------- reading
-
-
 UNCERTAINTY_NAMES = ("default", "robustness", "as-measured", "none")
 _FILE = "uncertainty.toml"
 _SECTIONS = (
@@ -440,7 +435,7 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
     _refuse_unknown(document, _SECTIONS, prefix.rstrip(".: "))
     vehicles = _read_vehicles(document, prefix)
     if vehicles and "traffic" not in document:
-        raise InputError(f"{prefix}vehicles", Unquoted("no section traffic"), "where they stand")
+        refuse(f"{prefix}vehicles", "no section traffic", "where they stand")
     mounting = document
     if isinstance(aimed := document.get("mounting"), str):  # how units are aimed
         mounting = {"mounting": pick(_shipped()["aimed"], aimed, f"{prefix}mounting")}

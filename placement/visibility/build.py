@@ -95,8 +95,6 @@ def _fill(
 
 
 # ---------- a few poses, each with a detector of its own
-
-
 def detected_frames(
     setting: Setting, looks: Sequence[Look], *, stage: str, compute: Compute
 ) -> BoolArray:
@@ -130,7 +128,6 @@ def detected_frames(
 
 
 # ---------- tables on disk, under a hash of everything that went into them
-
 _FORMAT = "place-rsus/table/7"  # raise it whenever the same inputs give another table
 _WHAT = "detection table"
 

@@ -39,8 +39,6 @@ _ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
 
 
 # ---------- bodies
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bodies:
     """Bodies that are there in some of the runs, or in some frames; in groups.
@@ -157,8 +155,6 @@ def _build_vehicles(
 
 
 # ---------- all that rays meet
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedScene:
     """Everything that all sampled worlds of a scene have in common."""

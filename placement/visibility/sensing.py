@@ -360,8 +360,6 @@ def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntAr
 
 
 # ---------- LiDARs
-
-
 _SLACK_LIMIT = 1.0e-12  # of a cosine and a sine: limits of a field of view count
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from geometry.actors import Actor, MovingActor
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.errors import InputError, MissingExtraError, refuse
 from geometry.files import open_file, read_text, write_new
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
 from geometry.lines import along_m, points_at
@@ -102,8 +102,8 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
     leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
     entry, leaving = ({k: v for k, v in edges.items() if v} for edges in (entry, leaving))
     if not entry or not leaving:
-        got = Unquoted("no lane into the junction" if not entry else "no lane out of it")
-        raise InputError(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
+        got = "no lane into the junction" if not entry else "no lane out of it"
+        refuse(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
     kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
     xml = _run_netconvert(program, plain, scene, has_lights="traffic light" in kinds)
@@ -255,11 +255,10 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
         ]
         done = _run_program(command, timeout_s=_NETCONVERT_TIMEOUT_S)
         if done is None:
-            raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert")
+            refuse(scene.name, "no network", "lanes for netconvert")
         if done.returncode != 0 or not target.exists():
             reason = " ".join(done.stderr.split())
-            expected = "lanes that netconvert connects"
-            raise InputError(f"{scene.name}: lanes", Unquoted(reason), expected)
+            refuse(f"{scene.name}: lanes", reason, "lanes that netconvert connects")
         return read_text(target, "XML")
 
 
@@ -279,14 +278,11 @@ def _find_ways(
         edges = " ".join([*entry[arm], *leaving[other]])
         ways.setdefault(arm, {}).setdefault(turn, {})[other] = edges
     if not ways:
-        expected = "lanes in and out"
-        raise InputError(f"{scene.name}: lanes", Unquoted("no way through the junction"), expected)
+        refuse(f"{scene.name}: lanes", "no way through the junction", "lanes in and out")
     return ways
 
 
 # ---------- simulation
-
-
 _TIMEOUT_S = 900.0
 _LONGEST_BODY_M = 20.0
 _MAX_SEED = 2**31 - 1
@@ -405,12 +401,12 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
         command = [sys.executable, "-I", str(child), str(given), str(found)]
         done = _run_program(command, timeout_s=_TIMEOUT_S)
         if done is None:
-            got = Unquoted(f"a simulation that takes more than {_TIMEOUT_S:g} s")
-            raise InputError("traffic", got, "less demand, or fewer runs")
+            got = f"a simulation that takes more than {_TIMEOUT_S:g} s"
+            refuse("traffic", got, "less demand, or fewer runs")
         if done.returncode != 0:
             lines = done.stderr.split("\n")
             reason = next((line for line in reversed(lines) if line.strip()), "no reason given")
-            raise InputError("traffic", Unquoted(reason.strip()), "traffic that SUMO drives")
+            refuse("traffic", reason.strip(), "traffic that SUMO drives")
         with open_file(found) as file, np.load(file, allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files}
 
@@ -428,8 +424,6 @@ def _run_program(
 
 
 # ---------- vehicles that drive by in sampled worlds
-
-
 SUMO = "sumo"
 
 

@@ -101,8 +101,6 @@ def build_trajectories(
 
 
 # ---------- windows
-
-
 REACH_M = 100.0
 """Vehicles farther than this from the middle of the junction are cut."""
 _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
