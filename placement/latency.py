@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, refuse
+from geometry.errors import InputError, located, refuse
 from geometry.files import Table, Text, load_data, load_toml, read_table, take_text
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.runs import find_onsets
@@ -120,10 +120,8 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
         parts = tuple(
             _read_part(entry, where, f"{where}.parts[{i}]") for i, entry in enumerate(read.parts)
         )
-        try:
+        with located(f"{file}: "):
             budgets[name] = LatencyBudget(name=name, parts=parts)
-        except InputError as error:
-            raise InputError(f"{file}: {error.where}", error.got, error.expected) from None
     return budgets
 
 

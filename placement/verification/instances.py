@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
 from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
-from geometry.errors import InputError, refuse
+from geometry.errors import InputError, located, refuse
 from geometry.files import open_file, reading, write_atomically
 from geometry.scene import Scene
 from geometry.sensors import LENS_FIELDS, CameraModel
@@ -374,14 +374,12 @@ def load_stored_problem(path: Path) -> StoredProblem:
         arrays = {name: _read(archive, name, str(path)) for name in archive.files}
     _check_fields(arrays, known, str(path))
     mounts = None
-    try:
+    with located(f"{path}: "):
         if known is not _FIELDS:
             of_mounts = {attribute: arrays[name] for name, attribute in _ATTRIBUTES.items()}
             sensors = tuple(_read_sensor(text) for text in arrays["sensors"].tolist())
             mounts = _build(Mounts, of_mounts, sensors=sensors)
         return StoredProblem(_from_arrays(arrays), mounts)
-    except InputError as error:
-        raise InputError(f"{path}: {error.where}", error.got, error.expected) from None
 
 
 def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.actors import Actor, Shape, pick_actor
-from geometry.errors import InputError, check_one_of, refuse
+from geometry.errors import InputError, check_one_of, located, refuse
 from geometry.files import (
     Table,
     Text,
@@ -116,11 +116,8 @@ def _read(document: Table, where: str, name: str) -> Demand:
     bodies = [kind.actor.name for kind in kinds]
     check_distinct(f"{where}: vehicles", bodies, "every body once")
     if table.vehicles_per_hour_per_lane == 0.0 and not any(table.arms.values()):
-        raise InputError(
-            f"{where}: vehicles_per_hour_per_lane",
-            table.vehicles_per_hour_per_lane,
-            "more than 0, or an arm in [arms] with more",
-        )
+        expected = "more than 0, or an arm in [arms] with more"
+        raise InputError(f"{where}: vehicles_per_hour_per_lane", 0.0, expected)
     return Demand(
         vehicles_per_hour_per_lane=table.vehicles_per_hour_per_lane,
         arms=dict(table.arms),
@@ -169,15 +166,10 @@ def read_body(entry: Table, where: str) -> Actor:
     sizes_m = {key: take_number(entry, key, where) for key in _SIZES}
     bits = np.array([[index & 1, index >> 1 & 1, index >> 2] for index in range(8)])
     corners = (bits - [0.5, 0.5, 0.0]) * [*sizes_m.values()]
-    try:
-        return Actor(
-            name=take_text(entry, "name", where),
-            class_name="parked vehicle",
-            **sizes_m,
-            shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
-        )
-    except InputError as error:
-        raise InputError(f"{where}: {error.where}", error.got, error.expected) from None
+    name = take_text(entry, "name", where)
+    shapes = (Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),)
+    with located(f"{where}: "):
+        return Actor(name=name, class_name="parked vehicle", **sizes_m, shapes=shapes)
 
 
 # ---------- SUMO's routes

@@ -58,10 +58,6 @@ class RoadNetwork:
 
     xml: str  # content of the .net.xml file
     origin_m: FloatArray  # (2,): its origin in the world frame, whose axes it has. [m]
-    # entry_edges, exit_edges: by arm: edges towards the junction, and away from it, in driving
-    # order with blanks between
-    entry_edges: dict[str, str]
-    exit_edges: dict[str, str]
     n_entry_lanes: dict[str, int]  # by arm
     ways: dict[str, dict[str, dict[str, str]]]  # by arm, turn, exit arm: the edges of the way
 
@@ -110,8 +106,6 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
     return RoadNetwork(
         xml=xml,
         origin_m=origin,
-        entry_edges={name: " ".join(edges) for name, edges in entry.items()},
-        exit_edges={name: " ".join(edges) for name, edges in leaving.items()},
         n_entry_lanes={name: len(junction.arms[name].entry_lanes) for name in entry},
         ways=_find_ways(xml, entry, leaving, scene),
     )
@@ -144,9 +138,8 @@ class _Plain:
             if cuts[-1] - one > _SAME_LENGTH_M and one >= _SHORTEST_M:
                 cuts.append(one)
         cuts = [0.0, *reversed(cuts)]
-        stem = f"{arm.name}-{'in' if is_in else 'out'}"
+        stem, inner = f"{arm.name}-{'in' if is_in else 'out'}", JUNCTION
         names = []
-        inner = JUNCTION
         for number, (near_m, far_m) in enumerate(pairwise(cuts)):
             is_last = number == len(cuts) - 2
             members = [
@@ -201,13 +194,11 @@ class _Plain:
                 for other in junction.arms.values():
                     for leaving in other.exit_lanes if other is not arm else ():
                         lane = junction.connection(entry, leaving)
-                        ends = [
-                            self.at_junction.get((True, entry.id)),
-                            self.at_junction.get((False, leaving.id)),
-                        ]
-                        if lane is None or ends[0] is None or ends[1] is None:
+                        begin = self.at_junction.get((True, entry.id))
+                        end = self.at_junction.get((False, leaving.id))
+                        if lane is None or begin is None or end is None:
                             continue
-                        (from_edge, from_lane), (to_edge, to_lane) = ends[0], ends[1]
+                        (from_edge, from_lane), (to_edge, to_lane) = begin, end
                         self.connections.append(
                             f"<connection from={quoteattr(from_edge)} to={quoteattr(to_edge)} "
                             f'fromLane="{from_lane}" toLane="{to_lane}" '
@@ -327,13 +318,8 @@ def simulate_windows(
         now = first + n_frames
         impact_s[key] = now * step_s
         middle = sorted(runs, key=lambda run: run.vut_speed_kmh)[len(runs) // 2]
-        windows.append(
-            {
-                "first_step": first,
-                "last_step": now,
-                "vut": _vut_drive(middle, network, last_step=now),
-            }
-        )
+        vut_drive = _vut_drive(middle, network, last_step=now)
+        windows.append({"first_step": first, "last_step": now, "vut": vut_drive})
     vut = next(iter(groups.values()))[0].encounter.vut
     job = {
         "seed": seed,
@@ -375,7 +361,7 @@ def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, A
     wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
     exits = turns.get(wanted) or next(iter(turns.values()), {})
     leaving = next(iter(exits.values()), "")
-    if run.approach not in network.entry_edges or not leaving:
+    if not leaving:
         return None
     yaw = np.radians(run.vut_yaw_deg)
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
@@ -415,10 +401,9 @@ def _run_program(
     command: Sequence[str], *, timeout_s: float
 ) -> subprocess.CompletedProcess[str] | None:
     """Run a program to its end; None where that takes too long."""
+    how: dict[str, Any] = {"capture_output": True, "text": True, "check": False}
     try:
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=timeout_s, check=False
-        )
+        return subprocess.run(command, timeout=timeout_s, **how)
     except subprocess.TimeoutExpired:
         return None
 

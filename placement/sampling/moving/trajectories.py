@@ -108,27 +108,13 @@ _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 
 @dataclass(frozen=True, slots=True)
 class TrafficCount:
-    """Vehicles that drive by, in all runs together.
-
-    Attributes
-    ----------
-    n_runs : int
-        Number of runs.
-    n_vehicles : int
-        Near the junction, those left out among them.
-    n_left_out : int
-        Of these: they would have come into the way of VUT or VRU.
-    n_departed : int
-        By SUMO: entered the network.
-    n_waiting : int
-        By SUMO: found no room to.
-    """
+    """Vehicles that drive by, in all runs together."""
 
     n_runs: int = 0
-    n_vehicles: int = 0
-    n_left_out: int = 0
-    n_departed: int = 0
-    n_waiting: int = 0
+    n_vehicles: int = 0  # near the junction, those left out among them
+    n_left_out: int = 0  # of these: they would have come into the way of VUT or VRU
+    n_departed: int = 0  # by SUMO: entered the network
+    n_waiting: int = 0  # by SUMO: found no room to
 
     def __add__(self, other: "TrafficCount") -> "TrafficCount":
         return TrafficCount(*map(sum, zip(astuple(self), astuple(other), strict=True)))
@@ -263,8 +249,5 @@ def _is_nearer(
     yaw_b_deg: FloatArray,
 ) -> BoolArray:
     """Moments at which two bodies are nearer than a limit."""
-    one, other = actors
-    sizes = footprint_sizes(one, other)
-    apart = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=sizes).max(axis=0)
-    nearer: BoolArray = apart <= limit_m
-    return nearer
+    gaps_m = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=footprint_sizes(*actors))
+    return np.asarray(gaps_m.max(axis=0) <= limit_m)
