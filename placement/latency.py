@@ -74,8 +74,7 @@ class LatencyBudget:
         shape = (size,) if isinstance(size, int) else size
         low, high = np.array([(part.low_s, part.high_s) for part in self.parts]).T
         total = rng.uniform(low, high, size=(*shape, len(self.parts))).sum(axis=-1)
-        drawn: FloatArray = np.clip(total, self.best_s, self.worst_s)  # sums round
-        return drawn
+        return np.asarray(np.clip(total, self.best_s, self.worst_s))
 
 
 def fixed_latency(latency_s: float) -> LatencyBudget:

@@ -304,8 +304,7 @@ class ResponseDetector:
 def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
     """A curve that rises from 0 to 1 and is 0.5 at `half`."""
     powers = np.maximum(values, 0.0) ** steepness
-    rising: FloatArray = powers / (powers + half**steepness)
-    return rising
+    return np.asarray(powers / (powers + half**steepness))
 
 
 def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:

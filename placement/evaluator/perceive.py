@@ -111,8 +111,7 @@ def _distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> Float
     offsets = np.empty((len(vru_poses), 3))
     offsets[:, :2] = vru_poses[:, :2] - pose.position_m[:2]
     offsets[:, 2] = 0.5 * hull_m[:, 2].max() + vru_poses[:, 3] - pose.position_m[2]
-    distance: FloatArray = np.linalg.norm(offsets, axis=1)
-    return distance
+    return np.asarray(np.linalg.norm(offsets, axis=1))
 
 
 # ---------- cameras

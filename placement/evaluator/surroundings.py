@@ -51,8 +51,7 @@ class Mesh:
     @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the triangles, (n_triangles, 3, 3)."""
-        corners: FloatArray = np.ascontiguousarray(self.vertices_m[self.triangles])
-        return corners
+        return np.ascontiguousarray(self.vertices_m[self.triangles])
 
     @cached_property
     def skin(self) -> "Skin":
@@ -120,8 +119,7 @@ class Solid:
         corners = np.concatenate([mesh.corners_m for mesh in self.meshes])
         a, b, c = np.moveaxis(corners, 1, 0)
         across = np.cross(b - a, c - a)
-        normals: FloatArray = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
-        return normals
+        return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12))
 
 
 def build_body(shape: Shape, *, library: str | None = None) -> Solid:

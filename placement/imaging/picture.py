@@ -587,5 +587,4 @@ def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRay
         for across, down in _OFFSETS_PX
     ]
     more = shade_rays(shot, np.concatenate(ways))[0].radiance
-    mean: FloatRays = (radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways))
-    return mean
+    return np.asarray((radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways)))

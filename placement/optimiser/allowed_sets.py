@@ -150,8 +150,7 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
     sites = np.sort(limits.site_index[sets], axis=1)
     is_first = np.ones(sites.shape, dtype=bool)
     is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
-    total: FloatArray = cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
-    return total
+    return np.asarray(cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1))
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:

@@ -431,8 +431,7 @@ def _fails(reduced: ReducedProblem, requirement: Requirement, run: int | None = 
         margin_s = union_margins_s(reduced, unions)
         if run is not None:
             return ~requirement.counts_run(margin_s[:, run])
-        result: BoolArray = requirement.reached(margin_s) < requirement.least - TOLERANCE
-        return result
+        return requirement.reached(margin_s) < requirement.least - TOLERANCE
 
     return fails
 

@@ -129,8 +129,7 @@ class Measure:
     def of(self, is_avoided: BoolArray) -> FloatArray:
         """Ratio of each set of avoided runs: (..., n_runs) -> (...,)."""
         if self.is_mean:
-            share: FloatArray = is_avoided @ self.weight
-            return share
+            return is_avoided @ self.weight
         return self.of_worlds(self.by_world(is_avoided))
 
     def by_world(self, is_avoided: BoolArray) -> FloatArray:
@@ -145,15 +144,13 @@ class Measure:
     def of_worlds(self, by_sample: FloatArray) -> FloatArray:
         """Ratio from the weight of avoided runs by world, (..., n_samples) or of all, (..., 1)."""
         if self.is_mean:
-            total: FloatArray = by_sample.sum(axis=-1)
-            return total
+            return np.asarray(by_sample.sum(axis=-1))
         ratio = by_sample / self.sample_weight
         order = np.argsort(ratio, axis=-1, kind="stable")  # the worst first, up to the tail
         ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
         worst_first = np.take_along_axis(ratio, order, axis=-1)
         counted = np.diff(ends, axis=-1, prepend=0.0) * worst_first
-        result: FloatArray = counted.sum(axis=-1) / self.tail
-        return result
+        return np.asarray(counted.sum(axis=-1) / self.tail)
 
     @property
     def limit(self) -> float:
@@ -433,8 +430,7 @@ class Requirement:
         """Amount that margins reach: (n_sets, n_runs) -> (n_sets,), failures aside."""
         in_time = self.counts_run(margin_s)
         if self.sums_margins:
-            total: FloatArray = np.where(in_time, margin_s, 0.0) @ self.measure.weight
-            return total
+            return np.where(in_time, margin_s, 0.0) @ self.measure.weight
         return self.measure.of(in_time)
 
 

@@ -449,8 +449,7 @@ def blinded_frames(sample: Sample) -> BoolArray:
         cosine > np.cos(np.radians(blinding.dazzled_within_deg))
     )
     dirty = _coins(sample)("dirt of the VUT") < blinding.dirty_share
-    blinded: BoolArray = dazzled | np.repeat(dirty, n_frames)
-    return blinded
+    return np.asarray(dazzled | np.repeat(dirty, n_frames))
 
 
 def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:

@@ -83,8 +83,7 @@ def _shape_box_m(shape: Shape) -> FloatArray:
 
 def _box_m(shape: Shape) -> FloatArray:
     """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    box: FloatArray = _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
-    return box
+    return _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
 
 
 def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:

@@ -125,8 +125,7 @@ class Sensing:
         ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
         half_angle = np.radians(0.5 * candidate.sensor.diagonal_fov_deg) + self.half_angle_rad
         along = self.middle_m @ ahead + _SLACK * self.distance_m
-        is_in: BoolArray = along >= np.cos(np.minimum(half_angle, np.pi)) * self.distance_m
-        return is_in
+        return np.asarray(along >= np.cos(np.minimum(half_angle, np.pi)) * self.distance_m)
 
 
 def build_sensing(
