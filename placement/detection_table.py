@@ -25,8 +25,7 @@ class DetectionTable:
 
     pose_ids: tuple[str, ...]  #: ids of the candidate poses: the rows
     axis: FrameAxis  #: runs and frames: the columns
-    #: (n_poses, ceil(n_frames / 8)): bits along the frames, lowest bit first
-    packed: NDArray[np.uint8]
+    packed: NDArray[np.uint8]  #: (n_poses, ceil(n_frames / 8)): along the frames, lowest bit first
 
     def __post_init__(self) -> None:
         packed = np.array(self.packed, dtype=np.uint8)

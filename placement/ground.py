@@ -68,8 +68,7 @@ class GroundCoverage:
     # east_m, north_m: (n_east,), (n_north,): middles of the cells. World frame. [m]
     east_m: FloatArray
     north_m: FloatArray
-    # (n_north, n_east): the highest of all cameras; 0: none sees the cell. [px/m]
-    density: FloatArray
+    density: FloatArray  # (n_north, n_east): highest of all cameras; 0: none sees the cell. [px/m]
     is_road: BoolArray  # (n_north, n_east): cells on a lane or in the junction
 
     def shares(self) -> dict[str, float]:
@@ -167,8 +166,7 @@ class PrivateGround:
     """Areas that cameras must not look into."""
 
     names: tuple[str, ...]  # of the areas
-    # (n, 3): points all over them, at the height of people's eyes. World frame. [m]
-    points_m: FloatArray
+    points_m: FloatArray  # (n, 3): points all over them, at people's eye height. World frame. [m]
     area_index: IntArray  # (n,): area of each point
     area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
     shapes: tuple[Any, ...]  # the areas: shapely polygons, world frame, metres

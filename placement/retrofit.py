@@ -159,8 +159,7 @@ class Retrofit:
     # the best of every unit, the best first; they may be worse than no change
     re_aims: tuple[Change, ...]
     addition: Change | None  # the best new unit; None if no addition is an improvement
-    # the best re-aims and additions together within the budget, if there is one
-    combination: Change | None
+    combination: Change | None  # the best re-aims and additions within the budget, if there is one
 
 
 def find_retrofit(
@@ -406,15 +405,13 @@ LEAST_GAIN = 1.0e-9
 class Advice:
     """A layout that answers a question, and how good it is proven to be."""
 
-    # all that would be mounted then; those that stay keep their ids
-    units: tuple[CandidatePose, ...]
+    units: tuple[CandidatePose, ...]  # all that is mounted then; those that stay keep their ids
     # before, after: worth of the present and the new layout on the detection table; `before`
     # is None where nothing is mounted. Costs are of the same kind: of what is new, or of
     # everything.
     before: PlacementValue | None
     after: PlacementValue
-    # of a search; None where all alternatives were tried one by one
-    certificate: Certificate | None = None
+    certificate: Certificate | None = None  # of a search; None: all were tried one by one
     n_compared: int = 0  # how many were tried so; 0 of a search
 
     @property

@@ -91,8 +91,7 @@ class Setting:
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]  #: what the VUT itself looks with
     vut_camera: CameraModel | None = None  #: in place of the study's
     levels: Levels | None = None  #: what runs count by the speed at contact; None: if avoided
-    #: Share of the VUTs that see, whose own sensors are one more unit in every run. 0 .. 1
-    cars: float = 0.0
+    cars: float = 0.0  #: share of the VUTs whose own sensors are one more unit in every run. 0 .. 1
     #: (n_frames,): in which the VUT's own sensors detect, where that is known already; see
     #: :func:`placement.evaluator.with_sight`.
     seen_by_vut: BoolArray | None = None

@@ -104,8 +104,7 @@ class Wishes:
     #: the APR that is left is the first objective.
     survive: int = 0
     give_up: float = 0.0  #: APR that may be given up so that more is left when a unit fails.
-    #: What fails at once: a unit, or a site with everything that it carries.
-    failing: Failing = "unit"
+    failing: Failing = "unit"  #: What fails at once: a unit, or a site with all that it carries.
     #: Ids of candidates that are mounted already: they stay, and cost nothing.
     existing: tuple[str, ...] = ()
     #: forced_sites and forbidden_sites: ids of sites that must, and must not, carry units, in
@@ -114,8 +113,7 @@ class Wishes:
     forbidden_sites: tuple[str, ...] = ()
     site_capacity: int | None = None  #: Units per site, in place of the scene's.
     site_cost_eur: float | None = None  #: For a site that is used, in place of the scene's. [EUR]
-    #: For sites without a price of their own; by default they cost nothing.
-    prices: SitePrices | None = None
+    prices: SitePrices | None = None  #: For sites without a price; by default they cost nothing.
     #: Least distance on the ground between two units; on one site there is one at most then. [m]
     separation_m: float = 0.0
     #: Share of the sampled worlds that counts, the worst ones, see

@@ -139,14 +139,12 @@ class ResponseDetector:
     height_steepness: float
     min_box_height_px: float  # smaller boxes are never detected. [px]
     class_factor: FloatArray  # (n_classes,): in the order of ``VRU_CLASSES``
-    # factor for a cyclist seen from straight behind or ahead; 1 from the side
-    cyclist_end_on: float
+    cyclist_end_on: float  # factor of a cyclist seen from straight behind or ahead; 1 from the side
     # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness), relative to
     # that at full contrast
     contrast_half: float
     contrast_steepness: float
-    # standard deviation of each side, as a share of the box's width or height
-    box_noise_share: float
+    box_noise_share: float  # standard deviation of each side, as share of the box's width or height
     frame_correlation: float  # between the random draws of consecutive frames
     plan_probability: float  # a plan counts on a detection from this probability on
     assumed: tuple[str, ...] = ()  # classes of which nothing is measured

@@ -41,8 +41,7 @@ class Sightings:
     # shares of its width or height; NaN where nothing is found
     box_error: FloatArray
     track: IntArray  # (n,): equal for frames of one camera and one run
-    # (n,): number of the frame: consecutive numbers of one track are consecutive frames
-    frame: IntArray
+    frame: IntArray  # (n,): its number: consecutive ones of a track are consecutive frames
 
     def __post_init__(self) -> None:
         n = len(self.height_px)
@@ -91,15 +90,13 @@ class LabelledPicture:
     seen_share: FloatArray
     contrast: FloatArray
     aspect_deg: FloatArray
-    # (m, 4): boxes of the detector that count, of any class of road user. [px]
-    found_px: FloatArray
+    found_px: FloatArray  # (m, 4): boxes of the detector that count, of any class of road user [px]
     # (n, m): which box is of a class that counts for which label; by default all are
     finds: BoolArray | None = None
     # (k, 4): the boxes that are false alarms where they overlap no label; by default all. A box
     # around a person and a bicycle, say, is none next to these two.
     alone_px: FloatArray | None = None
-    # all of the picture was looked at: otherwise its false alarms are not counted
-    is_whole: bool = True
+    is_whole: bool = True  # all of it was looked at: otherwise its false alarms are not counted
     # (n,): whose label it is, where each road user is a track of its own; by default the picture's
     label_track: IntArray | None = None
 

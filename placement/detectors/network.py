@@ -57,8 +57,7 @@ class Export:
     """How a network's outputs are read, and what it needs to be shown."""
 
     kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
-    # outputs by name to boxes (n, 4), classes (n,), confidence (n,)
-    read: Callable[[Outputs], Found]
+    read: Callable[[Outputs], Found]  # outputs to boxes (n, 4), classes (n,), confidence (n,)
     stride_px: int = 1  # images of free size are padded to its multiples
     is_suppressed: bool = True  # overlapping boxes of one class have been removed
     is_imagenet: bool = False  # images are normalised by ImageNet's mean and spread

@@ -373,8 +373,7 @@ class VutCamera:
     """A camera on the VUT, facing ahead: level where the road is, else along its grade."""
 
     camera: CameraModel  # what is mounted
-    # distance ahead of the VUT's middle, as a share of half its length
-    ahead_per_half_length: float
+    ahead_per_half_length: float  # distance ahead of the VUT's middle, as share of half its length
     up_per_half_height: float  # height above the road, as a share of half the VUT's height
 
     def pose_on(self, vut: Actor) -> Pose:

@@ -73,8 +73,7 @@ class Answer:
 
     pose_index: tuple[int, ...] | None  # a set of poses that meets it; None: none was found
     is_proven: bool  # that there is none; or that none has a better `value`
-    # where a number was asked for: the least, or the most, that was found; else NaN
-    value: float = np.nan
+    value: float = np.nan  # where a number was asked for: the least, or the most, found; else NaN
 
 
 class Oracle:

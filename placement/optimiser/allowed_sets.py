@@ -21,8 +21,7 @@ Failing = Literal["unit", "site"]
 class Limits:
     """Sets of poses that may be mounted."""
 
-    # (n_poses,): site of every pose; a pose that belongs to no site has one of its own
-    site_index: IntArray
+    site_index: IntArray  # (n_poses,): site of each pose; one that belongs to none has its own
     site_capacity: IntArray  # (n_sites,): units that each site can carry
     budget_units: int | None = None  # At most so many units in all, the forced ones among them
     budget_eur: float | None = None  # At most so much money [EUR]

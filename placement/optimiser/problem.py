@@ -448,8 +448,7 @@ class Chains(NamedTuple):
     window_frames: IntArray
     window: IntArray  # (n_links,): the windows of all chains, chain after chain
     start: IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
-    # (n_tails,): merged frames without which the first windows of a chain are not live.
-    tail_frame: IntArray
+    tail_frame: IntArray  # (n_tails,): merged frames that a chain's first windows need to be live
     tail_links: IntArray  # (n_tails,): how many windows those are; falling within each chain
     tail_start: IntArray  # (n_chains + 1,): tails of each chain
 

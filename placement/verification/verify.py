@@ -57,8 +57,7 @@ class StageProof(NamedTuple):
     """Grounds for a stage of a certificate."""
 
     name: str  # the stage
-    # Whether the certificate says that the layout is proven best in this stage.
-    claims_optimum: bool
+    claims_optimum: bool  # whether the certificate says that the layout is proven best in it
     is_proven_again: bool  # whether that was proven here, without a solver
     reason: str  # how; or what it rests on instead
 

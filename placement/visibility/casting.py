@@ -158,8 +158,7 @@ def _build_vehicles(
 class SharedScene:
     """Everything that all sampled worlds of a scene have in common."""
 
-    # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
-    origin_m: FloatArray
+    origin_m: FloatArray  # (3,): subtracted from all coordinates: rays have single precision. [m]
     caster: RayCaster  # what stands there in all runs
     triangles_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
     places: Places  # where VRUs are looked at

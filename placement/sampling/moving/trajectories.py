@@ -19,12 +19,10 @@ class Trajectories:
     """Vehicles on the road, each with samples in ascending order of time."""
 
     bodies: tuple[Actor, ...]  # one per vehicle
-    # (n_vehicles + 1,): samples of vehicle v are row_start[v] .. row_start[v + 1] - 1
-    row_start: IntArray
+    row_start: IntArray  # (n_vehicles + 1,): rows of v are row_start[v] .. row_start[v + 1] - 1
     time_s: FloatArray  # (n_rows,): on any clock. [s]
     position_m: FloatArray  # (n_rows, 2): middle of the footprint. World frame. [m]
-    # (n_rows,): without jumps of a full turn from sample to sample of a vehicle. [deg]
-    yaw_deg: FloatArray
+    yaw_deg: FloatArray  # (n_rows,): without jumps of a full turn from one to the next. [deg]
     step_s: float  # from sample to sample. [s]
     # first_s, last_s: from when to when traffic is known. [s]
     first_s: float
