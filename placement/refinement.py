@@ -28,23 +28,10 @@ from .optimiser import (
     presolve,
     solve_placement,
 )
-from .optimiser.problem import Objective, objective_values
+from .optimiser.problem import Objective, improves, objective_values
 from .optimiser.solve import build_stage
 from .pipeline import Placement
 from .setting import Setting
-
-
-def improves(values: Mapping[Objective, float], others: Mapping[Objective, float]) -> bool:
-    """True if the first difference that exceeds rounding noise favours `values`.
-
-    >>> improves({Objective.UNITS: 2.0}, {Objective.UNITS: 3.0})
-    True
-    """
-    for objective, value in values.items():
-        excess = objective.excess(value, others[objective])
-        if abs(excess) > objective.tolerance:
-            return excess > 0.0
-    return False
 
 
 def certify(
@@ -392,7 +379,11 @@ def refine(
     if not time_limit_s > 0.0:
         raise InputError("time_limit_s", time_limit_s, "seconds, more than 0")
     started_s = now_s()
-    _check_table(placement.problem, setting, candidates)
+    table = placement.problem.table
+    if table.pose_ids != tuple(candidate.id for candidate in candidates):
+        refuse("candidates", "other poses", "the rows of the placement's table")
+    if table.axis.run_ids != setting.axis.run_ids:
+        refuse("refine", "a table of sampled worlds", "a table of the runs as planned")
     search = _Search(
         setting,
         placement,
@@ -419,15 +410,6 @@ def refine(
         n_tried=len(search.new),
         seconds=now_s() - started_s,
     )
-
-
-def _check_table(
-    problem: PlacementProblem, setting: Setting, candidates: Sequence[CandidatePose]
-) -> None:
-    if problem.table.pose_ids != tuple(candidate.id for candidate in candidates):
-        refuse("candidates", "other poses", "the rows of the placement's table")
-    if problem.table.axis.run_ids != setting.axis.run_ids:
-        refuse("refine", "a table of sampled worlds", "a table of the runs as planned")
 
 
 # ---------- moves

@@ -86,9 +86,7 @@ class Front:
     """Layouts for growing budgets."""
 
     by: Literal["units", "cost"]  # what the points are allowed more and more of
-    points: tuple[
-        FrontPoint, ...
-    ]  # ascending, at least one; by cost those at which something grows
+    points: tuple[FrontPoint, ...]  # ascending, at least one; by cost where something grows
     stages: StageChoice  # what was optimised: APR and APR when one unit fails, or all
     # It is proven that from so many units, or euros, on nothing grows that was optimised, not even
     # beyond the last point; None if that is not known.

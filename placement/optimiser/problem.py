@@ -1,6 +1,6 @@
 """The placement problem on a detection table, and what a set of poses is worth in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import chain, combinations
@@ -397,8 +397,17 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     >>> is_better(PlacementValue(1.0, 0.5, 0.2, 0.3, 9.0), PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
     True
     """
-    for objective in VALUE_OBJECTIVES:
-        excess = objective.excess(value.of(objective), other.of(objective))
+    return improves(*({one: each.of(one) for one in VALUE_OBJECTIVES} for each in (value, other)))
+
+
+def improves(values: Mapping[Objective, float], others: Mapping[Objective, float]) -> bool:
+    """True if the first difference that exceeds rounding noise favours `values`.
+
+    >>> improves({Objective.UNITS: 2.0}, {Objective.UNITS: 3.0})
+    True
+    """
+    for objective, value in values.items():
+        excess = objective.excess(value, others[objective])
         if abs(excess) > objective.tolerance:
             return excess > 0.0
     return False

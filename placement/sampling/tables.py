@@ -4,7 +4,7 @@ import hashlib
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from threading import Lock
@@ -25,7 +25,7 @@ from ..evaluator import with_sight
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
-from ..visibility.build import N_POINTS
+from ..visibility.build import N_POINTS, at_each_mount
 from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
@@ -58,10 +58,6 @@ def build_drawn_tables(
         rays=compute.rays,
         shared=lasting,
     )
-    groups: dict[tuple[float, ...], list[int]] = {}
-    for row, candidate in enumerate(sample.candidates):
-        key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
-        groups.setdefault(key, []).append(row)
     numbers = draw_index(setting.runs)
     order, lasting_noise = link_frames(numbers), detector.lasting
     correlation, deviations = detector.frame_correlation, np.array([0.0, 1.0])
@@ -95,15 +91,7 @@ def build_drawn_tables(
                     packed[draw, row],
                 )
 
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        pending = [pool.submit(fill, rows) for rows in groups.values()]
-        try:
-            for done, future in enumerate(as_completed(pending), start=1):
-                future.result()
-                compute.progress(STAGE, done, len(pending))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    at_each_mount(sample.candidates, fill, stage=STAGE, compute=compute)
     pose_ids = tuple(candidate.id for candidate in sample.candidates)
     return tuple(DetectionTable(pose_ids=pose_ids, axis=setting.axis, packed=one) for one in packed)
 
