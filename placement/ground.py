@@ -57,8 +57,8 @@ def is_in_sight(
     directions = ways / np.maximum(lengths, 1.0e-9)[:, None]
     starts = mount + near_m * directions
     vectors = directions * np.maximum(lengths - near_m - _SHORT_OF_M, 0.0)[:, None]
-    is_free: BoolArray = ~caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
-    return np.asarray(is_free & is_far)
+    is_hidden = caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
+    return np.asarray(is_far & ~is_hidden)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,8 +85,6 @@ class GroundSurvey:
     """The ground around a junction, for several cameras: what does not depend on them."""
 
     def __init__(self, scene: Scene) -> None:
-        import shapely
-
         outline = scene.outline_m
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
@@ -153,8 +151,6 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
 
 # ---------- private ground
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
-
-
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
 _MAX_COORDINATE_M = 1.0e8  # of the world frame: more than twice around the earth
@@ -295,8 +291,8 @@ def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArra
 
     Raises InputError where no candidate is left.
     """
-    share: FloatArray = shares.max(axis=1)
-    kept: BoolArray = share <= max_share
+    share = shares.max(axis=1)
+    kept = np.asarray(share <= max_share)
     if not kept.any():
         least = np.ceil(1000.0 * share.min()) / 1000.0
         expected = f"at least {least:g}, the share that the pose with the least in its picture sees"

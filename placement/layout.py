@@ -86,8 +86,7 @@ class Layout:
         return f"{self.name}: {len(self.units)} units\n{self.to_frame().round(2).to_string()}"
 
     def _repr_html_(self) -> str:
-        html: str = self.to_frame().round(2).to_html()
-        return html
+        return str(self.to_frame().round(2).to_html())
 
     def to_frame(self) -> "pd.DataFrame":
         """The units as a table: a row each, under its id; columns as :func:`layout_records`."""
@@ -123,8 +122,7 @@ class Certificate:
         return f"{self.to_frame().to_string()}\nby {self.solver}"
 
     def _repr_html_(self) -> str:
-        html: str = self.to_frame().to_html()
-        return html
+        return str(self.to_frame().to_html())
 
     def to_frame(self) -> "pd.DataFrame":
         """The stages as a table: objective, bound, gap and seconds, a row each under its name."""

@@ -505,7 +505,7 @@ def rename(
     the order of `before`, new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
-    free = (unit_id for unit_id in (f"U{n}" for n in count(1)) if unit_id not in taken)
+    free = (name for name in map("U{}".format, count(1)) if name not in taken)
     moves = []
     for old, new in pair_units(before.units, poses):
         unit = None if old is None else before.units[old]

@@ -105,14 +105,15 @@ class Labour:
     @property
     def re_aim_eur(self) -> float:
         """To turn a unit on its pole, in euros."""
-        hours = self.travel_h + self.re_aim_h
-        return self.people * self.wage_eur_per_h * hours + self.lift_eur
+        return self._visit_eur(self.re_aim_h)
 
     @property
     def remove_eur(self) -> float:
         """To take a unit down, in euros."""
-        hours = self.travel_h + self.remove_h
-        return self.people * self.wage_eur_per_h * hours + self.lift_eur
+        return self._visit_eur(self.remove_h)
+
+    def _visit_eur(self, at_pole_h: float) -> float:
+        return self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h) + self.lift_eur
 
 
 def load_labour() -> Labour:

@@ -4,7 +4,7 @@ A *road pose* is a row of four numbers: east and north in metres, yaw in degrees
 ground in metres. It places the frame of a :class:`Solid` in the frame in which a sensor stands.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from threading import RLock
@@ -219,7 +219,7 @@ def build_surroundings(
     vut_actor = next(iter(vuts.values()))
     vru_of_frame = [(run.encounter.vru, int(index)) for run in runs for index in run.vru_shape]
     vrus = {key: number for number, key in enumerate(dict.fromkeys(vru_of_frame))}
-    obstructions = {_obstruction_key(run): run.obstruction for run in runs}
+    obstructions = {obstruction_key(run): run.obstruction for run in runs}
     terrain = terrain_of(scene)
     vru_poses = np.concatenate(
         [_road_poses(run.vru_position_m, run.vru_yaw_deg, terrain) for run in runs]
@@ -230,7 +230,7 @@ def build_surroundings(
     classes = [VRU_CLASSES.index(vru_class(run.encounter.vru)) for run in runs]
     standing = build_scene_mesh(scene, middle_m=middle_m)
     static_index = np.repeat(
-        [list(obstructions).index(_obstruction_key(run)) for run in runs], n_frames
+        [list(obstructions).index(obstruction_key(run)) for run in runs], n_frames
     )
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0, 0.0], (sum(n_frames), 1))
@@ -363,7 +363,8 @@ def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
     return carriers
 
 
-def _obstruction_key(run: Run) -> tuple[object, ...]:
+def obstruction_key(run: Run) -> tuple[object, ...]:
+    """Equal for runs in which the same is parked at the same places."""
     return tuple(parked.key for parked in run.obstruction)
 
 
@@ -383,14 +384,10 @@ class VutCamera:
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
-def _vut_table() -> Mapping[str, Any]:
-    return load_data("placement", _WHERE)
-
-
 @cache
 def load_vut_camera() -> VutCamera:
     """The study's camera, from ``data/vut_camera.toml``."""
-    table = _vut_table()
+    table = load_data("placement", _WHERE)
     return VutCamera(
         camera=pick_camera(take_text(table, "camera", _WHERE), f"{_WHERE}: camera"),
         ahead_per_half_length=take_number(table, "ahead_per_half_length", _WHERE),
@@ -401,6 +398,5 @@ def load_vut_camera() -> VutCamera:
 @cache
 def load_vut_lidar() -> LidarModel:
     """The study's LiDAR, at the camera's place, from ``data/vut_camera.toml``."""
-    name = take_text(_vut_table(), "lidar", _WHERE)
-    lidar: LidarModel = pick(load_lidars(), name, f"{_WHERE}: lidar")
-    return lidar
+    name = take_text(load_data("placement", _WHERE), "lidar", _WHERE)
+    return pick(load_lidars(), name, f"{_WHERE}: lidar")

@@ -103,8 +103,7 @@ def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
     """True if a footprint touches one of others."""
     if not others_m:
         return False
-    separation: BoolArray = footprint_separation(np.stack(others_m), corners_m) <= _TOGETHER_M
-    return bool(separation.any())
+    return bool((footprint_separation(np.stack(others_m), corners_m) <= _TOGETHER_M).any())
 
 
 def _build(runs: Sequence[Run], rule: AebRule) -> Ways:

@@ -264,8 +264,8 @@ class RoadUsers:
 
     def speed_kmh(self, class_name: str) -> tuple[float, float]:
         """Least and most by which road users of a class are faster, in km/h."""
-        limits: tuple[float, float] = getattr(self, f"{class_name}_kmh")
-        return limits
+        low, high = getattr(self, f"{class_name}_kmh")
+        return low, high
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
