@@ -359,15 +359,7 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     if path.suffix == ".toml":
         return _read_response(path, load_toml(path), name=path.name)
     if path.suffix == ".onnx":
-        from .network import NetworkDetector, load_onnx_model
-
-        limits = read_table(_defaults()["onnx"], dict[str, float], f"{_FILE}: onnx")
-        return NetworkDetector(
-            name=path.name,
-            model=load_onnx_model(path),
-            min_box_height_px=limits["min_box_height_px"],
-            min_confidence=limits["min_confidence"],
-        )
+        return _load_network(path.name, path, "onnx")
     known = ", ".join((*DETECTOR_NAMES, *LIDAR_NAMES))
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
 
@@ -399,20 +391,17 @@ def _load_lidar_table(name: str) -> LidarTable:
 @cache
 def _load_shipped_network() -> Detector:
     """The network that is shipped."""
+    words = _load_table("cnn-table").alarm_words
+    how = {"looks_at_crops": True, "plans_with": "cnn-table", "alarm_words": words}
+    with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
+        return _load_network("cnn", path, "cnn", **how)
+
+
+def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
+    """A network from a file, with the limits of a section of ``data/detectors.toml``."""
     from .network import NetworkDetector, load_onnx_model
 
-    limits = read_table(_defaults()["cnn"], dict[str, float], f"{_FILE}: cnn")
-    with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
-        model = load_onnx_model(path)
-    return NetworkDetector(
-        name="cnn",
-        model=model,
-        min_box_height_px=limits["min_box_height_px"],
-        min_confidence=limits["min_confidence"],
-        looks_at_crops=True,
-        plans_with="cnn-table",
-        alarm_words=_load_table("cnn-table").alarm_words,
-    )
+    return NetworkDetector(name=name, model=load_onnx_model(path), **_limits(section), **how)
 
 
 def built_in_response() -> ResponseDetector:
@@ -432,17 +421,17 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     """One of the built-in detectors but "cnn"."""
     if name in _TABLE_FILES:
         return _load_table(name)
-    limits = read_table(take(_defaults(), name, _FILE), dict[str, float], f"{_FILE}: {name}")
-    return GeometricDetector(
-        min_iou=load_min_iou(),
-        min_box_height_px=limits["min_box_height_px"],
-        min_contrast=limits["min_contrast"],
-    )
+    return GeometricDetector(min_iou=load_min_iou(), **_limits(name))
 
 
 @cache
 def _defaults() -> dict[str, Any]:
     return load_data(__package__, _FILE)
+
+
+def _limits(section: str) -> dict[str, Any]:
+    """Numbers of a section, by the detector's fields."""
+    return read_table(take(_defaults(), section, _FILE), dict[str, float], f"{_FILE}: {section}")
 
 
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:

@@ -168,10 +168,9 @@ class _Watcher:
             if with_vut and "camera" in self._setting.vut_sensors:
                 by_vut = [
                     pool.submit(
-                        lambda frames: perceive.perceive_from_vut(
-                            around.take(frames), mount, min_height_px=least_px
-                        ),
-                        frames,
+                        perceive.perceive_from_vut,
+                        *(around.take(frames), mount),
+                        min_height_px=least_px,
                     )
                     for frames in parts
                 ]

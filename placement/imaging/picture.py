@@ -525,31 +525,22 @@ def expose_image(
     shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
-    from .exposure import (  # loads the compiler
-        add_glare,
-        add_rain,
-        develop,
-        load_imager,
-        white_luminance,
-    )
+    from . import exposure  # loads the compiler
 
-    size = radiance.shape[:2]
-    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
-    add_rain(
-        radiance,
-        shot.camera,
-        shot.weather,
-        shot.sky,
+    size, imager = radiance.shape[:2], exposure.load_imager()
+    exposure.add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
+    exposure.add_rain(
+        *(radiance, shot.camera, shot.weather, shot.sky),
         pitch_deg=shot.pose.pitch_deg,
-        exposure_s=load_imager()["rain_exposure_s"],
+        exposure_s=imager["rain_exposure_s"],
         rng=np.random.default_rng([*seed, *size]),
     )
-    white_cdpm2 = white_luminance(radiance, load_imager())
+    white_cdpm2 = exposure.white_luminance(radiance, imager)
     rgb = np.empty((*size, 3), dtype=np.uint8)
 
     def expose(tile: tuple[slice, slice]) -> None:
         rng = np.random.default_rng([*seed, tile[0].start, tile[1].start])
-        rgb[tile] = develop(radiance[tile], white_cdpm2, load_imager(), rng)
+        rgb[tile] = exposure.develop(radiance[tile], white_cdpm2, imager, rng)
 
     list(pool.map(expose, _tiles(size)))
     return rgb

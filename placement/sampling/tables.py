@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from threading import Lock
 
 import numpy as np
@@ -324,13 +324,6 @@ def obtain_table(
 
     A sampled world has its own `stage`, way to `build`, and key of what is `drawn` in it.
     """
-    if build is None:
-        build = partial(
-            build_detection_table,
-            *(setting.scene, candidates, setting.runs, setting.axis),
-            detector=setting.table_detector,
-            compute=compute,
-        )
     path = None
     if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
@@ -347,25 +340,29 @@ def obtain_table(
             return cached
     if not stage:
         compute.progress("detection table", 0, 0)
-    table = build()
+    table = _build_plain(setting, candidates, compute) if build is None else build()
     if path is not None:
         save_table(path, table, fingerprint=fingerprint)
     return table
 
 
 def _build(sample: Sample, compute: Compute, lasting: SharedScene | None) -> DetectionTable:
-    setting, detector = sample.setting, sample.drawn_detector
-    if detector is not None:
-        (table,) = build_drawn_tables(sample, detector, compute=compute, lasting=lasting)
-        return table
+    if sample.drawn_detector is None:
+        return _build_plain(sample.setting, sample.candidates, compute, lasting)
+    return build_drawn_tables(sample, sample.drawn_detector, compute=compute, lasting=lasting)[0]
+
+
+def _build_plain(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    compute: Compute,
+    shared: SharedScene | None = None,
+) -> DetectionTable:
     return build_detection_table(
-        setting.scene,
-        sample.candidates,
-        setting.runs,
-        setting.axis,
+        *(setting.scene, candidates, setting.runs, setting.axis),
         detector=setting.table_detector,
         compute=compute,
-        shared=lasting,
+        shared=shared,
     )
 
 
