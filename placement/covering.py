@@ -240,8 +240,7 @@ _FORMATS = {
         sizes=("variables", "triples"), lists=1, owner="triple", member="variable", n_each=3
     ),
 }
-FORMATS = tuple(_FORMATS)
-"""Names of the formats that :func:`load_instance` reads."""
+FORMATS = tuple(_FORMATS)  # names of the formats that :func:`load_instance` reads
 
 _MAX_SIZE = 10_000_000  # rows, columns: what a file of a few bytes may make us allocate
 _MAX_BYTES = 1 << 30

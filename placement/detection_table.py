@@ -61,8 +61,7 @@ def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) 
 _ROWS = 256  # unpacked at a time
 _BELOW = "<"
 _BLIND = " (blind)"
-_AT_ONCE_S = 1.0e-12
-"""From one frame after the last moment to the next, in the clock of a level."""
+_AT_ONCE_S = 1.0e-12  # from one frame after the last moment to the next, in the clock of a level
 
 
 def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:

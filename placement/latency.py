@@ -22,8 +22,7 @@ from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
 DEFAULT_LATENCY_BUDGET = "study"
-MAX_LATENCY_S = 10.0
-"""Longer than any run: a larger number is probably in milliseconds."""
+MAX_LATENCY_S = 10.0  # longer than any run: a larger number is probably in milliseconds
 
 _FILE = "latency.toml"
 _RANGE = ("low_s", "high_s")

@@ -26,11 +26,9 @@ from .visibility.build import N_POINTS
 from .visibility.casting import World, build_world, cast_sight
 from .visibility.sensing import Sensing, build_sensing, reach_m
 
-MAX_MOUNTS = 64
-"""Mount positions whose rays are cached: some megabytes each."""
+MAX_MOUNTS = 64  # mount positions whose rays are cached: some megabytes each
 
-MAX_ROWS = 4096
-"""Poses whose frames are cached: some kilobytes each."""
+MAX_ROWS = 4096  # poses whose frames are cached: some kilobytes each
 
 _Key = tuple[object, ...]
 _T = TypeVar("_T")

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from geometry.errors import refuse
 
-_PROGRAM_BYTES = 400 * 2**20
-"""Of the program itself: libraries, scene, runs, report."""
+_PROGRAM_BYTES = 400 * 2**20  # of the program itself: libraries, scene, runs, report
 _BYTES_PER_ENTRY = 0.125 + 1.0
 """Of the table: a bit in it; the optimiser's presolve has up to seven copies, measured."""
 _LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")

@@ -157,8 +157,7 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     return _others(poses, unit)
 
 
-LIFTS_M = (1.0, 0.5, 0.25, 0.1)
-"""Of the height: each costs rays of its own."""
+LIFTS_M = (1.0, 0.5, 0.25, 0.1)  # of the height: each costs rays of its own
 
 
 def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:

@@ -398,8 +398,7 @@ def margins_joined_s(
 
 
 # ---------- answers to somebody who plans by hand
-LEAST_GAIN = 1.0e-9
-"""An APR that is higher by less is the same."""
+LEAST_GAIN = 1.0e-9  # an APR that is higher by less is the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

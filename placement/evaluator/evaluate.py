@@ -31,10 +31,16 @@ from ..detectors import Evidence, is_matched, load_min_iou
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
 from ..setting import Radio, Setting
-from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
+from .surroundings import (
+    FrameCamera,
+    build_surroundings,
+    draw_index,
+    load_vut_camera,
+    load_vut_lidar,
+)
 
 if TYPE_CHECKING:
-    from .pictures import FrameCamera, PictureSource
+    from .pictures import PictureSource
 
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
 UnitKey = tuple[object, ...]
@@ -168,7 +174,7 @@ class _Watcher:
             if with_vut and "camera" in self._setting.vut_sensors:
                 by_vut = [
                     pool.submit(
-                        perceive.perceive_from_vut,
+                        perceive.perceive_frames,
                         *(around.take(frames), mount),
                         min_height_px=least_px,
                     )
@@ -177,18 +183,18 @@ class _Watcher:
             if with_vut and "lidar" in self._setting.vut_sensors:
                 rng = build_rng(seed, VUT_KEY, "lidar")
                 scans[VUT_KEY] = pool.submit(
-                    perceive.scan_from_vut, around, mount, load_vut_lidar(), rng
+                    perceive.scan_frames, around, mount, load_vut_lidar(), rng
                 )
             for key, unit in units.items():
                 if isinstance(unit.sensor, LidarModel):
                     scans[key] = pool.submit(
-                        perceive.scan_from_roadside,
+                        perceive.scan_frames,
                         *(around, unit.pose, unit.sensor, build_rng(seed, key)),
                     )
                 else:
                     looks[key] = pool.submit(
-                        perceive.perceive_from_roadside,
-                        *(around, unit.pose, unit.sensor),
+                        perceive.perceive_frames,
+                        *(around, (unit.pose, unit.sensor)),
                         min_height_px=least_px,
                     )
             jobs: list[Future[Any]] = [*by_vut, *looks.values(), *scans.values()]

@@ -35,6 +35,7 @@ from ..imaging.picture import Picture, Window
 from ..imaging.stills import Still, crop_onto, draw_crop, draw_still, meter, window_around
 from ..layout import Layout
 from .surroundings import (
+    FrameCamera,
     VutCamera,
     load_vut_camera,
     load_vut_lidar,
@@ -43,9 +44,6 @@ from .surroundings import (
 )
 
 PictureOfFrame = Callable[[int], Image]
-FrameCamera = VutCamera | tuple[Pose, CameraModel]
-"""The VUT's own camera, or a fixed one."""
-
 _CROP_SIDES_PX = (64, 96, 128, 160)
 _ROOM = 0.625  # share of a crop that a road user may take up; for larger ones the scale is less
 _HALO_PX = 4.0  # by which blur and glare reach beyond a body

@@ -384,6 +384,9 @@ class VutCamera:
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
+FrameCamera = VutCamera | tuple[Pose, CameraModel]  # the VUT's own camera, or a fixed one
+
+
 @cache
 def load_vut_camera() -> VutCamera:
     """The study's camera, from ``data/vut_camera.toml``."""

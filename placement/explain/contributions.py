@@ -81,8 +81,7 @@ def find_contributions(
 
 
 # ---------- failures of units and poles (N-1, N-2)
-MAX_PAIR_UNITS = 12
-"""For layouts with more units, only single failures are evaluated."""
+MAX_PAIR_UNITS = 12  # for layouts with more units, only single failures are evaluated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,8 +39,7 @@ from ..optimiser import Floor, Limits, PlacementProblem
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
 
-TOLERANCE = 1.0e-9
-"""Metres and degrees that differ by no more are equal."""
+TOLERANCE = 1.0e-9  # metres and degrees that differ by no more are equal
 
 _OF_GRID = re.compile(
     r"(?P<site>.+)/(?P<height>[^/]+)m/(?P<yaw>[^/]+)/(?P<pitch>[^/]+)/(?P<sensor>.+)"

@@ -37,8 +37,7 @@ from .recomputation import (
 if TYPE_CHECKING:
     from ..optimiser import PlacementProblem
 
-MAX_SETS = 50_000
-"""So many sets of poses are compared at most."""
+MAX_SETS = 50_000  # so many sets of poses are compared at most
 _MAX_LOOKS = 2_000_000_000  # sets times frames; half a minute
 _ROUNDED_GAP = 1.0e-9  # certificates round gaps
 _SIZES = ("poses", "frames", "windows", "runs")

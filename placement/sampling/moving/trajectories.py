@@ -99,8 +99,7 @@ def build_trajectories(
 
 
 # ---------- windows
-REACH_M = 100.0
-"""Vehicles farther than this from the middle of the junction are cut."""
+REACH_M = 100.0  # vehicles farther than this from the middle of the junction are cut
 _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 
 
@@ -128,8 +127,7 @@ class TrafficCount:
         return text
 
 
-NO_TRAFFIC = TrafficCount()
-"""Nobody drives by."""
+NO_TRAFFIC = TrafficCount()  # nobody drives by
 
 
 def cut_window(

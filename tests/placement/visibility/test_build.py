@@ -13,7 +13,7 @@ from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates
 from placement.compute import Compute
 from placement.detectors import GeometricDetector, load_planning_detector
-from placement.evaluator.perceive import perceive_from_roadside
+from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility import build as build_module
 from placement.visibility import build_detection_table
@@ -70,7 +70,7 @@ def _agreement(scene, runs, candidates, detector, detected):
     surroundings = build_surroundings(scene, runs)
     shares = []
     for row, candidate in enumerate(candidates):
-        evidence = perceive_from_roadside(surroundings, candidate.pose, candidate.sensor)
+        evidence = perceive_frames(surroundings, (candidate.pose, candidate.sensor))
         by_pixels = detector.is_expected(evidence)
         shares.append((by_pixels == detected[row]).mean())
     return np.array(shares)
