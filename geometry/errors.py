@@ -1,6 +1,7 @@
 """Errors that a user can mend: one line each, no traceback, exit code 2."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from typing import NoReturn
 
 _MAX_CHARACTERS = 200  # of a value in a message
@@ -30,6 +31,22 @@ class InputError(ValueError):
 def refuse(where: str, words: object, expected: str) -> NoReturn:
     """Raise InputError about something that is told in words, not shown as a value."""
     raise InputError(where, Unquoted(words), expected)
+
+
+@contextmanager
+def located(prefix: str) -> Iterator[None]:
+    """Say of what is refused within, by its place there, where that is; an empty place is `prefix`.
+
+    >>> with located("mine.toml: latency."):
+    ...     raise InputError("sd_s", -1, "at least 0")
+    Traceback (most recent call last):
+    geometry.errors.InputError: mine.toml: latency.sd_s: got -1; expected at least 0
+    """
+    try:
+        yield
+    except InputError as error:
+        where = f"{prefix}{error.where.removeprefix('.')}".rstrip(".: ")
+        raise InputError(where, error.got, error.expected) from None
 
 
 def check_one_of(where: str, got: object, known: Collection[str]) -> None:

@@ -16,8 +16,7 @@ from .candidates import CandidatePose
 from .optimiser import Limits, PlacementProblem, apr, run_margins_s
 from .optimiser.allowed_sets import fitting, is_allowed
 
-N_RANDOM = 100
-"""Random layouts that are drawn to compare with."""
+N_RANDOM = 100  # random layouts that are drawn to compare with
 
 _MAX_TRIES = 20  # for each random layout: limits may leave some draws no way to be completed
 _MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads

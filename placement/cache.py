@@ -208,15 +208,12 @@ class CachedArrays:
         return found or {}
 
 
-MAX_ARRAYS = 500
-"""Arrays in a file; a question has some thirty units, each of a few kilobytes."""
+MAX_ARRAYS = 500  # arrays in a file; a question has some thirty units, each of a few kilobytes
 
-MAX_FILES = 100
-"""Files of a name; the oldest are removed."""
+MAX_FILES = 100  # files of a name; the oldest are removed
 
 
-MAX_VALUES = 20
-"""Files of a name of values of any kind, which may have some 20 MB each."""
+MAX_VALUES = 20  # files of a name of values of any kind, which may have some 20 MB each
 
 
 def _prune(path: Path, *, most: int) -> None:
@@ -230,8 +227,7 @@ def _prune(path: Path, *, most: int) -> None:
 
 
 # ---------- values of any kind
-ALL_PACKAGES = ("geometry", "scenarios", "placement")
-"""All whose code may decide an answer."""
+ALL_PACKAGES = ("geometry", "scenarios", "placement")  # all whose code may decide an answer
 
 
 def cached_value(

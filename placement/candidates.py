@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import load_data, pick
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
@@ -71,7 +71,7 @@ class CandidateGrid:
             values = float_array(getattr(self, name), (-1,), name)
             object.__setattr__(self, name, values)
             if len(values) == 0:
-                raise InputError(name, Unquoted("none"), "at least one")
+                refuse(name, "none", "at least one")
             if name != "heights_m" and (np.abs(values) > 90.0).any():
                 raise InputError(name, values.tolist(), "-90 .. 90 degrees")
         if (self.heights_m <= 0.0).any():
@@ -82,7 +82,7 @@ class CandidateGrid:
         if not abs(self.n_yaws * step_deg - 360.0) <= 1.0e-9:
             raise InputError("yaw_step_deg", step_deg, "degrees that divide 360 evenly")
         if not self.sensors:
-            raise InputError("sensors", Unquoted("none"), "at least one")
+            refuse("sensors", "none", "at least one")
 
     @property
     def n_yaws(self) -> int:
@@ -137,7 +137,7 @@ def build_candidates(
     Raises InputError: there is no site, or two ids are equal.
     """
     if not scene.sites:
-        raise InputError(f"{scene.name}: sites", Unquoted("none"), "at least one mount site")
+        refuse(f"{scene.name}: sites", "none", "at least one mount site")
     grid = grid or load_candidate_grid()
     candidates = [
         CandidatePose(

@@ -43,7 +43,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, refuse
 from geometry.files import float_of, read_bytes, write_atomically
 
 from .layout import relative_gap
@@ -240,8 +240,7 @@ _FORMATS = {
         sizes=("variables", "triples"), lists=1, owner="triple", member="variable", n_each=3
     ),
 }
-FORMATS = tuple(_FORMATS)
-"""Names of the formats that :func:`load_instance` reads."""
+FORMATS = tuple(_FORMATS)  # names of the formats that :func:`load_instance` reads
 
 _MAX_SIZE = 10_000_000  # rows, columns: what a file of a few bytes may make us allocate
 _MAX_BYTES = 1 << 30
@@ -294,7 +293,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
     check_fits(where, f"{len(data):,} bytes of text", _TEXT_BYTES * len(data), "fewer rows")
     tokens = data.split()
     if not tokens:
-        raise InputError(where, Unquoted("an empty file"), "an instance")
+        refuse(where, "an empty file", "an instance")
     values = _to_numbers(tokens, data, where)
     line_starts = np.cumsum([0, *(len(line.split()) for line in data.split(b"\n"))])
     fits = dict[str, tuple[CoveringInstance, bool]]()
@@ -308,8 +307,8 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
     if len(fits) > 1:
         lined = {name: fit for name, fit in fits.items() if fit[1]}
         if len(lined) != 1:
-            got = Unquoted("numbers that fit more than one format")
-            raise InputError(where, got, "`format_name` " + " or ".join(lined or fits))
+            got = "numbers that fit more than one format"
+            refuse(where, got, "`format_name` " + " or ".join(lined or fits))
         fits = lined
     if fits:
         return next(iter(fits.values()))[0]
@@ -318,7 +317,7 @@ def load_instance(path: Path, *, format_name: str | None = None) -> CoveringInst
     place = _place(data, min(index, len(tokens) - 1))
     if index < len(tokens):
         raise InputError(f"{where}: {place}", _shown(tokens[index]), expected)
-    raise InputError(f"{where}: {place}", Unquoted("the end of the file after it"), expected)
+    refuse(f"{where}: {place}", "the end of the file after it", expected)
 
 
 def save_instance(path: Path, instance: CoveringInstance) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from scenarios.aeb import AebRule
 from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis
@@ -25,14 +25,13 @@ class DetectionTable:
 
     pose_ids: tuple[str, ...]  #: ids of the candidate poses: the rows
     axis: FrameAxis  #: runs and frames: the columns
-    #: (n_poses, ceil(n_frames / 8)): bits along the frames, lowest bit first
-    packed: NDArray[np.uint8]
+    packed: NDArray[np.uint8]  #: (n_poses, ceil(n_frames / 8)): along the frames, lowest bit first
 
     def __post_init__(self) -> None:
         packed = np.array(self.packed, dtype=np.uint8)
         shape = (len(self.pose_ids), -(-self.axis.n_frames // 8))
         if packed.shape != shape:
-            raise InputError("packed", Unquoted(f"shape {packed.shape}"), f"shape {shape}")
+            refuse("packed", f"shape {packed.shape}", f"shape {shape}")
         object.__setattr__(self, "packed", freeze(packed))
 
     @property
@@ -62,8 +61,7 @@ def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) 
 _ROWS = 256  # unpacked at a time
 _BELOW = "<"
 _BLIND = " (blind)"
-_AT_ONCE_S = 1.0e-12
-"""From one frame after the last moment to the next, in the clock of a level."""
+_AT_ONCE_S = 1.0e-12  # from one frame after the last moment to the next, in the clock of a level
 
 
 def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:

@@ -78,8 +78,7 @@ class Evaluation:
         return f"{self.layout.name}: accident prevention ratio\n{self.to_frame().to_string()}"
 
     def _repr_html_(self) -> str:
-        html: str = self.to_frame().to_html()
-        return html
+        return str(self.to_frame().to_html())
 
     def to_frame(self) -> "pd.DataFrame":
         """Accident prevention ratios, 0 .. 1: a row for all runs and each case, a column a party.
@@ -88,13 +87,8 @@ class Evaluation:
         """
         import pandas as pd  # takes longer to load than all else here
 
-        parties = {
-            "rsu_all": self.rsu_all,
-            "vut": self.vut,
-            "vut_and_rsus": self.vut_and_rsus,
-            **self.others,
-            **self.units,
-        }
+        fused = {name: getattr(self, name) for name in ("rsu_all", "vut", "vut_and_rsus")}
+        parties: dict[str, Verdict] = {**fused, **self.others, **self.units}
         return pd.DataFrame(
             {
                 name: {"all runs": apr(verdict, self.axis), **apr_by_case(verdict, self.axis)}

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.raycast import RayCaster, build_caster
@@ -57,8 +57,8 @@ def is_in_sight(
     directions = ways / np.maximum(lengths, 1.0e-9)[:, None]
     starts = mount + near_m * directions
     vectors = directions * np.maximum(lengths - near_m - _SHORT_OF_M, 0.0)[:, None]
-    is_free: BoolArray = ~caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
-    return np.asarray(is_free & is_far)
+    is_hidden = caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
+    return np.asarray(is_far & ~is_hidden)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,8 +68,7 @@ class GroundCoverage:
     # east_m, north_m: (n_east,), (n_north,): middles of the cells. World frame. [m]
     east_m: FloatArray
     north_m: FloatArray
-    # (n_north, n_east): the highest of all cameras; 0: none sees the cell. [px/m]
-    density: FloatArray
+    density: FloatArray  # (n_north, n_east): highest of all cameras; 0: none sees the cell. [px/m]
     is_road: BoolArray  # (n_north, n_east): cells on a lane or in the junction
 
     def shares(self) -> dict[str, float]:
@@ -86,8 +85,6 @@ class GroundSurvey:
     """The ground around a junction, for several cameras: what does not depend on them."""
 
     def __init__(self, scene: Scene) -> None:
-        import shapely
-
         outline = scene.outline_m
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
@@ -153,11 +150,7 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
 
 
 # ---------- private ground
-
-
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
-
-
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
 _MAX_COORDINATE_M = 1.0e8  # of the world frame: more than twice around the earth
@@ -169,8 +162,7 @@ class PrivateGround:
     """Areas that cameras must not look into."""
 
     names: tuple[str, ...]  # of the areas
-    # (n, 3): points all over them, at the height of people's eyes. World frame. [m]
-    points_m: FloatArray
+    points_m: FloatArray  # (n, 3): points all over them, at people's eye height. World frame. [m]
     area_index: IntArray  # (n,): area of each point
     area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
     shapes: tuple[Any, ...]  # the areas: shapely polygons, world frame, metres
@@ -185,9 +177,9 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
     if found.crs and not scene.crs:
-        raise InputError(
+        refuse(
             str(path),
-            Unquoted(f"coordinates in {found.crs}"),
+            f"coordinates in {found.crs}",
             "a scene that says where on earth it lies, or coordinates of its map without a crs",
         )
 
@@ -205,10 +197,10 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         world = shapely.transform(shapely.force_2d(shape), to_world)
         # make_valid() takes neither what is not finite nor what is beyond any place.
         if not (np.abs(shapely.get_coordinates(world)) < _MAX_COORDINATE_M).all():
-            raise InputError(feature.where, Unquoted("coordinates that cannot be"), "a polygon")
+            refuse(feature.where, "coordinates that cannot be", "a polygon")
         areas.append((name, shapely.make_valid(world)))
     if not areas:
-        raise InputError(str(path), Unquoted("no polygon"), "areas that cameras must not look into")
+        refuse(str(path), "no polygon", "areas that cameras must not look into")
     return build_private_ground(areas)
 
 
@@ -219,12 +211,11 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
     """
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
-        expected = f"at most {_MAX_POINTS:,}"
-        raise InputError("no_look", Unquoted(f"{total_m2:,.0f} square metres"), expected)
+        refuse("no_look", f"{total_m2:,.0f} square metres", f"at most {_MAX_POINTS:,}")
     points, index = [], []
     for number, (name, shape) in enumerate(areas):
         if not shape.area > 0.0:
-            raise InputError(f"no_look: {name}", Unquoted("no area"), "a polygon")
+            refuse(f"no_look: {name}", "no area", "a polygon")
         west, south, east, north = shape.bounds
         x, y = np.meshgrid(
             np.arange(west + 0.5 * _POINT_SPACING_M, east, _POINT_SPACING_M),
@@ -300,12 +291,12 @@ def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArra
 
     Raises InputError where no candidate is left.
     """
-    share: FloatArray = shares.max(axis=1)
-    kept: BoolArray = share <= max_share
+    share = shares.max(axis=1)
+    kept = np.asarray(share <= max_share)
     if not kept.any():
         least = np.ceil(1000.0 * share.min()) / 1000.0
         expected = f"at least {least:g}, the share that the pose with the least in its picture sees"
-        raise InputError("no_look_share", Unquoted(f"{100.0 * max_share:.1f} %"), expected)
+        refuse("no_look_share", f"{100.0 * max_share:.1f} %", expected)
     return kept
 
 

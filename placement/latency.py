@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, located, refuse
 from geometry.files import Table, Text, load_data, load_toml, read_table, take_text
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.runs import find_onsets
@@ -22,8 +22,7 @@ from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
 DEFAULT_LATENCY_BUDGET = "study"
-MAX_LATENCY_S = 10.0
-"""Longer than any run: a larger number is probably in milliseconds."""
+MAX_LATENCY_S = 10.0  # longer than any run: a larger number is probably in milliseconds
 
 _FILE = "latency.toml"
 _RANGE = ("low_s", "high_s")
@@ -51,7 +50,7 @@ class LatencyBudget:
     def __post_init__(self) -> None:
         where = f"{self.name}.parts"
         if not self.parts:
-            raise InputError(where, Unquoted("none"), "at least one")
+            refuse(where, "none", "at least one")
         check_distinct(where, [part.name for part in self.parts], "every name once")
 
     @property
@@ -74,8 +73,7 @@ class LatencyBudget:
         shape = (size,) if isinstance(size, int) else size
         low, high = np.array([(part.low_s, part.high_s) for part in self.parts]).T
         total = rng.uniform(low, high, size=(*shape, len(self.parts))).sum(axis=-1)
-        drawn: FloatArray = np.clip(total, self.best_s, self.worst_s)  # sums round
-        return drawn
+        return np.asarray(np.clip(total, self.best_s, self.worst_s))
 
 
 def fixed_latency(latency_s: float) -> LatencyBudget:
@@ -102,7 +100,7 @@ def load_latency_budget(
     budgets = _read_budgets(load_toml(path), str(path))
     if len(budgets) != 1:
         got = ", ".join(budgets) or "no budget"
-        raise InputError(str(path), Unquoted(got), "one budget: a table such as [mine] with parts")
+        refuse(str(path), got, "one budget: a table such as [mine] with parts")
     return next(iter(budgets.values()))
 
 
@@ -120,10 +118,8 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
         parts = tuple(
             _read_part(entry, where, f"{where}.parts[{i}]") for i, entry in enumerate(read.parts)
         )
-        try:
+        with located(f"{file}: "):
             budgets[name] = LatencyBudget(name=name, parts=parts)
-        except InputError as error:
-            raise InputError(f"{file}: {error.where}", error.got, error.expected) from None
     return budgets
 
 
@@ -152,21 +148,20 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
     part = read_table(entry, _PartTable, where)
     given = [key for key in _RANGE if key in entry]
     if part.fixed_s is not None and given:
-        raise InputError(f"{where}.{given[0]}", Unquoted("it beside fixed_s"), "one of them")
+        refuse(f"{where}.{given[0]}", "it beside fixed_s", "one of them")
     if part.fixed_s is None and not given:
-        raise InputError(where, Unquoted("no time"), "fixed_s, or low_s and high_s")
+        refuse(where, "no time", "fixed_s, or low_s and high_s")
     low_s, high_s = part.low_s, part.high_s
     if part.fixed_s is not None:
         low_s = high_s = part.fixed_s
     if low_s is None or high_s is None:
         missing = "low_s" if low_s is None else "high_s"
-        raise InputError(f"{where}.{missing}", Unquoted("nothing"), "a value")
+        refuse(f"{where}.{missing}", "nothing", "a value")
     if low_s > high_s:
         raise InputError(f"{where}.high_s", high_s, f"at least low_s, {low_s}")
     reasons = [key for key in ("source", "assumption") if key in entry]
     if len(reasons) != 1:
-        got = Unquoted(" and ".join(reasons) or "neither")
-        raise InputError(where, got, "either source or assumption")
+        refuse(where, " and ".join(reasons) or "neither", "either source or assumption")
     reason: str = getattr(part, reasons[0])
     if not reason.strip():
         raise InputError(f"{where}.{reasons[0]}", reason, "text")

@@ -22,7 +22,7 @@ from geometry.catalogue import (
     read_sensor,
     sensor_kind,
 )
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import Text, load_data, parse_json, pick, read_table, read_text
 from geometry.frames import from_carla_pose
 from geometry.maps.place_lists import (
@@ -66,7 +66,7 @@ class Layout:
 
     def __post_init__(self) -> None:
         if not self.units:
-            raise InputError(f"layout {self.name}", Unquoted("no unit"), "at least one unit")
+            refuse(f"layout {self.name}", "no unit", "at least one unit")
         ids, where = [unit.id for unit in self.units], f"layout {self.name}: id"
         check_distinct(where, ids, "every id once")
         words = (word for unit in self.units for word in (unit.id, unit.sensor.name, unit.site_id))
@@ -86,8 +86,7 @@ class Layout:
         return f"{self.name}: {len(self.units)} units\n{self.to_frame().round(2).to_string()}"
 
     def _repr_html_(self) -> str:
-        html: str = self.to_frame().round(2).to_html()
-        return html
+        return str(self.to_frame().round(2).to_html())
 
     def to_frame(self) -> "pd.DataFrame":
         """The units as a table: a row each, under its id; columns as :func:`layout_records`."""
@@ -123,8 +122,7 @@ class Certificate:
         return f"{self.to_frame().to_string()}\nby {self.solver}"
 
     def _repr_html_(self) -> str:
-        html: str = self.to_frame().to_html()
-        return html
+        return str(self.to_frame().to_html())
 
     def to_frame(self) -> "pd.DataFrame":
         """The stages as a table: objective, bound, gap and seconds, a row each under its name."""
@@ -136,8 +134,6 @@ class Certificate:
 def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -> float:
     """Relative distance of objective and bound as HiGHS defines it; 0 up to a `tolerance`.
 
-    Examples
-    --------
     >>> relative_gap(0.5, 0.6)
     0.2
     """
@@ -212,9 +208,9 @@ def layout_from_records(
         unit = read_table(known, _UnitRecord, here)
         kinds = [kind for kind in SENSOR_KINDS if getattr(unit, kind) is not None]
         if len(kinds) > 1:
-            raise InputError(here, Unquoted(" and ".join(kinds)), "one of them")
+            refuse(here, " and ".join(kinds), "one of them")
         if not kinds:
-            raise InputError(f"{here}.{SENSOR_KINDS[0]}", Unquoted("nothing"), "a value")
+            refuse(f"{here}.{SENSOR_KINDS[0]}", "nothing", "a value")
         kind, model = kinds[0], getattr(unit, kinds[0])
         own = (sensors or {}).get(model)
         sensor = own or pick_sensor(model, f"{here}.{kind}", kind=kind)
@@ -280,7 +276,7 @@ def _from_list(
 ) -> Layout:
     """Layout from what people write, row by row with where each stands."""
     if scene is None:
-        raise InputError(where, Unquoted("a list of units"), "a layout file of place-rsus here")
+        refuse(where, "a list of units", "a layout file of place-rsus here")
     for here, row in rows:
         if not isinstance(row, Mapping):
             raise InputError(here, row, "an object with the fields of a unit")
@@ -303,7 +299,7 @@ def read_layout(
         expected = f"{', '.join(known)}, or none of it"
         raise InputError(f"{where}: schema", document["schema"], expected)
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
-        raise InputError(where, Unquoted("no list 'layout'"), 'an object {"layout": [units]}')
+        refuse(where, "no list 'layout'", 'an object {"layout": [units]}')
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
     models, called = {**(sensors or {}), **own}, str(document.get("name", name))
     if scene is not None and is_list(document["layout"]):
@@ -332,9 +328,8 @@ def check_layout(layout: Layout, scene: Scene) -> None:
     Every unit is in the open air, at a site that exists.
     """
     if layout.scene_name not in ("", scene.name):
-        got = Unquoted(f"one made for {layout.scene_name}")
-        expected = f"one of {scene.name}, the scene that is looked at"
-        raise InputError(f"layout {layout.name}", got, expected)
+        got = f"one made for {layout.scene_name}"
+        refuse(f"layout {layout.name}", got, f"one of {scene.name}, the scene that is looked at")
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
@@ -344,18 +339,12 @@ def check_layout(layout: Layout, scene: Scene) -> None:
             raise InputError(f"{where}.z_m", height_m, "a height above the road, > 0 m")
         distance_m = math.dist(unit.pose.position_m, middle_m)
         if distance_m > _MAX_DISTANCE_M:
-            raise InputError(
-                where,
-                Unquoted(f"a pose {distance_m:.3g} m from the middle of {scene.name}"),
-                f"at most {_MAX_DISTANCE_M:g} m",
-            )
+            expected = f"at most {_MAX_DISTANCE_M:g} m"
+            refuse(where, f"a pose {distance_m:.3g} m from the middle of {scene.name}", expected)
         around = containing_instance(scene, unit.pose.position_m)
         if around is not None:
-            raise InputError(
-                where,
-                Unquoted(f"a pose inside {around.class_name} {around.id}"),
-                "a pose in the open air",
-            )
+            expected = "a pose in the open air"
+            refuse(where, f"a pose inside {around.class_name} {around.id}", expected)
         if unit.site_id and unit.site_id not in sites:
             raise InputError(
                 f"{where}.site", unit.site_id, f"a site of {scene.name}, or an empty text"
@@ -363,8 +352,6 @@ def check_layout(layout: Layout, scene: Scene) -> None:
 
 
 # ---------- layouts by name: a user's files, and the study's
-
-
 def find_layout(
     name: str | Path,
     option: str = "layout",
@@ -419,8 +406,6 @@ def find_baseline(scene: Scene) -> Layout | None:
 
 
 # ---------- lists of cameras as people have them
-
-
 _FIELDS = PLACE_FIELDS | {
     "id": ("id", "name", "unit", "camera_id", "nr", "nummer"),
     "site": ("site", "site_id", "pole", "pole_id", "mast"),
@@ -449,7 +434,7 @@ def read_layout_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """
     rows = list(read_csv_rows(path))
     if not rows:
-        raise InputError(str(path), Unquoted("no units"), "one per line")
+        refuse(str(path), "no units", "one per line")
     names = list(rows[0][1])
     tell_unknown(names, known_columns(names, str(path), _FIELDS), path)
     return rows
@@ -469,7 +454,7 @@ def unit_record(
     row = {field: values[name] for name, field in columns.items()}
     unit_id, site_id = (str(row.get(name) or "").strip() for name in ("id", "site"))
     if not unit_id:
-        raise InputError(f"{where}: id", Unquoted("nothing"), "a name")
+        refuse(f"{where}: id", "nothing", "a name")
     sites = {site.id: site for site in scene.sites}
     if site_id:
         pick(sites, site_id, f"{where}: site")
@@ -486,7 +471,7 @@ def unit_record(
         yaw_deg = (yaw_deg + 90.0 + 180.0) % 360.0 - 180.0  # counter-clockwise from east
     model = str(row.get("model") or "").strip()
     if not model:
-        raise InputError(f"{where}: model", Unquoted("nothing"), "a model of the catalogue")
+        refuse(f"{where}: model", "nothing", "a model of the catalogue")
     sensor = sensors.get(model) or pick_sensor(model, f"{where}: model")
     record = {
         "id": unit_id,
@@ -516,6 +501,5 @@ def _one_of(
     ]
     if len(found) != 1:
         got = "both" if found else "nothing"
-        expected = f"a number, or {other[0]} in its place"
-        raise InputError(f"{where}: {first[0]}", Unquoted(got), expected)
+        refuse(f"{where}: {first[0]}", got, f"a number, or {other[0]} in its place")
     return found[0][1] + 0.0

@@ -20,16 +20,15 @@ from scenarios.runs import find_onsets
 from .candidates import CandidatePose
 from .compute import DEFAULT_COMPUTE, Compute
 from .evaluation import Verdict, earliest_arrival_s
+from .evaluator.evaluate import unit_key
 from .setting import Setting
 from .visibility.build import N_POINTS
 from .visibility.casting import World, build_world, cast_sight
 from .visibility.sensing import Sensing, build_sensing, reach_m
 
-MAX_MOUNTS = 64
-"""Mount positions whose rays are cached: some megabytes each."""
+MAX_MOUNTS = 64  # mount positions whose rays are cached: some megabytes each
 
-MAX_ROWS = 4096
-"""Poses whose frames are cached: some kilobytes each."""
+MAX_ROWS = 4096  # poses whose frames are cached: some kilobytes each
 
 _Key = tuple[object, ...]
 _T = TypeVar("_T")
@@ -61,13 +60,13 @@ class LiveTable:
         packed = np.zeros((len(units), -(-self._setting.axis.n_frames // 8)), dtype=np.uint8)
         missing: dict[_Key, list[int]] = {}
         for row, unit in enumerate(units):
-            known = self._rows.get(_row_key(unit))
+            known = self._rows.get(unit_key(unit))
             if known is None:
                 sensor, place = unit.sensor, unit.pose.position_m.tolist()
                 key = (*place, sensor.near_m, isinstance(sensor, LidarModel))  # of all rays
                 missing.setdefault(key, []).append(row)
             else:
-                self._rows.move_to_end(_row_key(unit))
+                self._rows.move_to_end(unit_key(unit))
                 packed[row] = known
         if not missing:
             return packed
@@ -94,7 +93,7 @@ class LiveTable:
                     _put(self._mounts, key, mount, most=self._max_mounts)
         for rows in missing.values():
             for row in rows:
-                _put(self._rows, _row_key(units[row]), packed[row].copy(), most=MAX_ROWS)
+                _put(self._rows, unit_key(units[row]), packed[row].copy(), most=MAX_ROWS)
         return packed
 
     def _sensing(self, key: _Key, units: Sequence[CandidatePose]) -> tuple[Sensing, float]:
@@ -121,11 +120,6 @@ def _put(cached: OrderedDict[_Key, _T], key: _Key, value: _T, *, most: int) -> N
     cached.move_to_end(key)
     if len(cached) > most:
         cached.popitem(last=False)
-
-
-def _row_key(unit: CandidatePose) -> _Key:
-    pose = unit.pose
-    return (*pose.position_m.tolist(), pose.yaw_deg, pose.pitch_deg, unit.sensor)
 
 
 def table_verdict(

@@ -4,10 +4,9 @@ import os
 import sys
 from pathlib import Path
 
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 
-_PROGRAM_BYTES = 400 * 2**20
-"""Of the program itself: libraries, scene, runs, report."""
+_PROGRAM_BYTES = 400 * 2**20  # of the program itself: libraries, scene, runs, report
 _BYTES_PER_ENTRY = 0.125 + 1.0
 """Of the table: a bit in it; the optimiser's presolve has up to seven copies, measured."""
 _LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
@@ -66,12 +65,10 @@ def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
         return
     worlds = f" in {n_worlds:,} sampled worlds" if n_worlds > 1 else ""
     fewer = "fewer `samples`, " if n_worlds > 1 else ""
-    raise InputError(
+    refuse(
         "memory",
-        Unquoted(
-            f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {gib(needed)}, where "
-            f"there are {gib(there)}"
-        ),
+        f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {gib(needed)}, where "
+        f"there are {gib(there)}",
         f"a smaller question: {fewer}fewer `cases`, `speeds`, `approaches` or `weather`, fewer "
         "`sensors`, or only the poles of `within`",
     )
@@ -84,8 +81,8 @@ def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
     """
     free = available_bytes()
     if needed_bytes > free:
-        got = Unquoted(f"{what}, which takes about {gib(needed_bytes)} of memory")
-        raise InputError(where, got, f"what fits into the {gib(free)} that are free: {remedy}")
+        got = f"{what}, which takes about {gib(needed_bytes)} of memory"
+        refuse(where, got, f"what fits into the {gib(free)} that are free: {remedy}")
 
 
 def gib(size: int) -> str:

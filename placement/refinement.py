@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray
 from geometry.clock import now_s
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -28,23 +28,10 @@ from .optimiser import (
     presolve,
     solve_placement,
 )
-from .optimiser.problem import Objective, objective_values
+from .optimiser.problem import Objective, improves, objective_values
 from .optimiser.solve import build_stage
 from .pipeline import Placement
 from .setting import Setting
-
-
-def improves(values: Mapping[Objective, float], others: Mapping[Objective, float]) -> bool:
-    """True if the first difference that exceeds rounding noise favours `values`.
-
-    >>> improves({Objective.UNITS: 2.0}, {Objective.UNITS: 3.0})
-    True
-    """
-    for objective, value in values.items():
-        excess = objective.excess(value, others[objective])
-        if abs(excess) > objective.tolerance:
-            return excess > 0.0
-    return False
 
 
 def certify(
@@ -170,8 +157,7 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     return _others(poses, unit)
 
 
-LIFTS_M = (1.0, 0.5, 0.25, 0.1)
-"""Of the height: each costs rays of its own."""
+LIFTS_M = (1.0, 0.5, 0.25, 0.1)  # of the height: each costs rays of its own
 
 
 def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
@@ -395,7 +381,11 @@ def refine(
     if not time_limit_s > 0.0:
         raise InputError("time_limit_s", time_limit_s, "seconds, more than 0")
     started_s = now_s()
-    _check_table(placement.problem, setting, candidates)
+    table = placement.problem.table
+    if table.pose_ids != tuple(candidate.id for candidate in candidates):
+        refuse("candidates", "other poses", "the rows of the placement's table")
+    if table.axis.run_ids != setting.axis.run_ids:
+        refuse("refine", "a table of sampled worlds", "a table of the runs as planned")
     search = _Search(
         setting,
         placement,
@@ -422,16 +412,6 @@ def refine(
         n_tried=len(search.new),
         seconds=now_s() - started_s,
     )
-
-
-def _check_table(
-    problem: PlacementProblem, setting: Setting, candidates: Sequence[CandidatePose]
-) -> None:
-    if problem.table.pose_ids != tuple(candidate.id for candidate in candidates):
-        raise InputError("candidates", Unquoted("other poses"), "the rows of the placement's table")
-    if problem.table.axis.run_ids != setting.axis.run_ids:
-        expected = "a table of the runs as planned"
-        raise InputError("refine", Unquoted("a table of sampled worlds"), expected)
 
 
 # ---------- moves
@@ -527,7 +507,7 @@ def rename(
     the order of `before`, new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
-    free = (unit_id for unit_id in (f"U{n}" for n in count(1)) if unit_id not in taken)
+    free = (name for name in map("U{}".format, count(1)) if name not in taken)
     moves = []
     for old, new in pair_units(before.units, poses):
         unit = None if old is None else before.units[old]

@@ -11,7 +11,7 @@ from functools import cmp_to_key
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import load_data, read_table
 from scenarios.runs import live_confirmation_times_s
 
@@ -105,14 +105,15 @@ class Labour:
     @property
     def re_aim_eur(self) -> float:
         """To turn a unit on its pole, in euros."""
-        hours = self.travel_h + self.re_aim_h
-        return self.people * self.wage_eur_per_h * hours + self.lift_eur
+        return self._visit_eur(self.re_aim_h)
 
     @property
     def remove_eur(self) -> float:
         """To take a unit down, in euros."""
-        hours = self.travel_h + self.remove_h
-        return self.people * self.wage_eur_per_h * hours + self.lift_eur
+        return self._visit_eur(self.remove_h)
+
+    def _visit_eur(self, at_pole_h: float) -> float:
+        return self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h) + self.lift_eur
 
 
 def load_labour() -> Labour:
@@ -159,8 +160,7 @@ class Retrofit:
     # the best of every unit, the best first; they may be worse than no change
     re_aims: tuple[Change, ...]
     addition: Change | None  # the best new unit; None if no addition is an improvement
-    # the best re-aims and additions together within the budget, if there is one
-    combination: Change | None
+    combination: Change | None  # the best re-aims and additions within the budget, if there is one
 
 
 def find_retrofit(
@@ -398,23 +398,20 @@ def margins_joined_s(
 
 
 # ---------- answers to somebody who plans by hand
-LEAST_GAIN = 1.0e-9
-"""An APR that is higher by less is the same."""
+LEAST_GAIN = 1.0e-9  # an APR that is higher by less is the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Advice:
     """A layout that answers a question, and how good it is proven to be."""
 
-    # all that would be mounted then; those that stay keep their ids
-    units: tuple[CandidatePose, ...]
+    units: tuple[CandidatePose, ...]  # all that is mounted then; those that stay keep their ids
     # before, after: worth of the present and the new layout on the detection table; `before`
     # is None where nothing is mounted. Costs are of the same kind: of what is new, or of
     # everything.
     before: PlacementValue | None
     after: PlacementValue
-    # of a search; None where all alternatives were tried one by one
-    certificate: Certificate | None = None
+    certificate: Certificate | None = None  # of a search; None: all were tried one by one
     n_compared: int = 0  # how many were tried so; 0 of a search
 
     @property
@@ -460,8 +457,7 @@ class Adviser:
         problem, poses = self._beside(units)
         change = find_addition(problem, poses, budget_eur=None)
         if change is None:
-            got = Unquoted("no candidate that is an improvement")
-            raise InputError("the best next unit", got, "one")
+            refuse("the best next unit", "no candidate that is an improvement", "one")
         return Advice(
             units=self._named(units, poses.candidates, change.added),
             before=placement_value(problem, range(len(units))),
@@ -494,7 +490,7 @@ class Adviser:
         Raises InputError if nothing is mounted, or no unit can look elsewhere.
         """
         if not units:
-            raise InputError("re-aim", Unquoted("no unit"), "at least one unit")
+            refuse("re-aim", "no unit", "at least one unit")
         n, may_look = len(units), self._assembly.may_look
         poses = build_retrofit_poses(Layout(name="now", units=tuple(units)), self._grid, ())
         if may_look is not None:
@@ -505,7 +501,7 @@ class Adviser:
                 unit_index=poses.unit_index[kept],
             )
         if len(poses.candidates) == n:
-            raise InputError("re-aim", Unquoted("units that see all round"), "one that can turn")
+            refuse("re-aim", "units that see all round", "one that can turn")
         self._compute.progress("look from the units", 0, 0)
         problem = replace(
             self._assembly,
@@ -541,10 +537,10 @@ class Adviser:
         Raises InputError if nothing is mounted, or it avoids nothing.
         """
         if not units:
-            raise InputError("the cheapest that keeps this", Unquoted("no unit"), "a unit")
+            refuse("the cheapest that keeps this", "no unit", "a unit")
         share = apr(self._problem(units, self._wishes), range(len(units)))
         if share <= 0.0:
-            raise InputError("the cheapest that keeps this", Unquoted("an APR of 0"), "more")
+            refuse("the cheapest that keeps this", "an APR of 0", "more")
         wishes = replace(self._wishes, target=share, saves="cost", forced_sites=())
         return self._search(units, wishes)
 
@@ -557,7 +553,7 @@ class Adviser:
         """
         where = f"why not {site_id}"
         if not units:
-            raise InputError(where, Unquoted("no unit"), "a layout to compare it with")
+            refuse(where, "no unit", "a layout to compare it with")
         problem, poses = self._beside(units)
         standing = np.arange(len(units))
         free = fitting(replace(problem.limits, budget_units=None), standing)
@@ -566,7 +562,7 @@ class Adviser:
         rows = rows[rows >= len(units)]
         if not len(rows):
             expected = "a site with room, that is not forbidden"
-            raise InputError(where, Unquoted("no pose of the grid that is allowed there"), expected)
+            refuse(where, "no pose of the grid that is allowed there", expected)
         best = int(rows[best_joining(problem, standing.tolist(), rows)])
         beside = Advice(
             units=self._named(units, poses.candidates, [best]),
@@ -578,7 +574,6 @@ class Adviser:
         return beside, self._search(units, wishes)
 
     # ---------- problems
-
     def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
         """The optimiser's answer, started from the mounted units where that is allowed."""
         problem = self._problem(units, wishes)

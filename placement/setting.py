@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from geometry.actors import pick_actor
 from geometry.arrays import BoolArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
 from geometry.scene import Scene
@@ -91,8 +91,7 @@ class Setting:
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]  #: what the VUT itself looks with
     vut_camera: CameraModel | None = None  #: in place of the study's
     levels: Levels | None = None  #: what runs count by the speed at contact; None: if avoided
-    #: Share of the VUTs that see, whose own sensors are one more unit in every run. 0 .. 1
-    cars: float = 0.0
+    cars: float = 0.0  #: share of the VUTs whose own sensors are one more unit in every run. 0 .. 1
     #: (n_frames,): in which the VUT's own sensors detect, where that is known already; see
     #: :func:`placement.evaluator.with_sight`.
     seen_by_vut: BoolArray | None = None
@@ -105,7 +104,7 @@ class Setting:
             raise InputError("cars", self.cars, "0 .. 1")
         seen = self.seen_by_vut
         if seen is not None and seen.shape != (self.axis.n_frames,):
-            raise InputError("seen_by_vut", Unquoted("frames of other runs"), "those of the axis")
+            refuse("seen_by_vut", "frames of other runs", "those of the axis")
 
     def __repr__(self) -> str:
         return f"Setting({self.scene.name!r}, {len(self.runs)} runs)"
@@ -134,7 +133,7 @@ def build_rule(question: Question) -> AebRule:
     changes.setdefault("track_memory_s", math.inf if study else load_track_memory_s())
     if question.latency_budget:
         if question.latency_s is not None:
-            raise InputError("latency_s", Unquoted("it beside `latency_budget`"), "one of them")
+            refuse("latency_s", "it beside `latency_budget`", "one of them")
         budget = load_latency_budget(question.latency_budget, where="latency_budget")
         changes["latency_s"] = budget.mean_s
     try:
@@ -247,12 +246,11 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     drives = drive(replace(question, protect="all"), scene, position=place)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
-        got = Unquoted(refusal.reason)
         expected = "a case that this approach carries"
-        raise InputError(f"{refusal.case.name} from the {refusal.approach}", got, expected)
+        refuse(f"{refusal.case.name} from the {refusal.approach}", refusal.reason, expected)
     if len(drives.runs) != 1:
         ids = ", ".join(run.id for run in drives.runs)
-        raise InputError(question.cases, Unquoted(f"{len(drives.runs)} runs ({ids})"), "one run")
+        refuse(question.cases, f"{len(drives.runs)} runs ({ids})", "one run")
     return drives.runs[0]
 
 
@@ -356,7 +354,7 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
             for reason, arms in by_reason.items()
         )
         expected = f"a case that can be driven at {scene.name} ({why})"
-        raise InputError("cases", Unquoted(f"{case}, which no approach carries"), expected)
+        refuse("cases", f"{case}, which no approach carries", expected)
 
 
 def _table_detector(detector: Detector) -> PlanningDetector:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import read_data
 from geometry.scene import Scene, Site
 
@@ -104,8 +104,7 @@ class Wishes:
     #: the APR that is left is the first objective.
     survive: int = 0
     give_up: float = 0.0  #: APR that may be given up so that more is left when a unit fails.
-    #: What fails at once: a unit, or a site with everything that it carries.
-    failing: Failing = "unit"
+    failing: Failing = "unit"  #: What fails at once: a unit, or a site with all that it carries.
     #: Ids of candidates that are mounted already: they stay, and cost nothing.
     existing: tuple[str, ...] = ()
     #: forced_sites and forbidden_sites: ids of sites that must, and must not, carry units, in
@@ -114,8 +113,7 @@ class Wishes:
     forbidden_sites: tuple[str, ...] = ()
     site_capacity: int | None = None  #: Units per site, in place of the scene's.
     site_cost_eur: float | None = None  #: For a site that is used, in place of the scene's. [EUR]
-    #: For sites without a price of their own; by default they cost nothing.
-    prices: SitePrices | None = None
+    prices: SitePrices | None = None  #: For sites without a price; by default they cost nothing.
     #: Least distance on the ground between two units; on one site there is one at most then. [m]
     separation_m: float = 0.0
     #: Share of the sampled worlds that counts, the worst ones, see
@@ -347,8 +345,7 @@ def _give_up(question: Question, survive: int) -> float:
     }
     asked = [name for name, is_asked in others.items() if is_asked]
     if question.give_up and asked:
-        got = Unquoted(f"it beside `{asked[0]}`")
-        raise InputError("give_up", got, "one of them")
+        refuse("give_up", f"it beside `{asked[0]}`", "one of them")
     if question.give_up is not None:
         return question.give_up
     return 0.0 if asked else GIVE_UP

@@ -30,8 +30,7 @@ from placement.detectors import Evidence, is_matched, load_min_iou
 from placement.evaluator import (
     build_surroundings,
     load_vut_camera,
-    perceive_from_roadside,
-    perceive_from_vut,
+    perceive_frames,
 )
 from placement.evaluator.evaluate import VUT_KEY, build_rng, unit_key
 from placement.evaluator.pictures import VUT_UNIT
@@ -290,11 +289,8 @@ def _write_texts(
     surroundings = build_surroundings(setting.scene, setting.runs)
     for n_done, viewer in enumerate(viewers):
         progress("label", n_done, len(viewers))
-        evidence[viewer.folder] = (
-            perceive_from_vut(surroundings, load_vut_camera())
-            if viewer.pose is None
-            else perceive_from_roadside(surroundings, viewer.pose, viewer.camera)
-        )
+        fixed = None if viewer.pose is None else (viewer.pose, viewer.camera)
+        evidence[viewer.folder] = perceive_frames(surroundings, fixed or load_vut_camera())
     progress("write labels", 0, 0)
     out.parent.mkdir(parents=True, exist_ok=True)
     also = {MANIFEST: msgspec.json.format(msgspec.json.encode(record)).decode() + "\n"}

@@ -40,9 +40,10 @@ from placement.detectors.network import (
     boxes_of_class,
     kind_of_name,
 )
-from placement.evaluator import VutCamera, build_surroundings, load_vut_camera
-from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
-from placement.evaluator.pictures import FrameCamera, PictureSource
+from placement.evaluator import build_surroundings, load_vut_camera
+from placement.evaluator.perceive import perceive_frames
+from placement.evaluator.pictures import PictureSource
+from placement.evaluator.surroundings import FrameCamera
 from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.recordings import Recording, load_format, read_boxes, read_recording
@@ -229,11 +230,7 @@ def _look(
     cameras.append(load_vut_camera())
     for number, camera in enumerate(cameras):
         progress("label", number, len(cameras))
-        evidence = (
-            perceive_from_vut(surroundings, camera, min_height_px=least_px)
-            if isinstance(camera, VutCamera)
-            else perceive_from_roadside(surroundings, *camera, min_height_px=least_px)
-        )
+        evidence = perceive_frames(surroundings, camera, min_height_px=least_px)
         crops = source.crops(camera, evidence.amodal_px) if by_crops else None
         views.append((evidence, source.pictures(camera), crops))
     rng = np.random.default_rng([compute.seed, len(views)])

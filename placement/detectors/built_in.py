@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted, check_field, check_one_of
+from geometry.errors import InputError, check_field, check_one_of, refuse
 from geometry.files import Table, load_data, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px, iou
 
@@ -139,14 +139,12 @@ class ResponseDetector:
     height_steepness: float
     min_box_height_px: float  # smaller boxes are never detected. [px]
     class_factor: FloatArray  # (n_classes,): in the order of ``VRU_CLASSES``
-    # factor for a cyclist seen from straight behind or ahead; 1 from the side
-    cyclist_end_on: float
+    cyclist_end_on: float  # factor of a cyclist seen from straight behind or ahead; 1 from the side
     # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness), relative to
     # that at full contrast
     contrast_half: float
     contrast_steepness: float
-    # standard deviation of each side, as a share of the box's width or height
-    box_noise_share: float
+    box_noise_share: float  # standard deviation of each side, as share of the box's width or height
     frame_correlation: float  # between the random draws of consecutive frames
     plan_probability: float  # a plan counts on a detection from this probability on
     assumed: tuple[str, ...] = ()  # classes of which nothing is measured
@@ -304,8 +302,7 @@ class ResponseDetector:
 def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
     """A curve that rises from 0 to 1 and is 0.5 at `half`."""
     powers = np.maximum(values, 0.0) ** steepness
-    rising: FloatArray = powers / (powers + half**steepness)
-    return rising
+    return np.asarray(powers / (powers + half**steepness))
 
 
 def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
@@ -362,15 +359,7 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     if path.suffix == ".toml":
         return _read_response(path, load_toml(path), name=path.name)
     if path.suffix == ".onnx":
-        from .network import NetworkDetector, load_onnx_model
-
-        limits = read_table(_defaults()["onnx"], dict[str, float], f"{_FILE}: onnx")
-        return NetworkDetector(
-            name=path.name,
-            model=load_onnx_model(path),
-            min_box_height_px=limits["min_box_height_px"],
-            min_confidence=limits["min_confidence"],
-        )
+        return _load_network(path.name, path, "onnx")
     known = ", ".join((*DETECTOR_NAMES, *LIDAR_NAMES))
     raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
 
@@ -402,20 +391,17 @@ def _load_lidar_table(name: str) -> LidarTable:
 @cache
 def _load_shipped_network() -> Detector:
     """The network that is shipped."""
+    words = _load_table("cnn-table").alarm_words
+    how = {"looks_at_crops": True, "plans_with": "cnn-table", "alarm_words": words}
+    with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
+        return _load_network("cnn", path, "cnn", **how)
+
+
+def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
+    """A network from a file, with the limits of a section of ``data/detectors.toml``."""
     from .network import NetworkDetector, load_onnx_model
 
-    limits = read_table(_defaults()["cnn"], dict[str, float], f"{_FILE}: cnn")
-    with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
-        model = load_onnx_model(path)
-    return NetworkDetector(
-        name="cnn",
-        model=model,
-        min_box_height_px=limits["min_box_height_px"],
-        min_confidence=limits["min_confidence"],
-        looks_at_crops=True,
-        plans_with="cnn-table",
-        alarm_words=_load_table("cnn-table").alarm_words,
-    )
+    return NetworkDetector(name=name, model=load_onnx_model(path), **_limits(section), **how)
 
 
 def built_in_response() -> ResponseDetector:
@@ -435,12 +421,7 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
     """One of the built-in detectors but "cnn"."""
     if name in _TABLE_FILES:
         return _load_table(name)
-    limits = read_table(take(_defaults(), name, _FILE), dict[str, float], f"{_FILE}: {name}")
-    return GeometricDetector(
-        min_iou=load_min_iou(),
-        min_box_height_px=limits["min_box_height_px"],
-        min_contrast=limits["min_contrast"],
-    )
+    return GeometricDetector(min_iou=load_min_iou(), **_limits(name))
 
 
 @cache
@@ -448,11 +429,16 @@ def _defaults() -> dict[str, Any]:
     return load_data(__package__, _FILE)
 
 
+def _limits(section: str) -> dict[str, Any]:
+    """Numbers of a section, by the detector's fields."""
+    return read_table(take(_defaults(), section, _FILE), dict[str, float], f"{_FILE}: {section}")
+
+
 def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:
     """Response table of a document; errors name the file and the line."""
     table = document.get("response")
     if not isinstance(table, dict):
-        raise InputError(str(source), Unquoted("no table [response]"), "a table [response]")
+        refuse(str(source), "no table [response]", "a table [response]")
     try:
         shares, recall = (
             float_array(take_list(table, key, "response"), (-1,), key)

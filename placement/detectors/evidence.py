@@ -64,8 +64,7 @@ class Crop(NamedTuple):
     def to_image(self, boxes_px: FloatArray) -> FloatArray:
         """Boxes (n, 4) of the crop in pixels of the image."""
         corner = np.array([self.left_px, self.top_px] * 2)
-        boxes: FloatArray = (boxes_px + corner) * self.scale + np.array(self.middle_px * 2)
-        return boxes
+        return np.asarray((boxes_px + corner) * self.scale + np.array(self.middle_px * 2))
 
 
 class Crops(Protocol):
@@ -160,8 +159,7 @@ class LidarTable:
         """Probability of a detection on the ground so far away, (n,)."""
         curves = zip(self.distance_m, self.recall, strict=True)
         by_class = [np.interp(distance_m, far, shares) for far, shares in curves]
-        chosen: FloatArray = np.choose(vru_class, by_class)
-        return chosen
+        return np.choose(vru_class, by_class)
 
     def is_expected(self, distance_m: FloatArray, vru_class: IntArray) -> BoolArray:
         """Rows that are detected with at least `plan_probability`, (n,)."""
@@ -180,8 +178,7 @@ class LidarTable:
         draws, first, row_draw = np.unique(draw_index, return_index=True, return_inverse=True)
         links = np.array(self.frame_correlation)[vru_class[first]]
         chance = ndtr(linked_noise(draws, links, rng))[row_draw]
-        found: BoolArray = chance < self.probability(distance_m, vru_class)
-        return found
+        return chance < self.probability(distance_m, vru_class)
 
 
 def linked_noise(

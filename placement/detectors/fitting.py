@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.image_boxes import box_height_px, iou
 
 from .built_in import ResponseDetector, built_in_response
@@ -41,8 +41,7 @@ class Sightings:
     # shares of its width or height; NaN where nothing is found
     box_error: FloatArray
     track: IntArray  # (n,): equal for frames of one camera and one run
-    # (n,): number of the frame: consecutive numbers of one track are consecutive frames
-    frame: IntArray
+    frame: IntArray  # (n,): its number: consecutive ones of a track are consecutive frames
 
     def __post_init__(self) -> None:
         n = len(self.height_px)
@@ -91,15 +90,13 @@ class LabelledPicture:
     seen_share: FloatArray
     contrast: FloatArray
     aspect_deg: FloatArray
-    # (m, 4): boxes of the detector that count, of any class of road user. [px]
-    found_px: FloatArray
+    found_px: FloatArray  # (m, 4): boxes of the detector that count, of any class of road user [px]
     # (n, m): which box is of a class that counts for which label; by default all are
     finds: BoolArray | None = None
     # (k, 4): the boxes that are false alarms where they overlap no label; by default all. A box
     # around a person and a bicycle, say, is none next to these two.
     alone_px: FloatArray | None = None
-    # all of the picture was looked at: otherwise its false alarms are not counted
-    is_whole: bool = True
+    is_whole: bool = True  # all of it was looked at: otherwise its false alarms are not counted
     # (n,): whose label it is, where each road user is a track of its own; by default the picture's
     label_track: IntArray | None = None
 
@@ -224,10 +221,8 @@ def _lasting(before: _Last, alarms_px: FloatArray) -> list[int]:
 def wilson(n_found: int, n_all: int) -> Interval:
     """A share with its 95 % interval; 0 .. 1 of nothing.
 
-    References
-    ----------
-    .. [1] E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
-       1927.
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
+    1927.
 
     >>> wilson(8, 10)
     Interval(value=0.8, low=0.49..., high=0.94...)
@@ -262,9 +257,7 @@ def share_by_track(found: BoolArray, track: IntArray) -> Interval:
 def poisson(n_events: int, n_chances: float) -> Interval:
     """Events per chance, with the exact 95 % interval of a Poisson distribution.
 
-    References
-    ----------
-    .. [1] F. Garwood, "Fiducial limits for the Poisson distribution", 1936.
+    Source: F. Garwood, "Fiducial limits for the Poisson distribution", 1936.
 
     >>> poisson(0, 100)
     Interval(value=0.0, low=0.0, high=0.036...)
@@ -348,9 +341,9 @@ def fit_response(
     n_found = int(sightings.is_found.sum())
     least = min(n_found, len(sightings) - n_found)
     if len(sightings) < _LEAST_FRAMES or least < _LEAST_OF_EACH:
-        raise InputError(
+        refuse(
             "frames with a road user",
-            Unquoted(f"{len(sightings)}, {n_found} of them found"),
+            f"{len(sightings)}, {n_found} of them found",
             f"at least {_LEAST_FRAMES}, with {_LEAST_OF_EACH} found and {_LEAST_OF_EACH} missed",
         )
     free = _free(sightings)
@@ -432,10 +425,8 @@ def _table_spread(
 ) -> dict[str, FloatArray]:
     """Figures of the table for parameters drawn around the best ones, by name.
 
-    References
-    ----------
-    .. [1] H. White, "Maximum likelihood estimation of misspecified models", 1982: the sandwich of
-       curvature and of the scores' spread, whose scores are summed up by track.
+    Source: H. White, "Maximum likelihood estimation of misspecified models", 1982: the sandwich of
+    curvature and of the scores' spread, whose scores are summed up by track.
     """
     evidence, found = sightings.evidence(), sightings.is_found
     columns = []
@@ -584,10 +575,8 @@ def fit_lasting_share(
     likely, with each distance as heavy as another. 95 % interval: tracks drawn with repetition.
     Raises InputError where no frames are consecutive.
 
-    References
-    ----------
-    .. [1] C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods", Statistica
-       Sinica 21 (2011).
+    Source: C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods", Statistica
+    Sinica 21 (2011).
     """
     tracks, which = np.unique(sightings.track, return_inverse=True)
     share, falling = (one.ravel() for one in np.meshgrid(_SHARES, _CORRELATIONS))
@@ -598,7 +587,7 @@ def fit_lasting_share(
         correlation = share + (1.0 - share) * falling**distance
         likely += [np.interp(correlation, _CORRELATIONS, row) for row in by_correlation]
     if not likely.any():
-        raise InputError("frames", Unquoted("none consecutive"), "consecutive frames of a track")
+        refuse("frames", "none consecutive", "consecutive frames of a track")
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=draws)
     low, high = np.quantile(share[(drawn @ likely).argmax(axis=1)], _INTERVAL).tolist()
@@ -633,10 +622,8 @@ def joint_normal(
 ) -> FloatArray:
     """Probability that two correlated standard normal numbers lie below `first` and `second`.
 
-    References
-    ----------
-    .. [1] Z. Drezner, G. Wesolowsky, "On the computation of the bivariate normal integral", 1990:
-       the integral of the density over the correlation.
+    Source: Z. Drezner, G. Wesolowsky, "On the computation of the bivariate normal integral", 1990:
+    the integral of the density over the correlation.
     """
     from scipy.special import ndtr
 
@@ -678,9 +665,8 @@ def calibration_error(probability: FloatArray, found: BoolArray) -> float:
 
     Each bin weighs as much as it has frames.
 
-    References
-    ----------
-    .. [1] M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian binning", 2015.
+    Source: M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian binning",
+    2015.
 
     >>> calibration_error(np.array([0.2, 0.2, 0.7, 0.7]), np.array([False, False, True, True]))
     0.25

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image as PilImage
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
 from geometry.files import check_file, load_data, take
 from geometry.image_boxes import clip_boxes, iou
 
@@ -57,8 +57,7 @@ class Export:
     """How a network's outputs are read, and what it needs to be shown."""
 
     kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
-    # outputs by name to boxes (n, 4), classes (n,), confidence (n,)
-    read: Callable[[Outputs], Found]
+    read: Callable[[Outputs], Found]  # outputs to boxes (n, 4), classes (n,), confidence (n,)
     stride_px: int = 1  # images of free size are padded to its multiples
     is_suppressed: bool = True  # overlapping boxes of one class have been removed
     is_imagenet: bool = False  # images are normalised by ImageNet's mean and spread
@@ -90,7 +89,7 @@ def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Expo
         export = next((export for export in exports if export is not None), None)
     if export is None:
         shapes = ", ".join(f"{name} {value.shape}" for name, value in outputs.items())
-        raise InputError(str(path), Unquoted(f"outputs {shapes}"), _EXPECTED)
+        refuse(str(path), f"outputs {shapes}", _EXPECTED)
     if not export.kinds:
         expected = "among them one of " + ", ".join(sorted(kind_of_name()))
         raise InputError(where, names, expected)
@@ -341,8 +340,8 @@ class OnnxModel:
         Raises :class:`InputError` if the image has another shape or type, or the network fails.
         """
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-            got = Unquoted(f"{image.dtype} of shape {image.shape}")
-            raise InputError("image", got, "uint8 of shape (height, width, 3)")
+            got = f"{image.dtype} of shape {image.shape}"
+            refuse("image", got, "uint8 of shape (height, width, 3)")
         fitted = _fit(image, self.session, self.export.stride_px)
         outputs = self.session.run(fitted.pixels, is_imagenet=self.export.is_imagenet)
         boxes, class_ids, confidence = self.export.read(outputs)
@@ -352,7 +351,7 @@ class OnnxModel:
         class_ids = class_ids[is_sure].astype(np.int64)
         confidence = confidence[is_sure].astype(np.float64)
         if not (np.isfinite(boxes).all() and np.isfinite(confidence).all()):
-            raise InputError(str(self.path), Unquoted("a box that is not a number"), "finite boxes")
+            refuse(str(self.path), "a box that is not a number", "finite boxes")
         if self.export.is_relative:
             height, width = fitted.pixels.shape[:2]
             boxes = boxes * [width, height, width, height]
@@ -377,7 +376,7 @@ def load_onnx_model(path: Path) -> OnnxModel:
     MissingExtraError if onnxruntime is not installed.
     """
     if not path.is_file():
-        raise InputError(str(path), Unquoted("no such file"), "an ONNX file")
+        refuse(str(path), "no such file", "an ONNX file")
     session = _open(path)
     side = onnx_setting("probe_px")
     shape = (session.height_px or side, session.width_px or side, 3)
@@ -470,7 +469,7 @@ def _open(path: Path) -> _Session:
     is_image = is_image and (not has_batch or _may_be(shape[0], 1))
     if not is_image or images[0].type not in _PIXEL_TYPES:
         got = ", ".join(f"{entry.name} {entry.type} {tuple(entry.shape)}" for entry in inputs)
-        raise InputError(str(path), Unquoted(f"inputs {got or 'none'}"), _IMAGE)
+        refuse(str(path), f"inputs {got or 'none'}", _IMAGE)
     height, width = (side if isinstance(side, int) and side > 0 else None for side in shape[-2:])
     return _Session(
         path=path,
@@ -562,12 +561,12 @@ class NetworkDetector:
         for name in classes:
             if not set(_KINDS_OF_CLASS[name]) & set(self.model.export.kinds.values()):
                 expected = f"a network that knows {' or '.join(_KINDS_OF_CLASS[name])}"
-                raise InputError(f"detector {self.name}", Unquoted(f"runs with a {name}"), expected)
+                refuse(f"detector {self.name}", f"runs with a {name}", expected)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """Show each picture in which the VRU is large enough to the network."""
         if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
-            raise InputError("evidence", Unquoted("no pictures"), "pictures for the network")
+            refuse("evidence", "no pictures", "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
         large = np.flatnonzero(height >= max(self.min_box_height_px, 1.0e-9)).tolist()
         rows: list[int] = []

@@ -3,8 +3,7 @@
 from .evaluate import evaluate_layout as evaluate_layout
 from .evaluate import evaluate_layouts as evaluate_layouts
 from .evaluate import with_sight as with_sight
-from .perceive import perceive_from_roadside as perceive_from_roadside
-from .perceive import perceive_from_vut as perceive_from_vut
+from .perceive import perceive_frames as perceive_frames
 from .surroundings import Surroundings as Surroundings
 from .surroundings import VutCamera as VutCamera
 from .surroundings import build_surroundings as build_surroundings

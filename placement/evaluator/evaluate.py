@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, freeze
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.files import read_data
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
@@ -31,14 +31,18 @@ from ..detectors import Evidence, is_matched, load_min_iou
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
 from ..setting import Radio, Setting
-from .surroundings import build_surroundings, draw_index, load_vut_camera, load_vut_lidar
+from .surroundings import (
+    FrameCamera,
+    build_surroundings,
+    draw_index,
+    load_vut_camera,
+    load_vut_lidar,
+)
 
 if TYPE_CHECKING:
-    from .pictures import FrameCamera, PictureSource
+    from .pictures import PictureSource
 
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
-
-
 UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
 STAGE = "evaluate"
@@ -97,8 +101,6 @@ def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setti
 
 
 # ---------- the cache for the next call
-
-
 _KIND = "place-rsus/views/2"  # raise it whenever the same inputs give other detections
 
 
@@ -172,28 +174,27 @@ class _Watcher:
             if with_vut and "camera" in self._setting.vut_sensors:
                 by_vut = [
                     pool.submit(
-                        lambda frames: perceive.perceive_from_vut(
-                            around.take(frames), mount, min_height_px=least_px
-                        ),
-                        frames,
+                        perceive.perceive_frames,
+                        *(around.take(frames), mount),
+                        min_height_px=least_px,
                     )
                     for frames in parts
                 ]
             if with_vut and "lidar" in self._setting.vut_sensors:
                 rng = build_rng(seed, VUT_KEY, "lidar")
                 scans[VUT_KEY] = pool.submit(
-                    perceive.scan_from_vut, around, mount, load_vut_lidar(), rng
+                    perceive.scan_frames, around, mount, load_vut_lidar(), rng
                 )
             for key, unit in units.items():
                 if isinstance(unit.sensor, LidarModel):
                     scans[key] = pool.submit(
-                        perceive.scan_from_roadside,
+                        perceive.scan_frames,
                         *(around, unit.pose, unit.sensor, build_rng(seed, key)),
                     )
                 else:
                     looks[key] = pool.submit(
-                        perceive.perceive_from_roadside,
-                        *(around, unit.pose, unit.sensor),
+                        perceive.perceive_frames,
+                        *(around, (unit.pose, unit.sensor)),
                         min_height_px=least_px,
                     )
             jobs: list[Future[Any]] = [*by_vut, *looks.values(), *scans.values()]
@@ -289,8 +290,6 @@ def _join(parts: Sequence[Evidence]) -> Evidence:
 
 
 # ---------- verdicts: confirmation, braking, contact
-
-
 _Contact = tuple[float, float, float]
 Party = tuple[BoolArray, float]
 """(n_frames,): detected frames that reach the VUT; how long it takes until it knows [s]."""
@@ -389,8 +388,6 @@ def judge_layouts(judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0) -> l
 
 
 # ---------- VRU awareness messages (VAM)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VamRule:
     """When a device sends: see ``data/vam.toml``."""
@@ -463,8 +460,6 @@ _ROUNDING_S = 1.0e-6
 
 
 # ---------- evaluation of layouts
-
-
 def evaluate_layout(
     layout: Layout, setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> Evaluation:
@@ -485,7 +480,7 @@ def evaluate_layouts(
     runs, axis = setting.runs, setting.axis
     times_s = np.concatenate([run.time_s for run in runs])
     if tuple(run.id for run in runs) != axis.run_ids or not np.array_equal(times_s, axis.time_s):
-        raise InputError("axis", Unquoted("frames of other runs"), "the frame axis of these runs")
+        refuse("axis", "frames of other runs", "the frame axis of these runs")
     compute.progress(STAGE, 0, 0)
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
     with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin

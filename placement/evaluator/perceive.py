@@ -21,13 +21,13 @@ from geometry.lidar import (
     return_probability,
 )
 from geometry.poses import Pose, body_rotation, camera_rotation
-from geometry.sensors import CameraModel
 from geometry.weather import Weather
 
 from ..detectors import VRU_CLASSES, Evidence, aspects_deg
 from .lens_pixels import see_through_lens
 from .pixels import Image, Placed, Sights, blank_sights, see
 from .surroundings import (
+    FrameCamera,
     Solid,
     Surroundings,
     VutCamera,
@@ -38,9 +38,8 @@ from .surroundings import (
 
 _SIGHTS_AT_ONCE = 256
 
+
 # ---------- frames as a sensor has them before it
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Station:
     """A sensor's place, and road poses relative to the frame in which it stands."""
@@ -112,34 +111,19 @@ def _distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> Float
     offsets = np.empty((len(vru_poses), 3))
     offsets[:, :2] = vru_poses[:, :2] - pose.position_m[:2]
     offsets[:, 2] = 0.5 * hull_m[:, 2].max() + vru_poses[:, 3] - pose.position_m[2]
-    distance: FloatArray = np.linalg.norm(offsets, axis=1)
-    return distance
+    return np.asarray(np.linalg.norm(offsets, axis=1))
 
 
 # ---------- cameras
-
-
-def perceive_from_roadside(
-    surroundings: Surroundings, pose: Pose, camera: CameraModel, *, min_height_px: float = 0.0
+def perceive_frames(
+    surroundings: Surroundings, by: FrameCamera, *, min_height_px: float = 0.0
 ) -> Evidence:
-    """Evidence of a fixed camera, one row for each frame.
+    """Evidence of a camera, one row for each frame; the VUT's own does not see the VUT.
 
     Where the VRU's box cannot be `min_height_px` high, nothing is drawn and boxes are zeros.
     """
-    return _perceive(surroundings, _stand(surroundings, pose), camera, min_height_px)
-
-
-def perceive_from_vut(
-    surroundings: Surroundings, vut_camera: VutCamera, *, min_height_px: float = 0.0
-) -> Evidence:
-    """Evidence of the VUT's own camera; the VUT itself is not drawn."""
-    station = _stand(surroundings, vut_camera)
-    return _perceive(surroundings, station, vut_camera.camera, min_height_px)
-
-
-def _perceive(
-    surroundings: Surroundings, station: _Station, camera: CameraModel, min_height_px: float
-) -> Evidence:
+    at, camera = (by, by.camera) if isinstance(by, VutCamera) else by
+    station = _stand(surroundings, at)
     pose, order, start, first = station.pose, station.order, station.start, station.first
     n_frames = len(order)
     vru = _place(pose, station.vru_poses[first], station.tilt_deg[first])
@@ -219,25 +203,6 @@ def _place(pose: Pose, road_poses: FloatArray, tilt_deg: FloatArray) -> Placed:
 
 
 # ---------- LiDARs
-
-
-def scan_from_roadside(
-    surroundings: Surroundings, pose: Pose, lidar: LidarModel, rng: np.random.Generator
-) -> BoolArray:
-    """Frames in which a fixed LiDAR gets enough points on the VRU, (n_frames,) bool.
-
-    The random numbers say which pulses come back.
-    """
-    return _scan(surroundings, _stand(surroundings, pose), lidar, rng)
-
-
-def scan_from_vut(
-    surroundings: Surroundings, mount: VutCamera, lidar: LidarModel, rng: np.random.Generator
-) -> BoolArray:
-    """Frames in which the VUT's own LiDAR detects the VRU; see :func:`scan_from_roadside`."""
-    return _scan(surroundings, _stand(surroundings, mount), lidar, rng)
-
-
 class _Echoes(NamedTuple):
     """Beams that reach the VRU in one sight."""
 
@@ -249,9 +214,15 @@ class _Echoes(NamedTuple):
         return _Echoes(*(numbers[keep] for numbers in self))
 
 
-def _scan(
-    surroundings: Surroundings, station: _Station, lidar: LidarModel, rng: np.random.Generator
+def scan_frames(
+    surroundings: Surroundings, at: Pose | VutCamera, lidar: LidarModel, rng: np.random.Generator
 ) -> BoolArray:
+    """Frames in which a LiDAR gets enough points on the VRU, (n_frames,) bool.
+
+    It is fixed, or the VUT's own at the place of its camera. The random numbers say which pulses
+    come back.
+    """
+    station = _stand(surroundings, at)
     pose, first = station.pose, station.first
     detected = np.zeros(len(station.order), dtype=bool)
     random: dict[int, FloatArray] = {}  # one for all weathers: what differs is the weather's
@@ -275,8 +246,8 @@ def _scan(
             for place in np.flatnonzero(station.vehicle_index[frame] >= 0).tolist():
                 if len(echoes.distance_m):
                     vehicle = surroundings.vehicles[station.vehicle_index[frame, place]]
-                    at = station.vehicle_poses[frame, place]
-                    echoes = _before(echoes, pose, lidar, vehicle, at)
+                    there = station.vehicle_poses[frame, place]
+                    echoes = _before(echoes, pose, lidar, vehicle, there)
             weather = surroundings.weathers[surroundings.weather_index[frame]]
             vru_class = VRU_CLASSES[surroundings.vru_class[frame]]
             if draw not in random:

@@ -34,12 +34,16 @@ from ..imaging.mesh import (
 from ..imaging.picture import Picture, Window
 from ..imaging.stills import Still, crop_onto, draw_crop, draw_still, meter, window_around
 from ..layout import Layout
-from .surroundings import VutCamera, load_vut_camera, load_vut_lidar, vut_pitch_deg
+from .surroundings import (
+    FrameCamera,
+    VutCamera,
+    load_vut_camera,
+    load_vut_lidar,
+    obstruction_key,
+    vut_pitch_deg,
+)
 
 PictureOfFrame = Callable[[int], Image]
-FrameCamera = VutCamera | tuple[Pose, CameraModel]
-"""The VUT's own camera, or a fixed one."""
-
 _CROP_SIDES_PX = (64, 96, 128, 160)
 _ROOM = 0.625  # share of a crop that a road user may take up; for larger ones the scale is less
 _HALO_PX = 4.0  # by which blur and glare reach beyond a body
@@ -83,8 +87,6 @@ class PictureSource:
         return self._runs[run_index], frame - int(self._start[run_index])
 
     def _draw(self, frame: int, pose: Pose, camera: CameraModel, *, with_vut: bool) -> Image:
-        if self._is_closed:
-            raise CancelledError
         run, index = self._find(frame)
         picture = draw_picture(
             *(self._standing(run)[0], run, index, pose, camera),
@@ -97,8 +99,6 @@ class PictureSource:
 
     def _draw_crop(self, frame: int, view: "_View", still: Still | None) -> Crop:
         """Drawn anew, or onto a still that holds it."""
-        if self._is_closed:
-            raise CancelledError
         run, index = self._find(frame)
         backdrop, mesh = self._standing(run)
         white = self._white(run, view) if view.is_fixed else None
@@ -128,8 +128,6 @@ class PictureSource:
 
     def _draw_still(self, frame: int, view: "_View", window: Window) -> Still:
         """Still of a window, by the camera of a view in the frame's run."""
-        if self._is_closed:
-            raise CancelledError
         run, _ = self._find(frame)
         backdrop, mesh = self._standing(run)
         return draw_still(
@@ -148,7 +146,7 @@ class PictureSource:
         pose = view.pose
         key = (
             *(pose.position_m.tobytes(), pose.yaw_deg, pose.pitch_deg, view.camera),
-            *(weather, _obstruction_key(run)),
+            *(weather, obstruction_key(run)),
         )
         if key not in self._whites:
             self._whites[key] = meter(*self._standing(run), pose, view.camera, weather)
@@ -159,17 +157,15 @@ class PictureSource:
             self.n_drawn += 1
 
     def _standing(self, run: Run) -> tuple[Backdrop, FrameMesh]:
-        """What stands still in a run, to be drawn and ready for rays."""
-        key = _obstruction_key(run)
+        """What stands still in a run, to be drawn and ready for rays; no more once closed."""
+        if self._is_closed:
+            raise CancelledError
+        key = obstruction_key(run)
         with self._lock:
             if key not in self._still:
                 backdrop = build_backdrop(self._scene, run.obstruction)
                 self._still[key] = backdrop, place_mesh(backdrop.mesh, np.zeros(3))
             return self._still[key]
-
-
-def _obstruction_key(run: Run) -> tuple[object, ...]:
-    return tuple(parked.key for parked in run.obstruction)
 
 
 class _View(NamedTuple):
@@ -214,7 +210,7 @@ class Crops:
         view = self._view(frame)
         where = (
             *(run.weather, id(run.encounter.vru), int(run.vru_shape[index])),
-            *(_obstruction_key(run), view.side_px, view.scale),
+            *(obstruction_key(run), view.side_px, view.scale),
             *(run.vru_position_m[index].tobytes(), float(run.vru_yaw_deg[index])),
         )
         if view.shows_vut or run.traffic or isinstance(self._camera, VutCamera):
@@ -231,7 +227,7 @@ class Crops:
         groups: dict[tuple[object, ...], list[int]] = {}
         for frame, view in views.items():
             run, _ = self._source._find(frame)
-            key = (run.weather, _obstruction_key(run), view.scale)
+            key = (run.weather, obstruction_key(run), view.scale)
             groups.setdefault(key, []).append(frame)
         for group in groups.values():
             windows = [views[frame].window for frame in group]
@@ -332,8 +328,6 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
 
 
 # ---------- a frame of a run as one unit sees it
-
-
 VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
 
 

@@ -49,8 +49,6 @@ class Image(NamedTuple):
 
 
 # ---------- inputs and outputs of the drawing of many frames, as tuples for compiled code
-
-
 class Tree(NamedTuple):
     """Boxes around ever fewer triangles: a parent is followed by its first child."""
 
@@ -128,8 +126,6 @@ def blank_sights(n_sights: int, n_frames: int) -> Seen:
 
 
 # ---------- triangles: their bounds in the image, and their depths
-
-
 @kernel
 def corner(points: FloatArray, row: int) -> Point:
     """A row of points (n, 3)."""
@@ -242,8 +238,6 @@ def _passes_by(
 
 
 # ---------- the image
-
-
 @kernel
 def _least_depth(image: Image, window: Window) -> float:
     """Depth before which nothing is drawn in any pixel of a window."""
@@ -311,8 +305,6 @@ def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Win
 
 
 # ---------- the VRU
-
-
 @kernel
 def _project(image: Image, points: FloatArray, least_depth: float, pixels: FloatArray) -> bool:
     """Columns and rows of points (camera frame); whether all are ahead, otherwise unfinished."""
@@ -468,8 +460,6 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
 
 
 # ---------- what hides it
-
-
 @kernel
 def _set_beam(
     image: Image,
@@ -604,8 +594,6 @@ def _is_off_beam(
 
 
 # ---------- many sights
-
-
 @kernel
 def _see_past_vehicles(
     image: Image,
@@ -718,8 +706,6 @@ def see(
 
 
 # ---------- trees of boxes around triangles
-
-
 def build_tree(corners_m: FloatArray) -> Tree:
     """Tree of triangles (n, 3, 3)."""
     n = len(corners_m)

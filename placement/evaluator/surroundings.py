@@ -4,7 +4,7 @@ A *road pose* is a row of four numbers: east and north in metres, yaw in degrees
 ground in metres. It places the frame of a :class:`Solid` in the frame in which a sensor stands.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from threading import RLock
@@ -35,9 +35,8 @@ if TYPE_CHECKING:
 _WHERE = "vut_camera.toml"
 _POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
 
+
 # ---------- triangles
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """Triangles (n_triangles, 3), rows of vertices (n_vertices, 3) in metres.
@@ -52,8 +51,7 @@ class Mesh:
     @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the triangles, (n_triangles, 3, 3)."""
-        corners: FloatArray = np.ascontiguousarray(self.vertices_m[self.triangles])
-        return corners
+        return np.ascontiguousarray(self.vertices_m[self.triangles])
 
     @cached_property
     def skin(self) -> "Skin":
@@ -121,8 +119,7 @@ class Solid:
         corners = np.concatenate([mesh.corners_m for mesh in self.meshes])
         a, b, c = np.moveaxis(corners, 1, 0)
         across = np.cross(b - a, c - a)
-        normals: FloatArray = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
-        return normals
+        return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12))
 
 
 def build_body(shape: Shape, *, library: str | None = None) -> Solid:
@@ -164,8 +161,6 @@ def build_static(
 
 
 # ---------- surroundings of runs
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
     """Everything that can be seen in the frames of some runs, laid end to end."""
@@ -224,7 +219,7 @@ def build_surroundings(
     vut_actor = next(iter(vuts.values()))
     vru_of_frame = [(run.encounter.vru, int(index)) for run in runs for index in run.vru_shape]
     vrus = {key: number for number, key in enumerate(dict.fromkeys(vru_of_frame))}
-    obstructions = {_obstruction_key(run): run.obstruction for run in runs}
+    obstructions = {obstruction_key(run): run.obstruction for run in runs}
     terrain = terrain_of(scene)
     vru_poses = np.concatenate(
         [_road_poses(run.vru_position_m, run.vru_yaw_deg, terrain) for run in runs]
@@ -235,7 +230,7 @@ def build_surroundings(
     classes = [VRU_CLASSES.index(vru_class(run.encounter.vru)) for run in runs]
     standing = build_scene_mesh(scene, middle_m=middle_m)
     static_index = np.repeat(
-        [list(obstructions).index(_obstruction_key(run)) for run in runs], n_frames
+        [list(obstructions).index(obstruction_key(run)) for run in runs], n_frames
     )
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0, 0.0], (sum(n_frames), 1))
@@ -314,8 +309,6 @@ def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> Fl
 
     In metres and degrees.
 
-    Examples
-    --------
     >>> road, vut = np.array([[0.0, 5.0, 90.0, 0.5]]), np.array([[0.0, 2.0, 90.0, 0.0]])
     >>> relative_road_poses(road, vut).round(9)
     array([[3. , 0. , 0. , 0.5]])
@@ -370,20 +363,18 @@ def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
     return carriers
 
 
-def _obstruction_key(run: Run) -> tuple[object, ...]:
+def obstruction_key(run: Run) -> tuple[object, ...]:
+    """Equal for runs in which the same is parked at the same places."""
     return tuple(parked.key for parked in run.obstruction)
 
 
 # ---------- the VUT's own camera
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VutCamera:
     """A camera on the VUT, facing ahead: level where the road is, else along its grade."""
 
     camera: CameraModel  # what is mounted
-    # distance ahead of the VUT's middle, as a share of half its length
-    ahead_per_half_length: float
+    ahead_per_half_length: float  # distance ahead of the VUT's middle, as share of half its length
     up_per_half_height: float  # height above the road, as a share of half the VUT's height
 
     def pose_on(self, vut: Actor) -> Pose:
@@ -393,14 +384,13 @@ class VutCamera:
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
-def _vut_table() -> Mapping[str, Any]:
-    return load_data("placement", _WHERE)
+FrameCamera = VutCamera | tuple[Pose, CameraModel]  # the VUT's own camera, or a fixed one
 
 
 @cache
 def load_vut_camera() -> VutCamera:
     """The study's camera, from ``data/vut_camera.toml``."""
-    table = _vut_table()
+    table = load_data("placement", _WHERE)
     return VutCamera(
         camera=pick_camera(take_text(table, "camera", _WHERE), f"{_WHERE}: camera"),
         ahead_per_half_length=take_number(table, "ahead_per_half_length", _WHERE),
@@ -411,6 +401,5 @@ def load_vut_camera() -> VutCamera:
 @cache
 def load_vut_lidar() -> LidarModel:
     """The study's LiDAR, at the camera's place, from ``data/vut_camera.toml``."""
-    name = take_text(_vut_table(), "lidar", _WHERE)
-    lidar: LidarModel = pick(load_lidars(), name, f"{_WHERE}: lidar")
-    return lidar
+    name = take_text(load_data("placement", _WHERE), "lidar", _WHERE)
+    return pick(load_lidars(), name, f"{_WHERE}: lidar")

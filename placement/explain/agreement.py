@@ -129,14 +129,11 @@ def _cause(
     if isinstance(unit.sensor, LidarModel):
         return place + "about as many points as it takes"
     run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
-    from ..evaluator import build_surroundings, perceive_from_roadside  # loads the compiler
+    from ..evaluator import build_surroundings, perceive_frames  # loads the compiler
 
     surroundings = build_surroundings(setting.scene, [setting.runs[run]])
-    evidence = perceive_from_roadside(
-        surroundings.take(np.array([frame - int(setting.axis.run_start[run])])),
-        unit.pose,
-        unit.sensor,
-    )
+    frames = np.array([frame - int(setting.axis.run_start[run])])
+    evidence = perceive_frames(surroundings.take(frames), (unit.pose, unit.sensor))
     return place + _what_is_seen(setting, evidence, is_on_table=bool(on_table[unit.id][frame]))
 
 

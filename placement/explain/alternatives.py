@@ -22,8 +22,7 @@ from ..optimiser.solve import is_large
 from ..optimiser.timing import TOLERANCE
 
 STAGE = "other priorities"
-TIME_LIMIT_S = 10.0
-"""Most time for each alternative: it is mentioned in passing."""
+TIME_LIMIT_S = 10.0  # most time for each alternative: it is mentioned in passing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

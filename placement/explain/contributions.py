@@ -81,8 +81,7 @@ def find_contributions(
 
 
 # ---------- failures of units and poles (N-1, N-2)
-MAX_PAIR_UNITS = 12
-"""For layouts with more units, only single failures are evaluated."""
+MAX_PAIR_UNITS = 12  # for layouts with more units, only single failures are evaluated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,16 +89,14 @@ class Failure:
     """A layout without some of its units."""
 
     unit_ids: tuple[str, ...]  # the units that fail
-    # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are no others.
-    apr: float
+    apr: float  # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are none
     # of the runs with weight that the others still avoid, the least time from the onset of
     # braking to the last moment; NaN where they avoid none. [s]
     smallest_margin_s: float
     # runs with weight that all units together avoid and the others do not, those with the
     # highest speed first
     lost_run_ids: tuple[str, ...]
-    # the site that fails with all its units; empty: units fail, their poles stand
-    site_id: str = ""
+    site_id: str = ""  # the site that fails with all its units; empty: units fail, poles stand
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,8 +107,7 @@ class Failures:
     one_failed: tuple[Failure, ...]  # one for each unit
     # one for each pair; empty for a layout of one unit or of more than ``MAX_PAIR_UNITS``
     two_failed: tuple[Failure, ...]
-    # one for each site: power or a crash takes all of its units at once
-    site_failed: tuple[Failure, ...] = ()
+    site_failed: tuple[Failure, ...] = ()  # one for each site: power or a crash takes all its units
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:

@@ -73,8 +73,7 @@ class Answer:
 
     pose_index: tuple[int, ...] | None  # a set of poses that meets it; None: none was found
     is_proven: bool  # that there is none; or that none has a better `value`
-    # where a number was asked for: the least, or the most, that was found; else NaN
-    value: float = np.nan
+    value: float = np.nan  # where a number was asked for: the least, or the most, found; else NaN
 
 
 class Oracle:
@@ -216,17 +215,7 @@ class Oracle:
 
     def _ask_of(self, reduced: ReducedProblem, problem: PlacementProblem) -> ReducedProblem:
         """A reduced problem with a problem's limits and floors; few units come next."""
-        floors = tuple(
-            Requirement(
-                measure=problem.floor_measure(floor).of_runs(reduced.run_index),
-                least=floor.share,
-                n_failures=floor.n_failures,
-            )
-            for floor in problem.floors
-        )
-        return replace(
-            reduced, limits=problem.limits.of_poses(reduced.pose_index), floors=floors
-        ).with_goal("fewest")
+        return replace(reduced.for_problem(problem), survive=0).with_goal("fewest")
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search | Answer:
         """A search that has a set within limits and floors; else the answer that there is none.

@@ -52,9 +52,7 @@ def white_luminance(
 
     The mean of logarithms over the key, but no less than the longest exposure allows.
 
-    References
-    ----------
-    .. [1] E. Reinhard et al., "Photographic tone reproduction for digital images", 2002: the key.
+    Source: E. Reinhard et al., "Photographic tone reproduction for digital images", 2002: the key.
     """
     luminance = radiance[::every, ::every] @ LUMINANCE.astype(np.float32)
     mean = float(np.exp(np.log(np.maximum(luminance, np.float32(1e-4))).mean()))
@@ -88,9 +86,7 @@ def develop(
 def _curve(shoulder: float) -> NDArray[np.uint8]:
     """Levels of sRGB by linear light in steps; beyond the shoulder highlights bend towards white.
 
-    References
-    ----------
-    .. [1] IEC 61966-2-1: the two branches of sRGB.
+    Source: IEC 61966-2-1: the two branches of sRGB.
     """
     light = (np.arange(_STEPS) + 0.5) * (_BRIGHTEST / _STEPS)
     rest = 1.0 - shoulder

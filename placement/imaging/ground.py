@@ -267,10 +267,8 @@ def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
 
     `distance_m` (...) is that from the footprint's edge, negative inside.
 
-    References
-    ----------
-    .. [1] J. Howell, "A catalog of radiation configuration factors": from level ground to an
-       upright plane of height h at distance x: (1 - x / sqrt(x^2 + h^2)) / 2.
+    Source: J. Howell, "A catalog of radiation configuration factors": from level ground to an
+    upright plane of height h at distance x: (1 - x / sqrt(x^2 + h^2)) / 2.
     """
     height = float(thing.size_m[2])
     # A plane without end takes more than a body of this length does.

@@ -208,9 +208,7 @@ class Sky:
     def fade(self, luminance: FloatRays, distance_m: FloatRays) -> None:
         """Take from luminances (n, 3) what the air takes over distances (n,), in place.
 
-        References
-        ----------
-        .. [1] H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924.
+        Source: H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924.
         """
         air = self.air_cdpm2.astype(np.float32)
         luminance -= air
@@ -271,9 +269,7 @@ def illuminance(
     (n,) is the share of the sky that nothing hides (by default all), `ground_albedo` the share of
     light that comes back from below.
 
-    References
-    ----------
-    .. [1] J. H. Lambert, "Photometria", 1760: the cosine, and the inverse square.
+    Source: J. H. Lambert, "Photometria", 1760: the cosine, and the inverse square.
     """
     upness = hits.normals[:, 2]
     above = 0.5 + 0.5 * upness

@@ -239,10 +239,8 @@ def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float,
 
     The yaw is that of the longer side, counter-clockwise from east. [rad], [m]
 
-    References
-    ----------
-    .. [1] H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle", 1975: one side
-       lies along an edge of the convex hull.
+    Source: H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle", 1975: one
+    side lies along an edge of the convex hull.
     """
     try:
         hull = points_m[ConvexHull(points_m).vertices]

@@ -365,8 +365,6 @@ def ground_albedo() -> float:
 
 
 # ---------- whole pictures
-
-
 _EDGES = 12_000  # pixels that are smoothed at a time
 _TILE_PX = (90, 480)  # rows, columns drawn at a time: fit into a cache, and are near few lamps
 
@@ -527,34 +525,25 @@ def expose_image(
     shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
-    from .exposure import (  # loads the compiler
-        add_glare,
-        add_rain,
-        develop,
-        load_imager,
-        white_luminance,
-    )
+    from . import exposure  # loads the compiler
 
-    size = radiance.shape[:2]
-    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
-    add_rain(
-        radiance,
-        shot.camera,
-        shot.weather,
-        shot.sky,
+    size, imager = radiance.shape[:2], exposure.load_imager()
+    exposure.add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
+    exposure.add_rain(
+        *(radiance, shot.camera, shot.weather, shot.sky),
         pitch_deg=shot.pose.pitch_deg,
-        exposure_s=load_imager()["rain_exposure_s"],
+        exposure_s=imager["rain_exposure_s"],
         rng=np.random.default_rng([*seed, *size]),
     )
     metered = radiance
     if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
         metered = radiance[None, np.isfinite(pixel_grid(shot.camera)[..., 0])]
-    white_cdpm2 = white_luminance(metered, load_imager())
+    white_cdpm2 = exposure.white_luminance(metered, imager)
     rgb = np.empty((*size, 3), dtype=np.uint8)
 
     def expose(tile: tuple[slice, slice]) -> None:
         rng = np.random.default_rng([*seed, tile[0].start, tile[1].start])
-        rgb[tile] = develop(radiance[tile], white_cdpm2, load_imager(), rng)
+        rgb[tile] = exposure.develop(radiance[tile], white_cdpm2, imager, rng)
 
     list(pool.map(expose, _tiles(size)))
     return rgb
@@ -573,8 +562,6 @@ def _tiles(size: tuple[int, ...]) -> list[tuple[slice, slice]]:
 
 
 # ---------- smooth edges: several rays for pixels along kerbs, roofs and shadows
-
-
 # Four points of a square, turned so that no two share a row or a column.
 _OFFSETS_PX = ((0.125, 0.375), (-0.375, 0.125), (0.375, -0.125), (-0.125, -0.375))
 
@@ -594,5 +581,4 @@ def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRay
         for across, down in _OFFSETS_PX
     ]
     more = shade_rays(shot, np.concatenate(ways))[0].radiance
-    mean: FloatRays = (radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways))
-    return mean
+    return np.asarray((radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways)))

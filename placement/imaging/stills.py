@@ -309,8 +309,6 @@ def _box(mesh: Mesh, origin_m: FloatArray) -> FloatArray:
 
 
 # ---------- crops
-
-
 _METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure
 
 
@@ -358,11 +356,7 @@ def draw_crop(
     )
     size = (window.height, window.width)
     shades, _ = shade_rays(shot, tile_rays(shot, window.rows, window.columns))
-    image = Shades(
-        shades.radiance.reshape(*size, 3),
-        shades.instance.reshape(size),
-        shades.depth_m.reshape(size),
-    )
+    image = Shades._make(part.reshape(*size, *part.shape[1:]) for part in shades)
     edges = np.flatnonzero(find_edges(image.radiance))
     smooth_image(shot, window, image.radiance, edges, map)
     return _expose(shot, image, image.radiance, window, white_cd_m2, [seed, frame_index])
@@ -397,18 +391,16 @@ def _expose(
     rng = np.random.default_rng([*seeds, *window])
     corner = (window.left, window.top)
     add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
+    imager = load_imager()
     add_rain(
-        radiance,
-        _window_camera(shot.camera, window),
-        shot.weather,
-        shot.sky,
+        *(radiance, _window_camera(shot.camera, window), shot.weather, shot.sky),
         pitch_deg=shot.pose.pitch_deg,
-        exposure_s=load_imager()["rain_exposure_s"],
+        exposure_s=imager["rain_exposure_s"],
         rng=rng,
     )
     white = _meter(shot) if white_cd_m2 is None else white_cd_m2
     return Picture(
-        rgb=develop(radiance, white, load_imager(), rng),
+        rgb=develop(radiance, white, imager, rng),
         instance=image.instance,
         depth_m=image.depth_m,
         names=names_of(shot.mesh),
@@ -469,8 +461,6 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
 
 
 # ---------- kernels
-
-
 Point = tuple[float, float, float]  # or a way: in the axes of the world, from the camera
 # Depths in pixels (h, w), and the parts of their rays by column (w, 3) and by row (h, 3); through a
 # lens nothing, and the rays (h, w, 3).

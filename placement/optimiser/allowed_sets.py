@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, refuse
 
 from .timing import COST_TOLERANCE_EUR, ROUNDING
 
@@ -21,8 +21,7 @@ Failing = Literal["unit", "site"]
 class Limits:
     """Sets of poses that may be mounted."""
 
-    # (n_poses,): site of every pose; a pose that belongs to no site has one of its own
-    site_index: IntArray
+    site_index: IntArray  # (n_poses,): site of each pose; one that belongs to none has its own
     site_capacity: IntArray  # (n_sites,): units that each site can carry
     budget_units: int | None = None  # At most so many units in all, the forced ones among them
     budget_eur: float | None = None  # At most so much money [EUR]
@@ -76,7 +75,7 @@ class Limits:
         value = getattr(self, field)
         array = np.zeros(size, dtype=kind) if value is None else np.array(value, dtype=kind)
         if array.shape != (size,):
-            raise InputError(field, Unquoted(f"shape {array.shape}"), f"shape ({size},)")
+            refuse(field, f"shape {array.shape}", f"shape ({size},)")
         object.__setattr__(self, field, freeze(array))
         return array
 
@@ -150,8 +149,7 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
     sites = np.sort(limits.site_index[sets], axis=1)
     is_first = np.ones(sites.shape, dtype=bool)
     is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
-    total: FloatArray = cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
-    return total
+    return np.asarray(cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1))
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:

@@ -103,8 +103,6 @@ def transpose_chosen(
 
 
 # ---------- rows of bits
-
-
 @kernel
 def join_ranges(rows: WordArray, begin: IntArray, end: IntArray, joined: WordArray) -> None:
     """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
@@ -281,8 +279,6 @@ def has_entry(entries: IntArray, entry: int) -> bool:
 
 
 # ---------- live windows
-
-
 @kernel
 def has_bit(union: WordArray, frame: int) -> bool:
     """True if a frame is among those of a union."""

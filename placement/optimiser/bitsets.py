@@ -56,8 +56,7 @@ class SetValues:
 
     def descending(self) -> IntArray:
         """Order of the sets, the best first."""
-        order: IntArray = np.lexsort(-self.gains.round(DECIMALS).T[::-1])
-        return order
+        return np.lexsort(-self.gains.round(DECIMALS).T[::-1])
 
 
 @lru_cache(maxsize=32)
@@ -173,8 +172,7 @@ def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     limits = reduced.limits
     is_new = ~np.isin(limits.site_index, limits.site_index[units])
     cost = cost_eur(limits, units) + limits.unit_cost_eur
-    total: FloatArray = cost + np.where(is_new, limits.site_cost_eur[limits.site_index], 0.0)
-    return total
+    return cost + np.where(is_new, limits.site_cost_eur[limits.site_index], 0.0)
 
 
 def _values(
@@ -185,13 +183,11 @@ def _values(
 
     @cache
     def share() -> FloatArray:
-        weight: FloatArray = is_avoided @ reduced.weight
-        return weight
+        return is_avoided @ reduced.weight
 
     def mean_margin() -> FloatArray:
         total = np.where(is_avoided, margin, 0.0) @ reduced.weight
-        mean: FloatArray = np.divide(total, share(), out=np.zeros(len(margin)), where=share() > 0.0)
-        return mean
+        return np.divide(total, share(), out=np.zeros(len(margin)), where=share() > 0.0)
 
     def smallest_margin() -> FloatArray:
         smallest = np.where(is_avoided, margin, np.inf).min(axis=1, initial=np.inf)
@@ -226,8 +222,7 @@ def _lacking(reduced: ReducedProblem, left: Left) -> FloatArray | float:
 
 def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
     """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
-    avoided: BoolArray = _margins_with_each(reduced, units) > -np.inf
-    return avoided
+    return _margins_with_each(reduced, units) > -np.inf
 
 
 def shares_with_each(
@@ -300,8 +295,7 @@ def best_with_each(reduced: ReducedProblem, units: IntArray, poses: IntArray) ->
         row = values_with_each(reduced, units)[poses].best_row()
         return np.append(units, poses[row])
     sets = np.column_stack([np.tile(units, (len(poses), 1)), poses])
-    best: IntArray = sets[set_values(reduced, sets).best_row()]
-    return best
+    return np.asarray(sets[set_values(reduced, sets).best_row()])
 
 
 def _quick_stages(

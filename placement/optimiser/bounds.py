@@ -178,8 +178,7 @@ def is_covered_by(reduced: ReducedProblem, union: WordArray, rows: Rows) -> Bool
 
     first = np.empty((1, reduced.n_chains), dtype=np.int64)
     first_live_windows(union[None, :], reduced.chains, first)
-    is_covered: BoolArray = first[0][rows.chain] < rows.last
-    return is_covered
+    return np.asarray(first[0][rows.chain] < rows.last)
 
 
 def reward_of(n_units: int, n_failures: int) -> FloatArray:

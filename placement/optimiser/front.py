@@ -13,7 +13,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.clock import now_s
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, Unquoted, check_one_of, refuse
 
 from ..layout import Certificate, Stage
 from .allowed_sets import CENTS, Limits, whole_cents
@@ -86,9 +86,7 @@ class Front:
     """Layouts for growing budgets."""
 
     by: Literal["units", "cost"]  # what the points are allowed more and more of
-    points: tuple[
-        FrontPoint, ...
-    ]  # ascending, at least one; by cost those at which something grows
+    points: tuple[FrontPoint, ...]  # ascending, at least one; by cost where something grows
     stages: StageChoice  # what was optimised: APR and APR when one unit fails, or all
     # It is proven that from so many units, or euros, on nothing grows that was optimised, not even
     # beyond the last point; None if that is not known.
@@ -110,7 +108,7 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
     check_one_of("stages", stages, get_args(StageChoice))
     if problem.goal != "best" or problem.survive:
         option = "survive" if problem.goal == "best" else "target"
-        raise InputError(option, Unquoted("it with a front"), "neither: a front has every APR")
+        refuse(option, "it with a front", "neither: a front has every APR")
 
 
 def solve_point(
@@ -199,8 +197,6 @@ def tightened(stage: Stage, bound: float) -> Stage:
 
 
 # ---------- a front by units
-
-
 DEFAULT_MAX_UNITS = 8
 
 
@@ -385,8 +381,6 @@ def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int |
 
 
 # ---------- price levels
-
-
 _MAX_LEVELS = 20_000
 
 
@@ -435,8 +429,6 @@ def _sums(prices_eur: FloatArray, most: int) -> list[set[int]] | None:
 
 
 # ---------- a front by cost
-
-
 DEFAULT_MAX_POINTS = 40
 _ASKED = "APR"  # what a point asks for, in place of a wish
 
@@ -473,7 +465,7 @@ def cost_front(
     check_reach(problem, reduced)
     weight = reduced.weight[reduced.weight > 0.0]
     if not len(weight):
-        raise InputError("candidates", Unquoted("poses that avoid nothing"), "one that does")
+        refuse("candidates", "poses that avoid nothing", "one that does")
     climb = _Climb(
         problem=problem,
         reduced=reduced,

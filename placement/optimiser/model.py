@@ -367,8 +367,6 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
 
 
 # ---------- cuts: failures, which no row of the model speaks of
-
-
 Fails = Callable[[WordArray], BoolArray]
 
 
@@ -422,8 +420,7 @@ def _lost_runs(reduced: ReducedProblem, union: WordArray, requirement: Requireme
     last = last_links(reduced, min_margin_s=requirement.min_margin_s)
     runs = np.flatnonzero(is_lost)[np.argsort(last[is_lost], kind="stable")]
     _, first = np.unique(reduced.run_chain[runs], return_index=True)
-    hardest: list[int] = runs[first].tolist()
-    return hardest
+    return list(runs[first].tolist())
 
 
 def _fails(reduced: ReducedProblem, requirement: Requirement, run: int | None = None) -> Fails:
@@ -433,8 +430,7 @@ def _fails(reduced: ReducedProblem, requirement: Requirement, run: int | None = 
         margin_s = union_margins_s(reduced, unions)
         if run is not None:
             return ~requirement.counts_run(margin_s[:, run])
-        result: BoolArray = requirement.reached(margin_s) < requirement.least - TOLERANCE
-        return result
+        return requirement.reached(margin_s) < requirement.least - TOLERANCE
 
     return fails
 
@@ -453,5 +449,4 @@ def _cut(reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: in
         if n_fit > 0:
             union = grown[n_fit - 1]
         waiting = waiting[n_fit:]
-    outside: BoolArray = np.logical_or.reduce((words & ~union) != 0, axis=1)
-    return Cut(is_counted=outside, n_units=n_units)
+    return Cut(is_counted=((words & ~union) != 0).any(axis=1), n_units=n_units)

@@ -202,8 +202,7 @@ class PairWalk:
         first = self.member[self.start[pairs[row, 0]] + one]
         second = self.member[self.start[pairs[row, 1]] + other]
         is_once = (pairs[row, 0] != pairs[row, 1]) | (first < second)
-        of_poses: IntArray = np.column_stack([first, second])[is_once]
-        return of_poses
+        return np.asarray(np.column_stack([first, second])[is_once])
 
     def _losing_little(
         self, units: _Units, union: WordArray, rows: Rows, pairs: IntArray

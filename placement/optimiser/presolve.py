@@ -105,8 +105,7 @@ class ReducedProblem:
     @property
     def last(self) -> IntArray:
         """Windows of its chain that end in time for each run, (n_runs,)."""
-        last: IntArray = (self.margin_s > -np.inf).sum(axis=1)
-        return last
+        return np.asarray((self.margin_s > -np.inf).sum(axis=1))
 
     def with_workers(self, workers: int) -> "ReducedProblem":
         """Problem on so many threads."""

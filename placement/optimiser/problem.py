@@ -1,6 +1,6 @@
 """The placement problem on a detection table, and what a set of poses is worth in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import chain, combinations
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, refuse
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis, live_confirmation_times_s
@@ -58,8 +58,6 @@ class Objective(StrEnum):
     def excess(self, value: float, other: float) -> float:
         """By how much a value is better than another one; negative if it is worse.
 
-        Examples
-        --------
         >>> Objective.APR.excess(0.75, 0.5), Objective.UNITS.excess(3.0, 2.0)
         (0.25, -1.0)
         """
@@ -98,8 +96,6 @@ def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
 
     The cost stands in it once: first where the cheapest layout is asked for, else last.
 
-    Examples
-    --------
     >>> [str(objective) for objective in objectives_in_order("fewest", survive=1)][:3]
     ['units', 'apr_survived', 'apr']
     """
@@ -133,8 +129,7 @@ class Measure:
     def of(self, is_avoided: BoolArray) -> FloatArray:
         """Ratio of each set of avoided runs: (..., n_runs) -> (...,)."""
         if self.is_mean:
-            share: FloatArray = is_avoided @ self.weight
-            return share
+            return is_avoided @ self.weight
         return self.of_worlds(self.by_world(is_avoided))
 
     def by_world(self, is_avoided: BoolArray) -> FloatArray:
@@ -149,15 +144,13 @@ class Measure:
     def of_worlds(self, by_sample: FloatArray) -> FloatArray:
         """Ratio from the weight of avoided runs by world, (..., n_samples) or of all, (..., 1)."""
         if self.is_mean:
-            total: FloatArray = by_sample.sum(axis=-1)
-            return total
+            return np.asarray(by_sample.sum(axis=-1))
         ratio = by_sample / self.sample_weight
         order = np.argsort(ratio, axis=-1, kind="stable")  # the worst first, up to the tail
         ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
         worst_first = np.take_along_axis(ratio, order, axis=-1)
         counted = np.diff(ends, axis=-1, prepend=0.0) * worst_first
-        result: FloatArray = counted.sum(axis=-1) / self.tail
-        return result
+        return np.asarray(counted.sum(axis=-1) / self.tail)
 
     @property
     def limit(self) -> float:
@@ -191,10 +184,10 @@ def build_measure(
     samples = np.zeros(len(weight)) if sample_index is None else np.array(sample_index)
     samples = samples.astype(np.int64)
     if samples.shape != np.shape(weight) or (samples.size and samples.min() < 0):
-        raise InputError("sample_index", Unquoted("other samples"), "one, from 0, for each run")
+        refuse("sample_index", "other samples", "one, from 0, for each run")
     total = np.bincount(samples, weights=weight)
     if not (total > 0.0).all():
-        raise InputError("sample_index", Unquoted("a sample without weight"), "runs in each sample")
+        refuse("sample_index", "a sample without weight", "runs in each sample")
     return Measure(
         weight=freeze(np.array(weight, dtype=np.float64)),
         sample_index=freeze(samples),
@@ -204,8 +197,6 @@ def build_measure(
 
 
 # ---------- the problem and the value of a set
-
-
 Fusion = Literal["any", "single"]
 
 
@@ -264,9 +255,7 @@ class PlacementProblem:
     def __post_init__(self) -> None:
         n_poses = self.table.n_poses
         if self.limits.n_poses != n_poses:
-            raise InputError(
-                "site_index", Unquoted(f"{self.limits.n_poses} poses"), f"{n_poses} poses"
-            )
+            refuse("site_index", f"{self.limits.n_poses} poses", f"{n_poses} poses")
         if (self.table.axis.last_brake_time_s == np.inf).any():
             raise InputError("last_brake_time_s", np.inf, "a time, or minus infinity")
         check_one_of("fusion", self.fusion, get_args(Fusion))
@@ -280,7 +269,7 @@ class PlacementProblem:
         flags += [(floor.name, floor.is_counted, axis.n_runs, "run") for floor in self.floors]
         for name, flag, size, noun in flags:
             if flag is not None and flag.shape != (size,):
-                raise InputError(name, Unquoted(f"shape {flag.shape}"), f"a flag for each {noun}")
+                refuse(name, f"shape {flag.shape}", f"a flag for each {noun}")
         self.measure()  # checks samples and tail
 
     @property
@@ -304,7 +293,7 @@ class PlacementProblem:
         weight = np.where(floor.is_counted, self.table.axis.weight, 0.0)
         total = float(weight.sum())
         if total == 0.0:
-            raise InputError(floor.name, Unquoted("runs without weight"), "a run that counts")
+            refuse(floor.name, "runs without weight", "a run that counts")
         return build_measure(weight / total)
 
     def __repr__(self) -> str:
@@ -405,13 +394,20 @@ def objective_values(
 def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     """True if the first difference that exceeds rounding noise favours `value`.
 
-    Examples
-    --------
     >>> is_better(PlacementValue(1.0, 0.5, 0.2, 0.3, 9.0), PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
     True
     """
-    for objective in VALUE_OBJECTIVES:
-        excess = objective.excess(value.of(objective), other.of(objective))
+    return improves(*({one: each.of(one) for one in VALUE_OBJECTIVES} for each in (value, other)))
+
+
+def improves(values: Mapping[Objective, float], others: Mapping[Objective, float]) -> bool:
+    """True if the first difference that exceeds rounding noise favours `values`.
+
+    >>> improves({Objective.UNITS: 2.0}, {Objective.UNITS: 3.0})
+    True
+    """
+    for objective, value in values.items():
+        excess = objective.excess(value, others[objective])
         if abs(excess) > objective.tolerance:
             return excess > 0.0
     return False
@@ -443,14 +439,11 @@ class Requirement:
         """Amount that margins reach: (n_sets, n_runs) -> (n_sets,), failures aside."""
         in_time = self.counts_run(margin_s)
         if self.sums_margins:
-            total: FloatArray = np.where(in_time, margin_s, 0.0) @ self.measure.weight
-            return total
+            return np.where(in_time, margin_s, 0.0) @ self.measure.weight
         return self.measure.of(in_time)
 
 
 # ---------- windows that end in time, and what keeps them alive
-
-
 WordArray = NDArray[np.uint64]
 
 
@@ -464,8 +457,7 @@ class Chains(NamedTuple):
     window_frames: IntArray
     window: IntArray  # (n_links,): the windows of all chains, chain after chain
     start: IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
-    # (n_tails,): merged frames without which the first windows of a chain are not live.
-    tail_frame: IntArray
+    tail_frame: IntArray  # (n_tails,): merged frames that a chain's first windows need to be live
     tail_links: IntArray  # (n_tails,): how many windows those are; falling within each chain
     tail_start: IntArray  # (n_chains + 1,): tails of each chain
 

@@ -267,8 +267,7 @@ def _solve_as_if_units_failed(
 
 def units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:
     """Poses of the reduced problem; those that have dropped out are left out."""
-    units: IntArray = np.flatnonzero(np.isin(reduced.pose_index, poses))
-    return units
+    return np.flatnonzero(np.isin(reduced.pose_index, poses))
 
 
 def _solve_large(

@@ -18,13 +18,11 @@ from geometry.clock import now_s
 from geometry.errors import InputError, check_one_of
 
 # ---------- ties: what counts as equal
-
 TOLERANCE = 1.0e-9
 """Shares and times that differ by no more count as equal: they carry rounding noise."""
 COST_TOLERANCE_EUR = 1.0e-6  # Sums of prices that differ by no more are equal
 
 # ---------- how far a computed number can be believed
-
 ROUNDING = 1.0e-9
 """Relative: sums of float64 values in another order, and exchanges that gain no more than that."""
 SOLVER_TOLERANCE = 1.0e-6
@@ -43,7 +41,6 @@ DECIMALS = 8
 """Values are rounded to so many places where they are sorted: what is below is rounding noise."""
 
 # ---------- time
-
 TIME_SHARES = {
     "first set": 0.1,  # searches settle early; what they miss is found by the walk
     "few sets": 0.5,  # a tenth of that suffices for the sizes below
@@ -62,7 +59,6 @@ WALK_WORK = 30_000_000
 SPELL_S = 0.1  # Time of a thread for sets that are valued, between two looks at the clock. [s]
 
 # ---------- sizes up to which a method is used
-
 MAX_BITS = 1_000_000_000
 """Detections in a table that is still solved as a whole: 125 MB, presolved in seconds."""
 MAX_CELLS = 1 << 28  # Poses x merged frames in a model of HiGHS: it takes some bytes for each
@@ -81,14 +77,12 @@ FEW_TASKS = 64  # Fewer tasks are not worth threads
 MANY_ROWS = 1 << 12  # Rows whose hashes are worth threads
 
 # ---------- first sets
-
 SEED = 1  # Of restarts
 N_RESTARTS = 40  # At most so many; they end after one more than units without a better set
 FEW_PARTNERS = 32
 """Poses that are valued in all objectives one by one; for more, bits along the poses are faster."""
 
 # ---------- Lagrangian bound
-
 PRICE_START = 0.3  # First price of a row, as a share of its weight: near what it is at the end
 STEP_LENGTH = 0.7
 """First step, as a share of the way to a bound of 0 (Polyak's rule with that target)."""
@@ -119,7 +113,6 @@ OSQP_TOLERANCE, OSQP_PENALTY, OSQP_OVERRELAXATION = 1.0e-5, 1.0, 1.8
 """Measured: two to five times fewer steps than with OSQP's own."""
 
 # ---------- walks
-
 NEAR = 0.009
 """Relative: where ties are many, it is first proven that no set is better by more than that."""
 STOP_DEPTH = 2  # Nodes of this depth are handed out to threads
@@ -133,8 +126,6 @@ TOGETHER = 16  # A run is hard if so many poses drawn at random are likely to lo
 
 
 # ---------- effort, threads, the clock
-
-
 SolverName = Literal["auto", "exact", "relax", "greedy"]
 WORKERS = os.cpu_count() or 1  # Threads by default
 
@@ -216,15 +207,11 @@ def share_out(
 
 
 # ---------- arithmetic of bounds
-
-
 def common_step(amounts: FloatArray) -> float:
     """Least of some amounts, if all are whole multiples of it; else 0.
 
     Nor is there a step where the amounts sum up to more than :data:`MOST_STEPS` of it.
 
-    Examples
-    --------
     >>> common_step(np.array([0.25, 0.0, 0.75])), common_step(np.array([0.25, 0.6]))
     (0.25, 0.0)
     """

@@ -359,8 +359,7 @@ def _hardest_first(reduced: ReducedProblem, lost: FloatArray, root: Root) -> Int
     first = np.empty((len(best), reduced.n_chains), dtype=np.int64)
     first_live_windows(reduced.words[best], reduced.chains, first)
     mean = lost[np.arange(reduced.n_chains), first].mean(axis=0)
-    order: IntArray = np.argsort(-mean, kind="stable")
-    return order
+    return np.argsort(-mean, kind="stable")
 
 
 def in_threads(
@@ -382,8 +381,6 @@ def in_threads(
 
 
 # ---------- sets that tie
-
-
 class SomeWalk(Protocol):
     """A walk through all sets that meet needs, which may be raised on the way."""
 

@@ -11,9 +11,8 @@ from .allowed_sets import Choice
 from .bit_kernels import ByteArray, count_bits, has_bit, has_entry, look_through, lowest_bit
 from .problem import Chains, WordArray
 
+
 # ---------- what is asked for, and who covers it
-
-
 @kernel
 def ask_for_least_seen(
     chains: Chains, some: IntArray, union: WordArray, seen: FloatArray, asked: IntArray
@@ -76,8 +75,6 @@ def cover_rows(
 
 
 # ---------- prices
-
-
 @kernel
 def weigh_bytes(weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray) -> int:
     """Weigh each value of each byte of bits along rows, (n_bytes, 256); some rows count.
@@ -250,8 +247,6 @@ def tighten_prices(
 
 
 # ---------- the walk
-
-
 DONE, PAUSED, FULL, AT_STOP = 0, 1, 2, 3
 
 

@@ -4,9 +4,9 @@ import hashlib
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from threading import Lock
 
 import numpy as np
@@ -25,16 +25,15 @@ from ..evaluator import with_sight
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
-from ..visibility.build import N_POINTS
+from ..visibility.build import N_POINTS, at_each_mount
 from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
 from .uncertainty import Blinding, Uncertainty
 from .worlds import RandomStreams, Sample, draw_samples, link_frames, mount_key, pose_key, unit_key
 
+
 # ---------- misses
-
-
 def build_drawn_tables(
     sample: Sample,
     detector: ResponseDetector,
@@ -59,10 +58,6 @@ def build_drawn_tables(
         rays=compute.rays,
         shared=lasting,
     )
-    groups: dict[tuple[float, ...], list[int]] = {}
-    for row, candidate in enumerate(sample.candidates):
-        key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
-        groups.setdefault(key, []).append(row)
     numbers = draw_index(setting.runs)
     order, lasting_noise = link_frames(numbers), detector.lasting
     correlation, deviations = detector.frame_correlation, np.array([0.0, 1.0])
@@ -96,15 +91,7 @@ def build_drawn_tables(
                     packed[draw, row],
                 )
 
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        pending = [pool.submit(fill, rows) for rows in groups.values()]
-        try:
-            for done, future in enumerate(as_completed(pending), start=1):
-                future.result()
-                compute.progress(STAGE, done, len(pending))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    at_each_mount(sample.candidates, fill, stage=STAGE, compute=compute)
     pose_ids = tuple(candidate.id for candidate in sample.candidates)
     return tuple(DetectionTable(pose_ids=pose_ids, axis=setting.axis, packed=one) for one in packed)
 
@@ -153,8 +140,6 @@ def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
 
 
 # ---------- detection tables of sampled worlds
-
-
 STAGE = "sampled detection tables"
 _log = logging.getLogger(__name__)
 _ROWS = 256  # unpacked at a time
@@ -339,13 +324,6 @@ def obtain_table(
 
     A sampled world has its own `stage`, way to `build`, and key of what is `drawn` in it.
     """
-    if build is None:
-        build = partial(
-            build_detection_table,
-            *(setting.scene, candidates, setting.runs, setting.axis),
-            detector=setting.table_detector,
-            compute=compute,
-        )
     path = None
     if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
@@ -362,25 +340,29 @@ def obtain_table(
             return cached
     if not stage:
         compute.progress("detection table", 0, 0)
-    table = build()
+    table = _build_plain(setting, candidates, compute) if build is None else build()
     if path is not None:
         save_table(path, table, fingerprint=fingerprint)
     return table
 
 
 def _build(sample: Sample, compute: Compute, lasting: SharedScene | None) -> DetectionTable:
-    setting, detector = sample.setting, sample.drawn_detector
-    if detector is not None:
-        (table,) = build_drawn_tables(sample, detector, compute=compute, lasting=lasting)
-        return table
+    if sample.drawn_detector is None:
+        return _build_plain(sample.setting, sample.candidates, compute, lasting)
+    return build_drawn_tables(sample, sample.drawn_detector, compute=compute, lasting=lasting)[0]
+
+
+def _build_plain(
+    setting: Setting,
+    candidates: Sequence[CandidatePose],
+    compute: Compute,
+    shared: SharedScene | None = None,
+) -> DetectionTable:
     return build_detection_table(
-        setting.scene,
-        sample.candidates,
-        setting.runs,
-        setting.axis,
+        *(setting.scene, candidates, setting.runs, setting.axis),
         detector=setting.table_detector,
         compute=compute,
-        shared=lasting,
+        shared=shared,
     )
 
 
@@ -402,8 +384,6 @@ def _progress_of(index: int, n_samples: int, progress: Progress) -> Progress:
 
 
 # ---------- frames that are not told: messages lost, units out of order, cameras dirty or dazzled
-
-
 def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     """A table without the detections that do not reach the VUT, the same ones in all weathers.
 
@@ -454,8 +434,7 @@ def blinded_frames(sample: Sample) -> BoolArray:
         cosine > np.cos(np.radians(blinding.dazzled_within_deg))
     )
     dirty = _coins(sample)("dirt of the VUT") < blinding.dirty_share
-    blinded: BoolArray = dazzled | np.repeat(dirty, n_frames)
-    return blinded
+    return np.asarray(dazzled | np.repeat(dirty, n_frames))
 
 
 def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:

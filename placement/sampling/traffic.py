@@ -21,8 +21,6 @@ from scenarios.runs import Run
 from .uncertainty import StandingTraffic, VehicleKind
 
 # ---------- ways of VUT and VRU
-
-
 _STEP_M = 0.25  # along a way, from one footprint to the next
 _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 
@@ -105,8 +103,7 @@ def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
     """True if a footprint touches one of others."""
     if not others_m:
         return False
-    separation: BoolArray = footprint_separation(np.stack(others_m), corners_m) <= _TOGETHER_M
-    return bool(separation.any())
+    return bool((footprint_separation(np.stack(others_m), corners_m) <= _TOGETHER_M).any())
 
 
 def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
@@ -135,8 +132,6 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
 
 
 # ---------- vehicles that stand
-
-
 _HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls; and just below each roof
 _BELOW_ROOF_M = 0.1
 _MOUTH_M = 10.0  # so much of a lane says where it points at its mouth

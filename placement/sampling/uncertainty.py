@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, located, refuse
 from geometry.files import (
     Table,
     load_data,
@@ -33,8 +33,6 @@ from .moving import MovingTraffic, load_traffic, read_body
 _T = TypeVar("_T")
 
 # ---------- kinds of uncertainty
-
-
 _SPEEDS = ("pedestrian_kmh", "cyclist_kmh", "motorcyclist_kmh", "car_kmh")
 # Pairs of road users' limits: the unit, and the most that can be.
 _REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
@@ -66,19 +64,13 @@ def _check_range(name: str, value: Any, least: float, most: float, unit: str) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """Errors of units after installation.
+    """Standard deviations of errors of units after installation."""
 
-    Attributes
-    ----------
-    yaw_sd_deg, pitch_sd_deg : float
-        Standard deviation, in degrees; errors are normal, cut off at three of them.
-    height_sd_m : float
-        Standard deviation, in metres; three values stand for a normal distribution.
-    """
-
+    # yaw_sd_deg, pitch_sd_deg: errors are normal, cut off at three of them. [deg]
     yaw_sd_deg: float = _up_to(30.0, "degrees")
     pitch_sd_deg: float = _up_to(30.0, "degrees")
-    height_sd_m: float = _up_to(0.5, "metres")  # the same poles, the same view
+    # three values stand for a normal distribution. [m] At most 0.5: the same poles, the same view
+    height_sd_m: float = _up_to(0.5, "metres")
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -130,17 +122,10 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outages:
-    """How often a unit tells nothing for a whole run.
+    """How often a unit tells nothing for a whole run: probabilities in each run, 0 .. 1."""
 
-    Attributes
-    ----------
-    unit_share, pole_share : float
-        Probability, in each run, that a unit is out of order, and that a pole is with all of its
-        units. 0 .. 1
-    """
-
-    unit_share: float = _up_to(1.0)
-    pole_share: float = _up_to(1.0)
+    unit_share: float = _up_to(1.0)  # that a unit is out of order
+    pole_share: float = _up_to(1.0)  # that a pole is with all of its units
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -148,23 +133,13 @@ class Outages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blinding:
-    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's.
+    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's."""
 
-    Attributes
-    ----------
-    dirty_share : float
-        Probability, in each run, that a camera is dirty. 0 .. 1
-    low_sun_share : float
-        Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
-    sun_below_deg : float
-        Most that low sun stands above the horizon, in degrees.
-    dazzled_within_deg : float
-        Least angle between a camera's axis and the sun without being dazzled, in degrees.
-    """
-
-    dirty_share: float = _up_to(1.0)
+    dirty_share: float = _up_to(1.0)  # probability, in each run, that a camera is dirty. 0 .. 1
+    # of the runs by day, those with low sun, from a direction that all cameras share. 0 .. 1
     low_sun_share: float = _up_to(1.0)
-    sun_below_deg: float = _up_to(90.0, "degrees")
+    sun_below_deg: float = _up_to(90.0, "degrees")  # most that it stands above the horizon. [deg]
+    # least angle between a camera's axis and the sun without being dazzled. [deg]
     dazzled_within_deg: float = _up_to(180.0, "degrees")
 
     def __post_init__(self) -> None:
@@ -213,11 +188,10 @@ class StandingTraffic:
 
     def _check_mix(self, use: str) -> None:
         if not self.vehicles:
-            raise InputError("vehicles", Unquoted("none"), "at least one kind of vehicle")
+            refuse("vehicles", "none", "at least one kind of vehicle")
         total = sum(getattr(kind, use) for kind in self.vehicles)
         if abs(total - 1.0) > _SUM_TOLERANCE:
-            got = Unquoted(f"a sum of {total:g}")
-            raise InputError(f"vehicles: {use}", got, "shares that sum to 1")
+            refuse(f"vehicles: {use}", f"a sum of {total:g}", "shares that sum to 1")
 
     @property
     def is_empty(self) -> bool:
@@ -227,21 +201,11 @@ class StandingTraffic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredPeople:
-    """Speeds and starts of a class of people.
+    """Speeds and starts of a class of people."""
 
-    Attributes
-    ----------
-    probability : tuple of float
-        Shares of all people, ascending. 0 .. 1
-    speed_kmh : tuple of float
-        So fast go those who keep moving, at these shares. [km/h]
-    start_mps2 : tuple of float
-        Mean acceleration of those who start, at these shares. [m/s^2]
-    """
-
-    probability: tuple[float, ...]
-    speed_kmh: tuple[float, ...]
-    start_mps2: tuple[float, ...]
+    probability: tuple[float, ...]  # shares of all people, ascending. 0 .. 1
+    speed_kmh: tuple[float, ...]  # of those who keep moving, at these shares. [km/h]
+    start_mps2: tuple[float, ...]  # mean acceleration of those who start, at these shares. [m/s^2]
 
     def __post_init__(self) -> None:
         for name, most in (("probability", 1.0), ("speed_kmh", 50.0), ("start_mps2", 10.0)):
@@ -265,29 +229,21 @@ class MeasuredPeople:
 class RoadUsers:
     """How road users may move otherwise than their case says; by default they do not.
 
-    Attributes
-    ----------
-    pedestrian_kmh, cyclist_kmh, motorcyclist_kmh, car_kmh : (2,) float
-        Least and most by which they are faster, in km/h; negative: slower.
-    start_nearer_share : float
-        Most by which the way from rest to the impact is shorter. 0 .. 1
-    heading_deg : dict of (2,) float
-        By Euro NCAP's name of a case: least and most by which the way is turned about the impact,
-        counter-clockwise where traffic keeps right. [deg]
-    path_m : dict of (2,) float
-        By Euro NCAP's name of a case: least and most by which the way lies farther to the left of
-        whoever takes it. [m]
-    measured : dict of MeasuredPeople
-        By class: speeds and starts that are drawn in place of those of the case.
+    Pairs are the least and the most.
     """
 
+    # by which they are faster; negative: slower. [km/h]
     pedestrian_kmh: tuple[float, float] = (0.0, 0.0)
     cyclist_kmh: tuple[float, float] = (0.0, 0.0)
     motorcyclist_kmh: tuple[float, float] = (0.0, 0.0)
     car_kmh: tuple[float, float] = (0.0, 0.0)
-    start_nearer_share: float = _up_to(0.9)
+    start_nearer_share: float = _up_to(0.9)  # most by which the way from rest to impact is shorter
+    # heading_deg, path_m: by Euro NCAP's name of a case, by which the way is turned about the
+    # impact, counter-clockwise where traffic keeps right [deg], and lies farther to the left of
+    # whoever takes it [m]
     heading_deg: dict[str, tuple[float, float]] = field(default_factory=dict)
     path_m: dict[str, tuple[float, float]] = field(default_factory=dict)
+    # by class: speeds and starts that are drawn in place of those of the case
     measured: dict[str, MeasuredPeople] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -308,8 +264,8 @@ class RoadUsers:
 
     def speed_kmh(self, class_name: str) -> tuple[float, float]:
         """Least and most by which road users of a class are faster, in km/h."""
-        limits: tuple[float, float] = getattr(self, f"{class_name}_kmh")
-        return limits
+        low, high = getattr(self, f"{class_name}_kmh")
+        return low, high
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -366,8 +322,6 @@ def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Unce
 
 
 # ---------- reading
-
-
 UNCERTAINTY_NAMES = ("default", "robustness", "as-measured", "none")
 _FILE = "uncertainty.toml"
 _SECTIONS = (
@@ -436,111 +390,109 @@ def _load_named(name: str) -> Uncertainty:
 
 
 def _read(document: Table, name: str, prefix: str) -> Uncertainty:
-    document = _with_rest(document, prefix)
-    _refuse_unknown(document, _SECTIONS, prefix.rstrip(".: "))
-    vehicles = _read_vehicles(document, prefix)
-    if vehicles and "traffic" not in document:
-        raise InputError(f"{prefix}vehicles", Unquoted("no section traffic"), "where they stand")
-    mounting = document
-    if isinstance(aimed := document.get("mounting"), str):  # how units are aimed
-        mounting = {"mounting": pick(_shipped()["aimed"], aimed, f"{prefix}mounting")}
-    parts: dict[str, Any] = {
-        "mounting": _read_numbers(mounting, "mounting", MountingErrors, prefix),
-        "latency": _read_latency(_section(document, "latency", prefix), f"{prefix}latency"),
-        "road_users": _read_road_users(document, prefix),
-        "traffic": _read_numbers(document, "traffic", StandingTraffic, prefix, vehicles=vehicles),
-        "outages": _read_numbers(document, "outages", Outages, prefix),
-        "blinding": _read_numbers(document, "blinding", Blinding, prefix),
-    }
-    for key, keys in _FLAT.items():
-        table, where = _section(document, key, prefix) or {}, f"{prefix}{key}"
-        _refuse_unknown(table, tuple(keys), where)
-        for number, (word, (field_name, read)) in enumerate(keys.items()):
-            if word in table or (number == 0 and key in document):
-                parts[field_name] = read(table, word, where)
-    try:
-        return Uncertainty(name=name, **parts)
-    except InputError as error:
-        where = prefix + _PLACES.get(error.where, error.where)
-        raise InputError(where, error.got, error.expected) from None
+    """Uncertainty of a document whose place in messages is `prefix`."""
+    with located(prefix):
+        document = _with_rest(document)
+        _refuse_unknown(document, _SECTIONS, "")
+        vehicles = _read_vehicles(document)
+        if vehicles and "traffic" not in document:
+            refuse("vehicles", "no section traffic", "where they stand")
+        mounting = document
+        if isinstance(aimed := document.get("mounting"), str):  # how units are aimed
+            mounting = {"mounting": pick(_shipped()["aimed"], aimed, "mounting")}
+        parts: dict[str, Any] = {
+            "mounting": _read_numbers(mounting, "mounting", MountingErrors),
+            "latency": _read_latency(document),
+            "road_users": _read_road_users(document),
+            "traffic": _read_numbers(document, "traffic", StandingTraffic, vehicles=vehicles),
+            "outages": _read_numbers(document, "outages", Outages),
+            "blinding": _read_numbers(document, "blinding", Blinding),
+        }
+        for key, keys in _FLAT.items():
+            table = _section(document, key, tuple(keys)) or {}
+            for number, (word, (field_name, read)) in enumerate(keys.items()):
+                if word in table or (number == 0 and key in document):
+                    parts[field_name] = read(table, word, key)
+        try:
+            return Uncertainty(name=name, **parts)
+        except InputError as error:
+            where = _PLACES.get(error.where, error.where)
+            raise InputError(where, error.got, error.expected) from None
 
 
-def _with_rest(document: Table, prefix: str) -> Table:
+def _with_rest(document: Table) -> Table:
     """With the sections of the name that all else is as in."""
     if _AS not in document:
         return document
-    other = take_text(document, _AS, prefix.rstrip(".: "))
     named = {name: _shipped()[name] for name in UNCERTAINTY_NAMES}
-    given = _with_rest(pick(named, other, f"{prefix}{_AS}"), f"{_FILE}: {other}.")
+    given = _with_rest(pick(named, take_text(document, _AS, ""), _AS))
     return {**given, **{key: document[key] for key in document if key != _AS}}
 
 
-def _section(document: Table, key: str, prefix: str) -> Table | None:
+def _section(document: Table, key: str, known: Sequence[str], at: str = "") -> Table | None:
+    """A section without unknown keys, None where it is left out; `at` is where its parent is."""
     table = document.get(key)
-    if table is not None and not isinstance(table, dict):
-        raise InputError(f"{prefix}{key}", table, f"a section [{key}]")
+    if table is not None:
+        if not isinstance(table, dict):
+            raise InputError(f"{at}{key}", table, f"a section [{key}]")
+        _refuse_unknown(table, known, f"{at}{key}")
     return table
 
 
-def _read_numbers(
-    document: Table, key: str, kind: Callable[..., _T], prefix: str, **more: Any
-) -> _T:
+def _read_numbers(document: Table, key: str, kind: Callable[..., _T], **more: Any) -> _T:
     """A value whose numbers a section has, all of them; the default where it is left out."""
-    table, where = _section(document, key, prefix), f"{prefix}{key}"
-    numbers = {}
-    if table is not None:
-        names = [one.name for one in fields(kind) if one.metadata]  # type: ignore[arg-type]
-        _refuse_unknown(table, names, where)
-        numbers = {name: take_number(table, name, where) for name in names}
-    return _named(f"{where}.", partial(kind, **numbers, **more))
+    names = [one.name for one in fields(kind) if one.metadata]  # type: ignore[arg-type]
+    table = _section(document, key, names)
+    numbers = {} if table is None else {name: take_number(table, name, key) for name in names}
+    with located(f"{key}."):
+        return kind(**numbers, **more)
 
 
-def _read_latency(table: Table | None, where: str) -> LatencyJitter:
+def _read_latency(document: Table) -> LatencyJitter:
+    where = "latency"
+    has_budget = isinstance(document.get(where), dict) and "budget" in document[where]
+    known = ("budget",) if has_budget else ("distribution", "mean_s", "sd_s")
+    table = _section(document, where, (*known, "drawn_per"))
     if table is None:
         return LatencyJitter()
-    if "budget" in table:
-        _refuse_unknown(table, ("budget", "drawn_per"), where)
+    if has_budget:
         budget = load_latency_budget(take_text(table, "budget", where), where=f"{where}.budget")
         given: dict[str, Any] = {"budget": budget}
     else:
-        _refuse_unknown(table, ("distribution", "mean_s", "sd_s", "drawn_per"), where)
         given = {key: take_number(table, key, where) for key in ("mean_s", "sd_s")}
         given["distribution"] = take_text(table, "distribution", where)
     given["drawn_per"] = take_text(table, "drawn_per", where)
-    return _named(f"{where}.", partial(LatencyJitter, **given))
+    with located(f"{where}."):
+        return LatencyJitter(**given)
 
 
-def _read_road_users(document: Table, prefix: str) -> RoadUsers:
-    measured = _read_people(document, prefix)
-    table, where = _section(document, "road_users", prefix), f"{prefix}road_users"
+def _read_road_users(document: Table) -> RoadUsers:
+    measured, where = _read_people(document), "road_users"
+    table = _section(document, where, (*_SPEEDS, "start_nearer_share", *_WAYS))
     if table is None:
         return RoadUsers(measured=measured)
-    _refuse_unknown(table, (*_SPEEDS, "start_nearer_share", *_WAYS), where)
     limits: dict[str, Any] = {key: _read_list(table, key, where, 2) for key in _SPEEDS}
     nearer = take_number(table, "start_nearer_share", where)
     known = sorted({case.family for case in load_cases().values()})
     for key in _WAYS:
-        by_case = _section(table, key, f"{where}.") or {}
-        _refuse_unknown(by_case, known, f"{where}.{key}")
+        by_case = _section(table, key, known, f"{where}.") or {}
         limits[key] = {name: _read_list(by_case, name, f"{where}.{key}", 2) for name in by_case}
-    build = partial(RoadUsers, **limits, start_nearer_share=nearer, measured=measured)
-    return _named(f"{where}.", build)
+    with located(f"{where}."):
+        return RoadUsers(**limits, start_nearer_share=nearer, measured=measured)
 
 
-def _read_people(document: Table, prefix: str) -> dict[str, MeasuredPeople]:
-    table, where = _section(document, "people", prefix), f"{prefix}people"
+def _read_people(document: Table) -> dict[str, MeasuredPeople]:
+    where, keys = "people", ("speed_kmh", "start_mps2")
+    table = _section(document, where, ("probability", *_PEOPLE))
     if table is None:
         return {}
-    _refuse_unknown(table, ("probability", *_PEOPLE), where)
     probability, found = _read_list(table, "probability", where), {}
     for name in _PEOPLE:
         here = f"{where}.{name}"
-        if values := _section(table, name, f"{where}."):
-            keys = ("speed_kmh", "start_mps2")
-            _refuse_unknown(values, keys, here)
+        if values := _section(table, name, keys, f"{where}."):
             lists = {key: _read_list(values, key, here) for key in keys}
-            build = partial(MeasuredPeople, probability=probability, **lists)
-            found[name] = _named(f"{here}.", build)
+            with located(f"{here}."):
+                found[name] = MeasuredPeople(probability=probability, **lists)
     return found
 
 
@@ -548,28 +500,19 @@ def _read_list(table: Table, key: str, where: str, length: int = -1) -> tuple[fl
     return tuple(float_array(take_list(table, key, where), (length,), f"{where}.{key}").tolist())
 
 
-def _read_vehicles(document: Table, prefix: str) -> tuple[VehicleKind, ...]:
-    entries = take_list({"vehicles": [], **document}, "vehicles", prefix.rstrip(".: "))
-    kinds = []
-    for index, entry in enumerate(entries):
-        where = f"{prefix}vehicles[{index}]"
+def _read_vehicles(document: Table) -> tuple[VehicleKind, ...]:
+    kinds, names = [], ("parked_share", "waiting_share")
+    for index, entry in enumerate(take_list({"vehicles": [], **document}, "vehicles", "")):
+        where = f"vehicles[{index}]"
         if not isinstance(entry, dict):
             raise InputError(where, entry, "a table [[vehicles]]")
-        names = ("parked_share", "waiting_share")
         shares = {key: take_number(entry, key, where) for key in names}
         actor = read_body({key: entry[key] for key in entry if key not in shares}, where)
-        kinds.append(_named(f"{where}.", partial(VehicleKind, actor=actor, **shares)))
+        with located(f"{where}."):
+            kinds.append(VehicleKind(actor=actor, **shares))
     return tuple(kinds)
 
 
 def _refuse_unknown(table: Table, known: Sequence[str], where: str) -> None:
     for key in table:
         check_one_of(where, key, known)
-
-
-def _named(prefix: str, build: Callable[[], _T]) -> _T:
-    """Build a value; what is wrong with it is said with the place where it stands."""
-    try:
-        return build()
-    except InputError as error:
-        raise InputError(f"{prefix}{error.where}", error.got, error.expected) from None

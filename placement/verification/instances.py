@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
 from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, located, refuse
 from geometry.files import open_file, reading, write_atomically
 from geometry.scene import Scene
 from geometry.sensors import LENS_FIELDS, CameraModel
@@ -39,8 +39,7 @@ from ..optimiser import Floor, Limits, PlacementProblem
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
 
-TOLERANCE = 1.0e-9
-"""Metres and degrees that differ by no more are equal."""
+TOLERANCE = 1.0e-9  # metres and degrees that differ by no more are equal
 
 _OF_GRID = re.compile(
     r"(?P<site>.+)/(?P<height>[^/]+)m/(?P<yaw>[^/]+)/(?P<pitch>[^/]+)/(?P<sensor>.+)"
@@ -69,7 +68,7 @@ class Mounts:
         for name, kind in (("latency_s", np.float64), ("sensor_index", np.int64)):
             array = np.array(getattr(self, name), dtype=kind)
             if array.shape != (n,):
-                raise InputError(f"mount_{name}", Unquoted(f"shape {array.shape}"), f"({n},)")
+                refuse(f"mount_{name}", f"shape {array.shape}", f"({n},)")
             object.__setattr__(self, name, freeze(array))
         outside = (self.sensor_index < 0) | (self.sensor_index >= len(self.sensors))
         if outside.any():
@@ -363,25 +362,23 @@ def load_stored_problem(path: Path) -> StoredProblem:
     with _archive(path) as archive:
         stored = _read(archive, "kind", str(path))
         if stored.dtype.kind != "U" or stored.shape != ():
-            raise InputError(f"{path}: kind", Unquoted("no text"), f"a text such as {KIND}")
+            refuse(f"{path}: kind", "no text", f"a text such as {KIND}")
         kind = str(stored)
         if kind not in KINDS:
             raise InputError(f"{path}: kind", kind, " or ".join(KINDS))
         known = _FIELDS if kind == KIND else {**_FIELDS, **_MOUNT_FIELDS}
         unknown = sorted(set(archive.files) - set(known))
         if unknown:
-            raise InputError(f"{path}: {unknown[0]}", Unquoted("a field"), "none of this name")
+            refuse(f"{path}: {unknown[0]}", "a field", "none of this name")
         arrays = {name: _read(archive, name, str(path)) for name in archive.files}
     _check_fields(arrays, known, str(path))
     mounts = None
-    try:
+    with located(f"{path}: "):
         if known is not _FIELDS:
             of_mounts = {attribute: arrays[name] for name, attribute in _ATTRIBUTES.items()}
             sensors = tuple(_read_sensor(text) for text in arrays["sensors"].tolist())
             mounts = _build(Mounts, of_mounts, sensors=sensors)
         return StoredProblem(_from_arrays(arrays), mounts)
-    except InputError as error:
-        raise InputError(f"{path}: {error.where}", error.got, error.expected) from None
 
 
 def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str:
@@ -451,9 +448,9 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
     axis = _build(FrameAxis, arrays)
     table = _build(DetectionTable, arrays, axis=axis)
     if len(set(table.pose_ids)) < table.n_poses:
-        raise InputError("pose_ids", Unquoted("an id twice"), "every id once")
+        refuse("pose_ids", "an id twice", "every id once")
     if not np.array_equal(_without_padding(table), table.packed):
-        raise InputError("packed", Unquoted("bits behind the last frame"), "zeros there")
+        refuse("packed", "bits behind the last frame", "zeros there")
     floors = zip(
         *(arrays[f"floor_{name}"].tolist() for name in ("names", "shares", "counts_all")),
         *(arrays["floor_is_counted"], arrays["floor_failures"].tolist()),
@@ -511,7 +508,7 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
         np.lib.npyio.NpzFile(file, allow_pickle=False) as archive,
     ):
         if "kind" not in archive.files:
-            raise InputError(f"{path}: kind", Unquoted("nothing"), f"a text such as {KIND}")
+            refuse(f"{path}: kind", "nothing", f"a text such as {KIND}")
         assert archive.zip is not None  # it is open
         n_bytes = unpacked_bytes(archive.zip, str(path))
         what, room = f"{n_bytes:,} bytes when unpacked", _UNPACKED_BYTES * n_bytes
@@ -523,9 +520,9 @@ def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
     with reading(f"{where}: {name}", _UNDAMAGED, Exception):
         array: NDArray[Any] | bytes = archive[name]
     if not isinstance(array, np.ndarray):  # what does not begin as an array comes as bytes
-        raise InputError(f"{where}: {name}", Unquoted("no array"), "an array")
+        refuse(f"{where}: {name}", "no array", "an array")
     if array.dtype.kind == "U" and not is_text(array):
-        raise InputError(f"{where}: {name}", Unquoted("characters that are none"), "texts")
+        refuse(f"{where}: {name}", "characters that are none", "texts")
     return array
 
 
@@ -536,15 +533,14 @@ def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> No
         if name not in arrays:
             if field.is_optional:
                 continue
-            raise InputError(f"{where}: {name}", Unquoted("nothing"), "an array")
+            refuse(f"{where}: {name}", "nothing", "an array")
         array = arrays[name]
         is_text = field.dtype == "str"
         if array.dtype.kind != "U" if is_text else array.dtype != np.dtype(field.dtype):
-            raise InputError(f"{where}: {name}", Unquoted(f"type {array.dtype}"), field.dtype)
+            refuse(f"{where}: {name}", f"type {array.dtype}", field.dtype)
         if array.ndim != len(field.axes):
             expected = f"{len(field.axes)} ({', '.join(field.axes) or 'a single value'})"
-            raise InputError(f"{where}: {name}", Unquoted(f"{array.ndim} axes"), expected)
+            refuse(f"{where}: {name}", f"{array.ndim} axes", expected)
         for axis, size in zip(field.axes, array.shape, strict=True):
             if sizes.setdefault(axis, size) != size:
-                got = Unquoted(f"shape {array.shape}")
-                raise InputError(f"{where}: {name}", got, f"{sizes[axis]} {axis}")
+                refuse(f"{where}: {name}", f"shape {array.shape}", f"{sizes[axis]} {axis}")

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 
 
 # ---------- values
-EPSILON = 1.0e-9
-"""Shares and times that differ by no more are equal: they carry rounding noise."""
-EPSILON_EUR = 1.0e-6
-"""So are sums of prices."""
+EPSILON = 1.0e-9  # shares and times that differ by no more are equal: they carry rounding noise
+EPSILON_EUR = 1.0e-6  # so are sums of prices
 
 _BLOCK_BYTES = 1 << 22
 

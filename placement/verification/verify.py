@@ -37,8 +37,7 @@ from .recomputation import (
 if TYPE_CHECKING:
     from ..optimiser import PlacementProblem
 
-MAX_SETS = 50_000
-"""So many sets of poses are compared at most."""
+MAX_SETS = 50_000  # so many sets of poses are compared at most
 _MAX_LOOKS = 2_000_000_000  # sets times frames; half a minute
 _ROUNDED_GAP = 1.0e-9  # certificates round gaps
 _SIZES = ("poses", "frames", "windows", "runs")
@@ -57,8 +56,7 @@ class StageProof(NamedTuple):
     """Grounds for a stage of a certificate."""
 
     name: str  # the stage
-    # Whether the certificate says that the layout is proven best in this stage.
-    claims_optimum: bool
+    claims_optimum: bool  # whether the certificate says that the layout is proven best in it
     is_proven_again: bool  # whether that was proven here, without a solver
     reason: str  # how; or what it rests on instead
 

@@ -1,6 +1,6 @@
 """Candidate poses and runs to a detection table, and tables cached on disk."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
@@ -61,42 +61,48 @@ Look = tuple[CandidatePose, PlanningDetector]
 
 def _pack_rows(world: World, looks: Sequence[Look], compute: Compute) -> NDArray[np.uint8]:
     """Rows of all looks, as bits; rays are cast once for all from one place."""
-    mounts: dict[tuple[float, ...], list[int]] = {}  # rows of the same position and near limit
-    for row, (candidate, _) in enumerate(looks):
-        key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
-        mounts.setdefault(key, []).append(row)
-    n_frames = len(world.views.view_of_frame)
-    packed = np.zeros((len(looks), -(-n_frames // 8)), dtype=np.uint8)
-    # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        try:
-            pending = [pool.submit(_fill, packed, world, looks, rows) for rows in mounts.values()]
-            for done, future in enumerate(as_completed(pending), start=1):
-                future.result()
-                compute.progress(STAGE, done, len(mounts))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    packed = np.zeros((len(looks), -(-len(world.views.view_of_frame) // 8)), dtype=np.uint8)
+
+    def fill(rows: list[int]) -> None:
+        here = [looks[row] for row in rows]
+        position_m = here[0][0].pose.position_m
+        sensing = build_sensing(world, cast_for(world, position_m, here), position_m, here[0][1])
+        rows_of: dict[PlanningDetector, list[int]] = {}
+        for row in rows:
+            rows_of.setdefault(looks[row][1], []).append(row)
+        for detector, alike in rows_of.items():
+            seeing = replace(sensing, detector=detector)
+            packed[alike] = seeing.packed([looks[row][0] for row in alike])
+
+    at_each_mount([candidate for candidate, _ in looks], fill, stage=STAGE, compute=compute)
     return packed
 
 
-def _fill(
-    packed: NDArray[np.uint8], world: World, looks: Sequence[Look], rows: Sequence[int]
+def at_each_mount(
+    candidates: Sequence[CandidatePose],
+    work: Callable[[list[int]], None],
+    *,
+    stage: str,
+    compute: Compute,
 ) -> None:
-    """Rows of all looks from one place."""
-    here = [looks[row] for row in rows]
-    position_m = here[0][0].pose.position_m
-    sensing = build_sensing(world, cast_for(world, position_m, here), position_m, here[0][1])
-    rows_of: dict[PlanningDetector, list[int]] = {}
-    for row in rows:
-        rows_of.setdefault(looks[row][1], []).append(row)
-    for detector, alike in rows_of.items():
-        packed[alike] = replace(sensing, detector=detector).packed([looks[row][0] for row in alike])
+    """Call `work` for the rows of all candidates at one place with one near limit, in threads."""
+    mounts: dict[tuple[float, ...], list[int]] = {}
+    for row, candidate in enumerate(candidates):
+        key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
+        mounts.setdefault(key, []).append(row)
+    # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
+    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
+        try:
+            pending = [pool.submit(work, rows) for rows in mounts.values()]
+            for done, future in enumerate(as_completed(pending), start=1):
+                future.result()
+                compute.progress(stage, done, len(mounts))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 # ---------- a few poses, each with a detector of its own
-
-
 def detected_frames(
     setting: Setting, looks: Sequence[Look], *, stage: str, compute: Compute
 ) -> BoolArray:
@@ -130,7 +136,6 @@ def detected_frames(
 
 
 # ---------- tables on disk, under a hash of everything that went into them
-
 _FORMAT = "place-rsus/table/7"  # raise it whenever the same inputs give another table
 _WHAT = "detection table"
 

@@ -39,8 +39,6 @@ _ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
 
 
 # ---------- bodies
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bodies:
     """Bodies that are there in some of the runs, or in some frames; in groups.
@@ -85,8 +83,7 @@ def _shape_box_m(shape: Shape) -> FloatArray:
 
 def _box_m(shape: Shape) -> FloatArray:
     """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
-    box: FloatArray = _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
-    return box
+    return _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
 
 
 def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
@@ -157,14 +154,11 @@ def _build_vehicles(
 
 
 # ---------- all that rays meet
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedScene:
     """Everything that all sampled worlds of a scene have in common."""
 
-    # (3,): subtracted from every coordinate: rays are cast in single precision. [m]
-    origin_m: FloatArray
+    origin_m: FloatArray  # (3,): subtracted from all coordinates: rays have single precision. [m]
     caster: RayCaster  # what stands there in all runs
     triangles_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
     places: Places  # where VRUs are looked at

@@ -263,8 +263,6 @@ def misses(eye: Point, target: Point, low: Point, high: Point) -> bool:
 
 
 # ---------- rays
-
-
 @kernel
 def shorten(
     eye: tuple[np.float32, np.float32, np.float32],

@@ -291,15 +291,14 @@ def _box(
     inside_share = np.empty(n)
     seen = (sight.view_index, sight.is_visible, sight.is_whole)
     found = (plain, plain_px, part, part_px, inside_share)
+    bodies = (views.axes_m, views.hull_m, views.middle_m, views.radius_m)
     if through_lenses:
         from .lens_kernels import box_through_lenses, pack_lens
 
         cameras = [one.sensor for one in chosen if isinstance(one.sensor, CameraModel)]
         turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen]
         n_plain, n_part = box_through_lenses(
-            (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
-            sensing.eye_m,
-            seen,
+            *(bodies, sensing.eye_m, seen),
             np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)]),
             (_MIN_DEPTH_M, sensing.detector.min_box_height_px),
             found,
@@ -308,9 +307,7 @@ def _box(
         from .point_kernels import box_bodies
 
         n_plain, n_part = box_bodies(
-            (views.axes_m, views.hull_m, views.middle_m, views.radius_m),
-            sensing.eye_m.astype(np.float32),
-            seen,
+            *(bodies, sensing.eye_m.astype(np.float32), seen),
             (_lenses(chosen), len(chosen)),
             (np.float32(_MIN_DEPTH_M), sensing.detector.min_box_height_px),
             found,
@@ -357,8 +354,6 @@ def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntAr
 
 
 # ---------- LiDARs
-
-
 _SLACK_LIMIT = 1.0e-12  # of a cosine and a sine: limits of a field of view count
 
 

@@ -22,8 +22,6 @@ from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 
 # ---------- points on the outside of bodies
-
-
 _SAMPLES_PER_POINT = 30
 _TURN_M = 0.3  # a normal turned by a radian counts as much as a way of this length
 
@@ -49,9 +47,7 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
     The extremes along 26 directions come first, so that boxes around the points are boxes around
     the shape; then, one by one, the random sample farthest from all points so far.
 
-    References
-    ----------
-    .. [1] Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
+    Source: Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
     """
     import trimesh
     from scipy.spatial import cKDTree
@@ -94,8 +90,6 @@ def _hull_corners(points_m: FloatArray) -> IntArray:
 
 
 # ---------- places and views
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Bodies:
     """Bodies of VRUs at their places, a row each."""
@@ -217,8 +211,6 @@ def build_views(places: Places, runs: Sequence[Run], obstruction_index: IntArray
 
 
 # ---------- what is hidden in all worlds
-
-
 _MOST_BYTES = 1 << 29
 Find = Callable[[IntArray], BoolArray]
 
@@ -273,5 +265,4 @@ def look(
 
 def count_in_rows(rows: BoolArray) -> IntArray:
     """How many of each row (n, m) are set, (n,); as bits, in less than half of numpy's time."""
-    count: IntArray = np.bitwise_count(np.packbits(rows, axis=1)).sum(axis=1, dtype=np.int64)
-    return count
+    return np.asarray(np.bitwise_count(np.packbits(rows, axis=1)).sum(axis=1, dtype=np.int64))

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from geometry.actors import Actor, Shape, pick_actor
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, located, refuse
 from geometry.files import (
     Table,
     Text,
@@ -63,8 +63,6 @@ class Demand:
 
 
 # ---------- reading
-
-
 _Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 _PerLane = Annotated[float, Meta(ge=0.0, le=_MOST_PER_LANE)]
 _PerArm = Annotated[float, Meta(ge=0.0, le=_MOST_PER_ARM)]
@@ -114,16 +112,12 @@ def _read(document: Table, where: str, name: str) -> Demand:
     turns = {turn: getattr(table.turns, turn) for turn in TURNS}
     for what, shares in (("vehicles: share", [k.share for k in kinds]), ("turns", turns.values())):
         if abs(sum(shares) - 1.0) > _SUM_TOLERANCE:
-            got = Unquoted(f"a sum of {sum(shares):g}")
-            raise InputError(f"{where}: {what}", got, "shares that sum to 1")
+            refuse(f"{where}: {what}", f"a sum of {sum(shares):g}", "shares that sum to 1")
     bodies = [kind.actor.name for kind in kinds]
     check_distinct(f"{where}: vehicles", bodies, "every body once")
     if table.vehicles_per_hour_per_lane == 0.0 and not any(table.arms.values()):
-        raise InputError(
-            f"{where}: vehicles_per_hour_per_lane",
-            table.vehicles_per_hour_per_lane,
-            "more than 0, or an arm in [arms] with more",
-        )
+        expected = "more than 0, or an arm in [arms] with more"
+        raise InputError(f"{where}: vehicles_per_hour_per_lane", 0.0, expected)
     return Demand(
         vehicles_per_hour_per_lane=table.vehicles_per_hour_per_lane,
         arms=dict(table.arms),
@@ -145,8 +139,6 @@ def _read_kind(entry: Table, where: str) -> DrivingKind:
 
 
 # ---------- bodies of vehicles in files of traffic
-
-
 _SIZES = ("length_m", "width_m", "height_m")
 # Two triangles on each side, outward; corner x + 2 y + 4 z of a box has these bits.
 _BOX_TRIANGLES = np.array(
@@ -174,20 +166,13 @@ def read_body(entry: Table, where: str) -> Actor:
     sizes_m = {key: take_number(entry, key, where) for key in _SIZES}
     bits = np.array([[index & 1, index >> 1 & 1, index >> 2] for index in range(8)])
     corners = (bits - [0.5, 0.5, 0.0]) * [*sizes_m.values()]
-    try:
-        return Actor(
-            name=take_text(entry, "name", where),
-            class_name="parked vehicle",
-            **sizes_m,
-            shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
-        )
-    except InputError as error:
-        raise InputError(f"{where}: {error.where}", error.got, error.expected) from None
+    name = take_text(entry, "name", where)
+    shapes = (Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),)
+    with located(f"{where}: "):
+        return Actor(name=name, class_name="parked vehicle", **sizes_m, shapes=shapes)
 
 
 # ---------- SUMO's routes
-
-
 def write_routes(
     demand: Demand, ways: Mapping[str, Mapping[str, Mapping[str, str]]], n_lanes: Mapping[str, int]
 ) -> str:
@@ -224,5 +209,5 @@ def write_routes(
                         f"<route edges={quoteattr(edges)}/></flow>"
                     )
     if n_flows == 0:
-        raise InputError(f"{demand.name}", Unquoted("nobody who drives"), "more than 0 vehicles")
+        refuse(f"{demand.name}", "nobody who drives", "more than 0 vehicles")
     return "\n".join([*lines, "</routes>"])

@@ -26,7 +26,7 @@ import numpy as np
 
 from geometry.actors import Actor, MovingActor
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.errors import InputError, MissingExtraError, refuse
 from geometry.files import open_file, read_text, write_new
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
 from geometry.lines import along_m, points_at
@@ -58,10 +58,6 @@ class RoadNetwork:
 
     xml: str  # content of the .net.xml file
     origin_m: FloatArray  # (2,): its origin in the world frame, whose axes it has. [m]
-    # entry_edges, exit_edges: by arm: edges towards the junction, and away from it, in driving
-    # order with blanks between
-    entry_edges: dict[str, str]
-    exit_edges: dict[str, str]
     n_entry_lanes: dict[str, int]  # by arm
     ways: dict[str, dict[str, dict[str, str]]]  # by arm, turn, exit arm: the edges of the way
 
@@ -102,16 +98,14 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
     leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
     entry, leaving = ({k: v for k, v in edges.items() if v} for edges in (entry, leaving))
     if not entry or not leaving:
-        got = Unquoted("no lane into the junction" if not entry else "no lane out of it")
-        raise InputError(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
+        got = "no lane into the junction" if not entry else "no lane out of it"
+        refuse(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
     kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
     xml = _run_netconvert(program, plain, scene, has_lights="traffic light" in kinds)
     return RoadNetwork(
         xml=xml,
         origin_m=origin,
-        entry_edges={name: " ".join(edges) for name, edges in entry.items()},
-        exit_edges={name: " ".join(edges) for name, edges in leaving.items()},
         n_entry_lanes={name: len(junction.arms[name].entry_lanes) for name in entry},
         ways=_find_ways(xml, entry, leaving, scene),
     )
@@ -144,9 +138,8 @@ class _Plain:
             if cuts[-1] - one > _SAME_LENGTH_M and one >= _SHORTEST_M:
                 cuts.append(one)
         cuts = [0.0, *reversed(cuts)]
-        stem = f"{arm.name}-{'in' if is_in else 'out'}"
+        stem, inner = f"{arm.name}-{'in' if is_in else 'out'}", JUNCTION
         names = []
-        inner = JUNCTION
         for number, (near_m, far_m) in enumerate(pairwise(cuts)):
             is_last = number == len(cuts) - 2
             members = [
@@ -201,13 +194,11 @@ class _Plain:
                 for other in junction.arms.values():
                     for leaving in other.exit_lanes if other is not arm else ():
                         lane = junction.connection(entry, leaving)
-                        ends = [
-                            self.at_junction.get((True, entry.id)),
-                            self.at_junction.get((False, leaving.id)),
-                        ]
-                        if lane is None or ends[0] is None or ends[1] is None:
+                        begin = self.at_junction.get((True, entry.id))
+                        end = self.at_junction.get((False, leaving.id))
+                        if lane is None or begin is None or end is None:
                             continue
-                        (from_edge, from_lane), (to_edge, to_lane) = ends[0], ends[1]
+                        (from_edge, from_lane), (to_edge, to_lane) = begin, end
                         self.connections.append(
                             f"<connection from={quoteattr(from_edge)} to={quoteattr(to_edge)} "
                             f'fromLane="{from_lane}" toLane="{to_lane}" '
@@ -255,11 +246,10 @@ def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bo
         ]
         done = _run_program(command, timeout_s=_NETCONVERT_TIMEOUT_S)
         if done is None:
-            raise InputError(scene.name, Unquoted("no network"), "lanes for netconvert")
+            refuse(scene.name, "no network", "lanes for netconvert")
         if done.returncode != 0 or not target.exists():
             reason = " ".join(done.stderr.split())
-            expected = "lanes that netconvert connects"
-            raise InputError(f"{scene.name}: lanes", Unquoted(reason), expected)
+            refuse(f"{scene.name}: lanes", reason, "lanes that netconvert connects")
         return read_text(target, "XML")
 
 
@@ -279,14 +269,11 @@ def _find_ways(
         edges = " ".join([*entry[arm], *leaving[other]])
         ways.setdefault(arm, {}).setdefault(turn, {})[other] = edges
     if not ways:
-        expected = "lanes in and out"
-        raise InputError(f"{scene.name}: lanes", Unquoted("no way through the junction"), expected)
+        refuse(f"{scene.name}: lanes", "no way through the junction", "lanes in and out")
     return ways
 
 
 # ---------- simulation
-
-
 _TIMEOUT_S = 900.0
 _LONGEST_BODY_M = 20.0
 _MAX_SEED = 2**31 - 1
@@ -331,13 +318,8 @@ def simulate_windows(
         now = first + n_frames
         impact_s[key] = now * step_s
         middle = sorted(runs, key=lambda run: run.vut_speed_kmh)[len(runs) // 2]
-        windows.append(
-            {
-                "first_step": first,
-                "last_step": now,
-                "vut": _vut_drive(middle, network, last_step=now),
-            }
-        )
+        vut_drive = _vut_drive(middle, network, last_step=now)
+        windows.append({"first_step": first, "last_step": now, "vut": vut_drive})
     vut = next(iter(groups.values()))[0].encounter.vut
     job = {
         "seed": seed,
@@ -379,7 +361,7 @@ def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, A
     wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
     exits = turns.get(wanted) or next(iter(turns.values()), {})
     leaving = next(iter(exits.values()), "")
-    if run.approach not in network.entry_edges or not leaving:
+    if not leaving:
         return None
     yaw = np.radians(run.vut_yaw_deg)
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
@@ -405,12 +387,12 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
         command = [sys.executable, "-I", str(child), str(given), str(found)]
         done = _run_program(command, timeout_s=_TIMEOUT_S)
         if done is None:
-            got = Unquoted(f"a simulation that takes more than {_TIMEOUT_S:g} s")
-            raise InputError("traffic", got, "less demand, or fewer runs")
+            got = f"a simulation that takes more than {_TIMEOUT_S:g} s"
+            refuse("traffic", got, "less demand, or fewer runs")
         if done.returncode != 0:
             lines = done.stderr.split("\n")
             reason = next((line for line in reversed(lines) if line.strip()), "no reason given")
-            raise InputError("traffic", Unquoted(reason.strip()), "traffic that SUMO drives")
+            refuse("traffic", reason.strip(), "traffic that SUMO drives")
         with open_file(found) as file, np.load(file, allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files}
 
@@ -419,17 +401,14 @@ def _run_program(
     command: Sequence[str], *, timeout_s: float
 ) -> subprocess.CompletedProcess[str] | None:
     """Run a program to its end; None where that takes too long."""
+    how: dict[str, Any] = {"capture_output": True, "text": True, "check": False}
     try:
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=timeout_s, check=False
-        )
+        return subprocess.run(command, timeout=timeout_s, **how)
     except subprocess.TimeoutExpired:
         return None
 
 
 # ---------- vehicles that drive by in sampled worlds
-
-
 SUMO = "sumo"
 
 

@@ -19,12 +19,10 @@ class Trajectories:
     """Vehicles on the road, each with samples in ascending order of time."""
 
     bodies: tuple[Actor, ...]  # one per vehicle
-    # (n_vehicles + 1,): samples of vehicle v are row_start[v] .. row_start[v + 1] - 1
-    row_start: IntArray
+    row_start: IntArray  # (n_vehicles + 1,): rows of v are row_start[v] .. row_start[v + 1] - 1
     time_s: FloatArray  # (n_rows,): on any clock. [s]
     position_m: FloatArray  # (n_rows, 2): middle of the footprint. World frame. [m]
-    # (n_rows,): without jumps of a full turn from sample to sample of a vehicle. [deg]
-    yaw_deg: FloatArray
+    yaw_deg: FloatArray  # (n_rows,): without jumps of a full turn from one to the next. [deg]
     step_s: float  # from sample to sample. [s]
     # first_s, last_s: from when to when traffic is known. [s]
     first_s: float
@@ -101,36 +99,19 @@ def build_trajectories(
 
 
 # ---------- windows
-
-
-REACH_M = 100.0
-"""Vehicles farther than this from the middle of the junction are cut."""
+REACH_M = 100.0  # vehicles farther than this from the middle of the junction are cut
 _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 
 
 @dataclass(frozen=True, slots=True)
 class TrafficCount:
-    """Vehicles that drive by, in all runs together.
-
-    Attributes
-    ----------
-    n_runs : int
-        Number of runs.
-    n_vehicles : int
-        Near the junction, those left out among them.
-    n_left_out : int
-        Of these: they would have come into the way of VUT or VRU.
-    n_departed : int
-        By SUMO: entered the network.
-    n_waiting : int
-        By SUMO: found no room to.
-    """
+    """Vehicles that drive by, in all runs together."""
 
     n_runs: int = 0
-    n_vehicles: int = 0
-    n_left_out: int = 0
-    n_departed: int = 0
-    n_waiting: int = 0
+    n_vehicles: int = 0  # near the junction, those left out among them
+    n_left_out: int = 0  # of these: they would have come into the way of VUT or VRU
+    n_departed: int = 0  # by SUMO: entered the network
+    n_waiting: int = 0  # by SUMO: found no room to
 
     def __add__(self, other: "TrafficCount") -> "TrafficCount":
         return TrafficCount(*map(sum, zip(astuple(self), astuple(other), strict=True)))
@@ -146,8 +127,7 @@ class TrafficCount:
         return text
 
 
-NO_TRAFFIC = TrafficCount()
-"""Nobody drives by."""
+NO_TRAFFIC = TrafficCount()  # nobody drives by
 
 
 def cut_window(
@@ -265,8 +245,5 @@ def _is_nearer(
     yaw_b_deg: FloatArray,
 ) -> BoolArray:
     """Moments at which two bodies are nearer than a limit."""
-    one, other = actors
-    sizes = footprint_sizes(one, other)
-    apart = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=sizes).max(axis=0)
-    nearer: BoolArray = apart <= limit_m
-    return nearer
+    gaps_m = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=footprint_sizes(*actors))
+    return np.asarray(gaps_m.max(axis=0) <= limit_m)

@@ -249,15 +249,14 @@ def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypa
     layout = load_carlancap_layout()
     layout = replace(layout, units=layout.units[2:4])
     boxes_px = []
-    for name in ("perceive_from_roadside", "perceive_from_vut"):
-        look = getattr(job, name)
+    look = job.perceive_frames
 
-        def perceive(*args, look=look, **values):
-            evidence = look(*args, **values)
-            boxes_px.append(evidence.visible_px)
-            return evidence
+    def perceive(*args, **values):
+        evidence = look(*args, **values)
+        boxes_px.append(evidence.visible_px)
+        return evidence
 
-        monkeypatch.setattr(job, name, perceive)
+    monkeypatch.setattr(job, "perceive_frames", perceive)
 
     class Numbered:
         """Pictures of one pixel: number of the view, and of the row."""

@@ -12,7 +12,7 @@ from geometry.scene_files import load_study_scene
 from geometry.weather import pick_weather
 from placement.detectors import is_matched, load_detector, load_min_iou
 from placement.evaluator import build_surroundings, load_vut_camera
-from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.pictures import PictureSource
 from placement.imaging.picture import Window
 from placement.imaging.stills import window_around
@@ -57,9 +57,9 @@ def seen(scene, camera):
         surroundings = build_surroundings(scene, runs)
         if from_vut:
             mount = replace(load_vut_camera(), camera=camera)
-            evidence = perceive_from_vut(surroundings, mount)
+            evidence = perceive_frames(surroundings, mount)
             return source.crops(mount, evidence.amodal_px), source.pictures(mount), evidence
-        evidence = perceive_from_roadside(surroundings, POSE, camera)
+        evidence = perceive_frames(surroundings, (POSE, camera))
         crops = source.crops((POSE, camera), evidence.amodal_px)
         return crops, source.pictures((POSE, camera)), evidence
 

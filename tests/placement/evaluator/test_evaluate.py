@@ -12,8 +12,8 @@ from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator import evaluate, perceive
 from placement.evaluator.evaluate import evaluate_layout, evaluate_layouts
-from placement.evaluator.perceive import perceive_from_roadside
-from placement.evaluator.surroundings import build_surroundings
+from placement.evaluator.perceive import perceive_frames
+from placement.evaluator.surroundings import VutCamera, build_surroundings
 from placement.layout import Layout
 from placement.setting import Radio
 from scenarios.aeb import load_aeb_rule
@@ -72,19 +72,17 @@ def pretend(monkeypatch, build_layout, setting, axis):
             box = np.where(row[:, None], [0.0, 0.0, 50.0, 50.0], 0.0)
             return build_evidence(box, draw_index=surroundings.draw_index)
 
-        def from_roadside(surroundings, pose, camera, *, min_height_px):
-            return evidence(rows[round(float(pose.position_m[0]))], surroundings)
-
-        def from_vut(surroundings, vut_camera, *, min_height_px):
-            return evidence(by_vut, surroundings)
+        def from_camera(surroundings, by, *, min_height_px):
+            is_of_vut = isinstance(by, VutCamera)
+            row = by_vut if is_of_vut else rows[round(float(by[0].position_m[0]))]
+            return evidence(row, surroundings)
 
         def by_vut_lidar(surroundings, mount, lidar, rng):
             return vut_lidar_row
 
         monkeypatch.setattr(evaluate, "_VUT_JOBS", 1)  # all frames at once
-        monkeypatch.setattr(perceive, "perceive_from_roadside", from_roadside)
-        monkeypatch.setattr(perceive, "perceive_from_vut", from_vut)
-        monkeypatch.setattr(perceive, "scan_from_vut", by_vut_lidar)
+        monkeypatch.setattr(perceive, "perceive_frames", from_camera)
+        monkeypatch.setattr(perceive, "scan_frames", by_vut_lidar)
         names = [f"unit {index}" for index in range(len(rows))]
         return evaluate_layout(
             build_layout(*names, latencies_s=latencies_s),
@@ -321,8 +319,8 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
     assert (together[0].units["a"].detected == together[1].units["c"].detected).all()
     for name in ("vut", "rsu_all", "vut_and_rsus"):
         assert (getattr(together[1], name).detected == getattr(alone, name).detected).all()
-    evidence = perceive_from_roadside(
-        build_surroundings(setting.scene, study_runs), b.units[0].pose, b.units[0].sensor
+    evidence = perceive_frames(
+        build_surroundings(setting.scene, study_runs), (b.units[0].pose, b.units[0].sensor)
     )
     assert (alone.units["c"].detected == setting.detector.is_expected(evidence)).all()
     assert [unit.id for unit in together[0].layout.units] == list(together[0].units)
@@ -402,17 +400,15 @@ def test_runs_of_two_frames_are_too_short_to_confirm(
 def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, setting):
     n_seen = []
 
-    def from_roadside(surroundings, pose, camera, *, min_height_px):
+    def from_camera(surroundings, by, *, min_height_px):
+        if isinstance(by, VutCamera):
+            raise KeyboardInterrupt
         n_seen.append(1)
         return build_evidence(
             np.zeros((len(surroundings.vru_poses), 4)), draw_index=surroundings.draw_index
         )
 
-    def from_vut(surroundings, vut_camera, *, min_height_px):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(perceive, "perceive_from_roadside", from_roadside)
-    monkeypatch.setattr(perceive, "perceive_from_vut", from_vut)
+    monkeypatch.setattr(perceive, "perceive_frames", from_camera)
     with pytest.raises(KeyboardInterrupt):
         evaluate_layout(build_layout(*map(str, range(500))), setting)
     assert len(n_seen) < 500

@@ -14,7 +14,7 @@ from geometry.poses import Pose, camera_rotation
 from geometry.sensors import SEEN_RAD, is_shown, project_points
 from placement.candidates import CandidatePose, is_in_view
 from placement.detectors import GeometricDetector
-from placement.evaluator.perceive import perceive_from_roadside
+from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world
@@ -137,7 +137,7 @@ def corners_in_camera(solid, road_pose, pose):
 def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every):
     rng = np.random.default_rng(seed)
     small = random_camera(rng, replace(camera, width_px=72, height_px=54), model)
-    evidence = perceive_from_roadside(surroundings, MOUNT, small)
+    evidence = perceive_frames(surroundings, (MOUNT, small))
     rays = opencv_rays(small)
     lit = np.isfinite(rays[..., 0])
     ways = np.column_stack([rays[lit], np.ones(lit.sum())])
@@ -181,9 +181,9 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
 
 
 def test_a_lens_that_does_next_to_nothing_shows_what_the_pinhole_does(surroundings, camera):
-    plain = perceive_from_roadside(surroundings, MOUNT, camera)
+    plain = perceive_frames(surroundings, (MOUNT, camera))
     for lens in (BrownConrady(k1=1e-13), TsaiRadial(kappa=1e-13)):
-        bent = perceive_from_roadside(surroundings, MOUNT, replace(camera, lens=lens))
+        bent = perceive_frames(surroundings, (MOUNT, replace(camera, lens=lens)))
         for name in ("amodal_px", "visible_px"):
             off = np.abs(getattr(bent, name) - getattr(plain, name)).max(axis=1)
             assert (off > 0.0).sum() <= 2
@@ -194,9 +194,9 @@ def test_a_lens_that_does_next_to_nothing_shows_what_the_pinhole_does(surroundin
 
 
 def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
-    plain = perceive_from_roadside(surroundings, MOUNT, camera)
+    plain = perceive_frames(surroundings, (MOUNT, camera))
     zero = replace(camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0)
-    bent = perceive_from_roadside(surroundings, MOUNT, zero)
+    bent = perceive_frames(surroundings, (MOUNT, zero))
     for name in ("amodal_px", "visible_px", "visible_share", "inside_share"):
         assert np.array_equal(getattr(bent, name), getattr(plain, name))
 
@@ -226,7 +226,7 @@ def test_table_and_evaluator_agree_about_who_is_in_view(
     boxes = np.zeros((len(sight.view_index) + 1, 4))
     boxes[entry] = np.concatenate([part.amodal_px for part in parts])
     table = boxes[sight.entry_of_frame]
-    drawn = perceive_from_roadside(surroundings, pose, wide)
+    drawn = perceive_frames(surroundings, (pose, wide))
     # Those of whom somebody sees something; at the picture's edge a pixel or a point decides.
     seen = box_height_px(drawn.visible_px) > 6.0
     assert seen.sum() > 8

@@ -11,7 +11,7 @@ from geometry.poses import Pose, to_world
 from geometry.raycast import open3d_problem
 from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
-from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.surroundings import VutCamera, build_surroundings, find_sights
 
 HOUSES = (
@@ -82,7 +82,7 @@ def surroundings(build_scene, build_run):
     "mount", [MOUNTS[0], *(pytest.param(one, marks=pytest.mark.long) for one in MOUNTS[1:])]
 )
 def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, camera, mount):
-    boxes = perceive_from_roadside(surroundings, mount, camera)
+    boxes = perceive_frames(surroundings, (mount, camera))
     views = [render_frame(surroundings, frame, mount, camera) for frame in range(N_FRAMES)]
     assert (boxes.amodal_px == [view.amodal_box_px for view in views]).all()
     assert (boxes.visible_px == [view.visible_box_px for view in views]).all()
@@ -96,7 +96,7 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, came
 
 def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(surroundings, camera, vut):
     vut_camera = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
-    boxes = perceive_from_vut(surroundings, vut_camera)
+    boxes = perceive_frames(surroundings, vut_camera)
     mount = vut_camera.pose_on(vut)
     n_seen = 0
     for frame, (x, y, yaw, _) in enumerate(surroundings.vut_poses):
@@ -120,7 +120,7 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
     camera = pick_camera("carla-ncap-rgb", "test")
     surroundings = build_surroundings(load_study_scene(), study_runs)
     surroundings = surroundings.take(np.arange(0, len(surroundings.vru_poses), 5))
-    evidence = perceive_from_roadside(surroundings, pose, camera)
+    evidence = perceive_frames(surroundings, (pose, camera))
     frames = np.flatnonzero(evidence.amodal_px.any(axis=1))
     assert len(frames) > 20
     for frame in frames.tolist():
@@ -140,9 +140,9 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
 
 
 def test_frames_taken_one_by_one_give_the_same_boxes(surroundings, camera):
-    together = perceive_from_roadside(surroundings, MOUNTS[0], camera)
+    together = perceive_frames(surroundings, (MOUNTS[0], camera))
     for frame in range(0, N_FRAMES, 7):
-        alone = perceive_from_roadside(surroundings.take(np.array([frame])), MOUNTS[0], camera)
+        alone = perceive_frames(surroundings.take(np.array([frame])), (MOUNTS[0], camera))
         assert np.array_equal(alone.amodal_px[0], together.amodal_px[frame])
         assert np.array_equal(alone.visible_px[0], together.visible_px[frame])
         assert alone.visible_share[0] == together.visible_share[frame]
@@ -168,10 +168,9 @@ def test_obstruction_hides_in_its_own_run_only(build_scene, build_run, camera, b
         build_run(block, [[9.0, 0.0, 0.0]]),
         build_run(block, [[9.0, 0.0, 0.0]], obstruction=(wall,)),
     ]
-    boxes = perceive_from_roadside(
+    boxes = perceive_frames(
         build_surroundings(build_scene(), runs),
-        Pose(position_m=np.array([0.0, 0.0, 1.0]), yaw_deg=0.0),
-        camera,
+        (Pose(position_m=np.array([0.0, 0.0, 1.0]), yaw_deg=0.0), camera),
     )
     assert (boxes.amodal_px[0] == boxes.amodal_px[1]).all()
     assert (boxes.visible_px[0] == boxes.amodal_px[0]).all()
@@ -185,7 +184,7 @@ def test_each_frame_shows_its_own_shape(build_scene, build_run, camera):
     surroundings = build_surroundings(build_scene(), [run])
     assert len(surroundings.vrus) == len(adult.shapes)
     mount = Pose(position_m=np.array([0.0, 0.0, 1.0]), yaw_deg=0.0)
-    boxes = perceive_from_roadside(surroundings, mount, camera)
+    boxes = perceive_frames(surroundings, (mount, camera))
     here = Pose(position_m=np.array([8.0, 0.0, 0.0]), yaw_deg=90.0)
     for box, shape in zip(boxes.amodal_px, adult.shapes, strict=True):
         pixels = project_points(to_world(shape.vertices_m, here), mount, camera)[:, :2]
@@ -215,7 +214,7 @@ def test_vru_ahead_of_the_vut_is_in_the_middle_of_its_image(build_scene, build_r
     vut_poses = np.column_stack([[3.0, -20.0, 40.0], [5.0, 1.0, -6.0], yaw_deg])
     vru_poses = np.column_stack([vut_poses[:, :2] + 12.0 * ahead, yaw_deg])
     surroundings = build_surroundings(build_scene(), [build_run(block, vru_poses, vut_poses)])
-    boxes = perceive_from_vut(surroundings, vut_camera)
+    boxes = perceive_frames(surroundings, vut_camera)
     lens_distance_m = 12.0 - 0.8 * 2.446 - 0.25
     height_px = camera.focal_length_px * 1.8 / lens_distance_m
     assert np.allclose(boxes.amodal_px[:, [0, 2]].mean(axis=1), 160.0, atol=1.0)
@@ -226,8 +225,8 @@ def test_vru_ahead_of_the_vut_is_in_the_middle_of_its_image(build_scene, build_r
 
 
 def test_too_low_vrus_are_left_out_and_all_others_unchanged(surroundings, camera):
-    every = perceive_from_roadside(surroundings, MOUNTS[0], camera)
-    high = perceive_from_roadside(surroundings, MOUNTS[0], camera, min_height_px=25.0)
+    every = perceive_frames(surroundings, (MOUNTS[0], camera))
+    high = perceive_frames(surroundings, (MOUNTS[0], camera), min_height_px=25.0)
     height_px = every.amodal_px[:, 3] - every.amodal_px[:, 1]
     is_high = height_px >= 25.0
     assert is_high.any()
@@ -249,10 +248,10 @@ def test_boxes_do_not_depend_on_where_north_and_the_origin_are(
     here, there = build_surroundings(scene, runs), build_surroundings(turned_scene, turned_runs)
     pairs = [
         (
-            perceive_from_roadside(here, MOUNTS[1], camera),
-            perceive_from_roadside(there, _rotated(MOUNTS[1], degrees, shift_m), camera),
+            perceive_frames(here, (MOUNTS[1], camera)),
+            perceive_frames(there, (_rotated(MOUNTS[1], degrees, shift_m), camera)),
         ),
-        (perceive_from_vut(here, vut_camera), perceive_from_vut(there, vut_camera)),
+        (perceive_frames(here, vut_camera), perceive_frames(there, vut_camera)),
     ]
     for a, b in pairs:
         assert np.abs(a.amodal_px - b.amodal_px).max() <= 1.0
@@ -275,15 +274,14 @@ def test_mirrored_world_gives_mirrored_boxes(build_scene, build_run, camera, blo
         yaw_deg=-mount.yaw_deg,
         pitch_deg=mount.pitch_deg,
     )
-    boxes = perceive_from_roadside(
-        build_surroundings(build_scene(*HOUSES), [build_run(block, vru, vut)]), mount, camera
+    boxes = perceive_frames(
+        build_surroundings(build_scene(*HOUSES), [build_run(block, vru, vut)]), (mount, camera)
     )
-    mirrored = perceive_from_roadside(
+    mirrored = perceive_frames(
         build_surroundings(
             build_scene(*mirrored_houses), [build_run(block, vru * flip, vut * flip)]
         ),
-        mirrored_mount,
-        camera,
+        (mirrored_mount, camera),
     )
     is_there = boxes.amodal_px.any(axis=1)
     assert is_there.any()
@@ -297,7 +295,7 @@ def test_mirrored_world_gives_mirrored_boxes(build_scene, build_run, camera, blo
 def test_both_ray_libraries_agree_with_the_boxes(build_scene, build_run, camera):
     runs = _random_runs(build_run, np.random.default_rng(11), n_frames=6)
     scene = build_scene(*HOUSES)
-    boxes = perceive_from_roadside(build_surroundings(scene, runs), MOUNTS[0], camera)
+    boxes = perceive_frames(build_surroundings(scene, runs), (MOUNTS[0], camera))
     for library in ("embree", "open3d"):
         surroundings = build_surroundings(scene, runs, library=library)
         for frame in range(len(surroundings.vru_poses)):

@@ -12,7 +12,7 @@ from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.detectors import load_detector
 from placement.evaluator.evaluate import evaluate_layout
-from placement.evaluator.perceive import perceive_from_roadside, perceive_from_vut
+from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.pictures import PictureSource, vut_camera_pose
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera
 from placement.imaging import build_backdrop, draw_picture
@@ -85,8 +85,8 @@ def visible(scene, camera):
         surroundings = build_surroundings(scene, runs)
         mount = replace(load_vut_camera(), camera=camera)
         return (
-            perceive_from_roadside(surroundings, POSE, camera).visible_px,
-            perceive_from_vut(surroundings, mount).visible_px,
+            perceive_frames(surroundings, (POSE, camera)).visible_px,
+            perceive_frames(surroundings, mount).visible_px,
         )
 
     return boxes_of

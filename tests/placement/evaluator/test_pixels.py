@@ -12,7 +12,7 @@ from geometry.actors import PlacedActor, Shape, pick_actor
 from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.sensors import CameraModel
-from placement.evaluator.perceive import _place, perceive_from_roadside
+from placement.evaluator.perceive import _place, perceive_frames
 from placement.evaluator.pixels import Image, build_tree, draw, find_box, find_crop, hide
 from placement.evaluator.surroundings import (
     Mesh,
@@ -49,7 +49,7 @@ def look(request, build_run, camera, build_scene):
         if request.param == "a ray per pixel":
             view = render_frame(surroundings, 0, lens, model)
             return view.amodal_box_px, view.visible_box_px
-        evidence = perceive_from_roadside(surroundings, lens, model)
+        evidence = perceive_frames(surroundings, (lens, model))
         return evidence.amodal_px[0], evidence.visible_px[0]
 
     return boxes

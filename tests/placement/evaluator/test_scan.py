@@ -16,7 +16,7 @@ from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import build_caster
 from placement.detectors import VRU_CLASSES
 from placement.evaluator import perceive
-from placement.evaluator.perceive import scan_from_roadside, scan_from_vut
+from placement.evaluator.perceive import scan_frames
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
 
 STUDY = load_lidars()["carla-ncap-lidar"]
@@ -51,7 +51,7 @@ def count(needs):
     def count_points(surroundings, pose, lidar=SURE):
         def is_too_much(n_points):
             needs(n_points)
-            return not scan_from_roadside(surroundings, pose, lidar, _rng())[0]
+            return not scan_frames(surroundings, pose, lidar, _rng())[0]
 
         return bisect_left(range(1, 10_000), True, key=is_too_much)
 
@@ -65,7 +65,7 @@ def sees(build_scene, build_run, block):
     def look(vru_poses, *boxes, vut_poses=None, pose=LOW, lidar=STUDY, weather="day", seed=0):
         run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
         surroundings = build_surroundings(build_scene(*boxes), [run])
-        return scan_from_roadside(surroundings, pose, lidar, _rng(seed)).tolist()
+        return scan_frames(surroundings, pose, lidar, _rng(seed)).tolist()
 
     return look
 
@@ -212,7 +212,7 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     assert (hidden > counts).any()  # the VUT hides something somewhere
     for n_points in (1, 10, 40, 120):
         needs(n_points)
-        found = scan_from_roadside(surroundings, pose, SURE, _rng())
+        found = scan_frames(surroundings, pose, SURE, _rng())
         # A beam along an edge may go either way in single precision.
         is_clear = (counts == 0) | (np.abs(counts - n_points) > 2)
         assert is_clear.mean() > 0.7
@@ -260,11 +260,9 @@ def test_other_frames_do_not_matter(build_scene, build_run):
     surroundings = build_surroundings(
         build_scene(WALL), [build_run(pick_actor("adult", "test"), vru, vut)]
     )
-    every = scan_from_roadside(surroundings, LOW, SURE, _rng())
+    every = scan_frames(surroundings, LOW, SURE, _rng())
     some = np.arange(0, 40, 3)
-    assert np.array_equal(
-        scan_from_roadside(surroundings.take(some), LOW, SURE, _rng()), every[some]
-    )
+    assert np.array_equal(scan_frames(surroundings.take(some), LOW, SURE, _rng()), every[some])
     assert 0 < every.sum() < 40
 
 
@@ -277,11 +275,11 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     vut = np.column_stack([place, yaw_deg])
     vru = np.column_stack([place + 14.0 * towards, yaw_deg])
     surroundings = build_surroundings(build_scene(), [build_run(block, vru, vut)])
-    found = scan_from_vut(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
+    found = scan_frames(surroundings, load_vut_camera(), load_vut_lidar(), _rng())
     assert found.tolist() == [True, False, False, True] * 3
     wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
     behind = build_surroundings(wall, [build_run(block, vru, vut)])
-    found = scan_from_vut(behind, load_vut_camera(), load_vut_lidar(), _rng())
+    found = scan_frames(behind, load_vut_camera(), load_vut_lidar(), _rng())
     assert found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
 
 
@@ -309,7 +307,7 @@ def beams_on_vru(monkeypatch):
             # One by one: a scan has an order of its own.
             for frame in range(len(surroundings.vru_poses)):
                 one = surroundings.take(np.array([frame]))
-                scan_from_roadside(one, pose, lidar, _rng())
+                scan_frames(one, pose, lidar, _rng())
         return np.array(counts)
 
     return look
@@ -361,7 +359,7 @@ def test_a_level_ring_sees_the_same_however_it_is_turned(
     for n_points in (3, 12, 8):
         needs(n_points)
         one, other = (
-            scan_from_roadside(surroundings, pose, vague, _rng(4)) for pose in (OVERHEAD, turned)
+            scan_frames(surroundings, pose, vague, _rng(4)) for pose in (OVERHEAD, turned)
         )
         assert (one == other)[before == after].all()
     assert 0.1 < one.mean() < 0.9

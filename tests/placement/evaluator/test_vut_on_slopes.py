@@ -10,7 +10,7 @@ from ray_renderer import render_frame
 
 from geometry.scene import Instance
 from geometry.terrain import GROUND, Terrain, pitch_on_ground_deg, terrain_of
-from placement.evaluator.perceive import perceive_from_vut, scan_from_vut
+from placement.evaluator.perceive import perceive_frames, scan_frames
 from placement.evaluator.pictures import vut_camera_pose
 from placement.evaluator.surroundings import (
     VutCamera,
@@ -65,7 +65,7 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
     run = replace(build_run(block, [[12.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]), terrain=slope)
     surroundings = build_surroundings(on(build_scene(), slope), [run])
     mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
-    (box,) = perceive_from_vut(surroundings, mount).amodal_px
+    (box,) = perceive_frames(surroundings, mount).amodal_px
     ahead_m, _, up_m = mount.pose_on(run.encounter.vut).position_m
     # Turned with the road, the foot of the body's middle is as low as the road, 12 m / cos away.
     pitch = np.arctan(grade)
@@ -91,7 +91,7 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
     assert terrain_of(scene) is not None
     surroundings = build_surroundings(scene, [run])
     mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
-    boxes = perceive_from_vut(surroundings, mount)
+    boxes = perceive_frames(surroundings, mount)
     pitches_deg, n_hidden = [], 0
     for frame in range(40):
         pose = vut_camera_pose(mount, run, frame)
@@ -112,7 +112,7 @@ def test_the_vuts_lidar_tilts_with_the_road(build_scene, build_run, block):
 
     def found(around):
         rng = np.random.default_rng(0)
-        return scan_from_vut(around, load_vut_camera(), load_vut_lidar(), rng).tolist()
+        return scan_frames(around, load_vut_camera(), load_vut_lidar(), rng).tolist()
 
     assert found(surroundings) == [True, False, False]
     level = replace(surroundings, vut_pitch_deg=np.zeros(3))

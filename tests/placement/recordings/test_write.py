@@ -7,8 +7,7 @@ from geometry.study_scene import load_study_scene
 from placement.evaluator import (
     build_surroundings,
     load_vut_camera,
-    perceive_from_roadside,
-    perceive_from_vut,
+    perceive_frames,
 )
 from placement.recordings import (
     WrittenDrive,
@@ -150,9 +149,9 @@ def simulated(runs):
     surroundings = build_surroundings(load_study_scene(), few)
     vut_camera = load_vut_camera()
     by_id = {unit.id: unit for unit in load_carlancap_layout().units}
-    boxes = {"car": perceive_from_vut(surroundings, vut_camera)}
+    boxes = {"car": perceive_frames(surroundings, vut_camera)}
     for folder, unit in (("2", by_id["RSU2"]), ("9", by_id["RSU9"])):
-        boxes[folder] = perceive_from_roadside(surroundings, unit.pose, unit.sensor)
+        boxes[folder] = perceive_frames(surroundings, (unit.pose, unit.sensor))
     is_high = {
         name: box_height_px(seen.visible_px) >= MIN_HEIGHT_PX for name, seen in boxes.items()
     }

@@ -10,7 +10,7 @@ from geometry.kernels import kernel
 from placement.compute import Compute
 from placement.detection_table import pack_table
 from placement.detectors import load_planning_detector
-from placement.evaluator import build_surroundings, perceive_from_roadside
+from placement.evaluator import build_surroundings, perceive_frames
 from placement.sampling.detection_kernels import _linked, draw_frames, random_bits
 from placement.sampling.tables import (
     build_drawn_tables,
@@ -176,7 +176,7 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
                 for name in ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m")
             } | {"vru_yaw_deg": run.vru_yaw_deg[:1], "vru_shape": run.vru_shape[:1]}
             surroundings = build_surroundings(setting.scene, [replace(run, **one_frame)])
-            evidence = perceive_from_roadside(surroundings, pose.pose, pose.sensor)
+            evidence = perceive_frames(surroundings, (pose.pose, pose.sensor))
             (likely,) = setting.table_detector.probability(
                 replace(evidence, contrast=surroundings.contrast(evidence_distance(pose, run)))
             )

@@ -13,10 +13,11 @@ from geometry.study_scene import load_study_scene
 from placement.candidates import CandidateGrid, build_candidates
 from placement.compute import Compute
 from placement.detectors import GeometricDetector, load_planning_detector
-from placement.evaluator.perceive import perceive_from_roadside
+from placement.evaluator.perceive import perceive_frames
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility import build as build_module
 from placement.visibility import build_detection_table
+from placement.visibility.build import at_each_mount
 from placement.visibility.sensing import max_distance_m
 
 DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=15.0)
@@ -69,7 +70,7 @@ def _agreement(scene, runs, candidates, detector, detected):
     surroundings = build_surroundings(scene, runs)
     shares = []
     for row, candidate in enumerate(candidates):
-        evidence = perceive_from_roadside(surroundings, candidate.pose, candidate.sensor)
+        evidence = perceive_frames(surroundings, (candidate.pose, candidate.sensor))
         by_pixels = detector.is_expected(evidence)
         shares.append((by_pixels == detected[row]).mean())
     return np.array(shares)
@@ -313,28 +314,20 @@ def test_progress_counts_mount_positions(world, candidates):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_an_interruption_stops_after_the_positions_at_work(world, mount, monkeypatch, workers):
-    scene, runs, axis = world
+def test_an_interruption_stops_after_the_positions_at_work(mount, workers):
     many = [mount(f"{i}", [i, 0.0, 6.0]) for i in range(60)]
     begun = []
 
-    def slow(packed, world, looks, rows):
-        begun.append(looks[rows[0]][0].id)
+    def slow(rows):
+        begun.append(many[rows[0]].id)
         time.sleep(0.02)
-
-    monkeypatch.setattr(build_module, "_fill", slow)
 
     def interrupt(stage, done, total):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_detection_table(
-            scene,
-            many,
-            runs,
-            axis,
-            detector=DETECTOR,
-            compute=Compute(workers=workers, progress=interrupt),
+        at_each_mount(
+            many, slow, stage="look", compute=Compute(workers=workers, progress=interrupt)
         )
     assert 1 <= len(begun) <= 20
     n_begun = len(begun)
@@ -345,10 +338,10 @@ def test_an_interruption_stops_after_the_positions_at_work(world, mount, monkeyp
 def test_an_error_in_a_worker_is_not_lost(world, mount, monkeypatch):
     scene, runs, axis = world
 
-    def fail(packed, world, looks, rows):
+    def fail(world, position_m, looks):
         raise MemoryError("no room")
 
-    monkeypatch.setattr(build_module, "_fill", fail)
+    monkeypatch.setattr(build_module, "cast_for", fail)
     with pytest.raises(MemoryError, match="no room"):
         build_detection_table(
             scene,

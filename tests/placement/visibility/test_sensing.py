@@ -19,7 +19,7 @@ from placement.detectors import (
     load_planning_detector,
 )
 from placement.evaluator import perceive
-from placement.evaluator.perceive import perceive_from_roadside, scan_from_roadside
+from placement.evaluator.perceive import perceive_frames, scan_frames
 from placement.evaluator.surroundings import build_surroundings
 from placement.visibility import build_detection_table, sensing
 from placement.visibility.build import N_POINTS
@@ -130,7 +130,7 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     rows = row_of_entry[sight.entry_of_frame[frames]]
     by_points = replace(whole, **{name: values[rows] for name, values in every.items()})
     by_points = replace(by_points, contrast=made.contrast[0, by_points.draw_index])
-    by_pixels = perceive_from_roadside(build_surroundings(scene, runs).take(frames), pose, camera)
+    by_pixels = perceive_frames(build_surroundings(scene, runs).take(frames), (pose, camera))
     return by_points, by_pixels
 
 
@@ -158,7 +158,7 @@ def test_a_table_of_the_response_counts_frames_from_the_planned_probability_on(
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
     scene = build_scene(*WALLS)
     surroundings = build_surroundings(scene, random_runs)
-    evidence = perceive_from_roadside(surroundings, candidate.pose, candidate.sensor)
+    evidence = perceive_frames(surroundings, (candidate.pose, candidate.sensor))
     for plan_probability in (0.2, 0.5, 0.8):
         detector = replace(RESPONSE, plan_probability=plan_probability)
         (found,) = table_of(scene, [candidate], random_runs, detector)
@@ -236,7 +236,7 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
     for yaw_deg in range(0, 360, 60):
         run = build_run([[8.0, 0.5, yaw_deg]], vru=body)
         n_expected += expected_points(candidate, run)
-        scan_from_roadside(
+        scan_frames(
             build_surroundings(build_scene(), [run]), candidate.pose, SURE, np.random.default_rng(0)
         )
     assert n_expected == pytest.approx(sum(n_beams), rel=0.08)
@@ -287,10 +287,7 @@ def test_the_table_detects_in_the_frames_in_which_a_scan_does(
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
     scans = np.array(
-        [
-            scan_from_roadside(surroundings, c.pose, lidar, np.random.default_rng(0))
-            for c in candidates
-        ]
+        [scan_frames(surroundings, c.pose, lidar, np.random.default_rng(0)) for c in candidates]
     )
     agreement = (found == scans).mean(axis=1)
     assert agreement.min() > 0.93
@@ -346,10 +343,7 @@ def test_the_table_of_a_ring_detects_in_the_frames_in_which_a_scan_does(
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
     scans = np.array(
-        [
-            scan_from_roadside(surroundings, c.pose, RING, np.random.default_rng(0))
-            for c in candidates
-        ]
+        [scan_frames(surroundings, c.pose, RING, np.random.default_rng(0)) for c in candidates]
     )
     assert (found == scans).mean(axis=1).min() > 0.93
     assert 0.2 < scans.mean() < 0.9

@@ -13,9 +13,8 @@ from geometry.raycast import build_caster
 from geometry.terrain import Terrain, ground_height_m, on_ground, set_down
 from placement.detectors import load_planning_detector
 from placement.evaluator.perceive import (
-    perceive_from_roadside,
-    perceive_from_vut,
-    scan_from_roadside,
+    perceive_frames,
+    scan_frames,
 )
 from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
 from placement.visibility.build import build_detection_table
@@ -115,9 +114,9 @@ def test_a_ridge_hides_in_the_table_what_lies_in_its_shadow(behind_the_ridge):
 def test_a_ridge_hides_in_the_evaluator_what_lies_in_its_shadow(behind_the_ridge, camera):
     scene, runs = behind_the_ridge
     pose = Pose(position_m=EYE_M, yaw_deg=0.0, pitch_deg=-5.0)
-    seen = perceive_from_roadside(build_surroundings(scene, runs), pose, camera)
+    seen = perceive_frames(build_surroundings(scene, runs), (pose, camera))
     flat = replace(scene, vertices_m=scene.vertices_m * [1, 1, 0])
-    free = perceive_from_roadside(build_surroundings(flat, runs), pose, camera)
+    free = perceive_frames(build_surroundings(flat, runs), (pose, camera))
     np.testing.assert_array_equal(seen.amodal_px, free.amodal_px)
     (run,) = runs
     n_cut = 0
@@ -162,10 +161,10 @@ def test_a_lifted_world_looks_as_one_at_zero(build_scene, build_run, mount, came
             ).packed
         )
         surroundings = build_surroundings(scene, here)
-        evidence.append([perceive_from_roadside(surroundings, c.pose, camera) for c in candidates])
-        own.append(perceive_from_vut(surroundings, load_vut_camera()))
+        evidence.append([perceive_frames(surroundings, (c.pose, camera)) for c in candidates])
+        own.append(perceive_frames(surroundings, load_vut_camera()))
         rng = np.random.default_rng(0)
-        scans.append(scan_from_roadside(surroundings, candidates[0].pose, load_vut_lidar(), rng))
+        scans.append(scan_frames(surroundings, candidates[0].pose, load_vut_lidar(), rng))
     assert tables[0].any()
     np.testing.assert_array_equal(*tables)
     np.testing.assert_array_equal(*scans)
