@@ -1,17 +1,22 @@
-"""How much a layout may lack of the best over all worlds that may turn out to be."""
+"""How many worlds to choose in, and how much a layout may lack of the best over all of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
+from geometry.scene import Scene
 
 from .cache import cached_value
-from .compute import check_whole
+from .compute import DEFAULT_COMPUTE, Compute, check_whole
+from .layout import Layout
 from .optimiser import Solution, solve_placement
 from .optimiser.greedy import solve_greedy
-from .pipeline import Assembly, pick_layout
-from .question import N_BLOCKS, N_JUDGED
+from .pipeline import Assembly, Placement, assemble, pick_layout, place
+from .question import N_BLOCKS, N_JUDGED, Question
 from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean, out_of_sample_layouts
+from .wishes import Wishes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +96,8 @@ def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_J
     check_whole("blocks", n_blocks, least=2)
     check_whole("judge", n_judged, least=2)
     check_whole("samples", assembly.n_samples, least=2)
-    wishes, compute, uncertainty = assembly.wishes, assembly.compute, assembly.uncertainty
-    assert uncertainty is not None  # worlds are sampled
-    if wishes.target is not None or wishes.survive or wishes.tail < 1.0:
-        got = Unquoted("a target, failures or a tail of the worlds")
-        raise InputError("question", got, "a budget and the mean APR: only they are certified")
+    _check_mean(assembly.wishes, "only they are certified")
+    compute = assembly.compute
     blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
     names = {
         **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
@@ -103,23 +105,32 @@ def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_J
     }
     layouts = [pick_layout(assembly.candidates, rows, name) for rows, name in names.items()]
     compute.progress("choose in fresh worlds", 0, 0)
-    pool = out_of_sample_layouts(
-        *(assembly.setting, layouts, uncertainty),
-        n_samples=n_judged,
-        fusion=assembly.fusion,
-        compute=compute,
-    )
+    pool = _judge(assembly, layouts, n_judged=n_judged, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
     compute.progress("judge in other fresh worlds", 0, 0)
-    (judged,) = out_of_sample_layouts(
-        *(assembly.setting, [pool[0].layout], uncertainty),
-        n_samples=n_judged,
-        first=n_judged,
-        fusion=assembly.fusion,
-        compute=compute,
-    )
+    (judged,) = _judge(assembly, [pool[0].layout], n_judged=n_judged, first=n_judged)
     gap = estimate_gap([block.bound for block in blocks], judged.apr_by_sample.tolist())
     return Certified(blocks=blocks, pool=tuple(pool), judged=judged, gap=gap)
+
+
+def _check_mean(wishes: Wishes, why: str) -> None:
+    if wishes.target is not None or wishes.survive or wishes.tail < 1.0:
+        got = Unquoted("a target, failures or a tail of the worlds")
+        raise InputError("question", got, f"a budget and the mean APR: {why}")
+
+
+def _judge(
+    assembly: Assembly, layouts: Sequence[Layout], *, n_judged: int, first: int
+) -> list[SampledApr]:
+    """Layouts in the same fresh worlds, from one of them on."""
+    assert assembly.uncertainty is not None  # worlds are sampled
+    return out_of_sample_layouts(
+        *(assembly.setting, layouts, assembly.uncertainty),
+        n_samples=n_judged,
+        first=first,
+        fusion=assembly.fusion,
+        compute=assembly.compute,
+    )
 
 
 def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
@@ -150,4 +161,124 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
         apr=stage.objective,
         found=tuple(sorted(solution.pose_index)),
         greedy=tuple(sorted(greedy)),
+    )
+
+
+# ---------- how many worlds to choose in
+
+
+SIZES = (4, 8, 16, 32, 64)
+"""Worlds to choose in, round by round."""
+APART = 100_000
+"""Number of the first of the worlds that say how many are enough: nothing else is judged there."""
+_TIMES = 5  # Rounds take so many times the time limit of one, before the last one begins
+
+Stopped = Literal["same", "no better", "time", "memory", "most"]
+"""Why no more worlds are tried: same layout, none that is better beyond chance, or a limit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Round:
+    """What was chosen in a number of worlds."""
+
+    n_worlds: int
+    apr: float  # Mean APR of the layout there
+    bound: float  # Mean APR that no layout exceeds there, proven
+    judged: SampledApr  # The layout in worlds that nothing was chosen in
+    # Its APR there less that of the round before, world by world; None: the same layout, or first
+    ahead: MeanEstimate | None
+
+    @property
+    def is_ahead(self) -> bool:
+        """True if it is better than that of the round before, beyond chance."""
+        return self.ahead is not None and self.ahead.low > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grown:
+    """How many worlds are enough, and what is best in them."""
+
+    question: Question  # With that number
+    assembly: Assembly
+    placement: Placement
+    rounds: tuple[Round, ...]
+    stopped: Stopped
+
+
+def grow(
+    question: Question,
+    *,
+    scene: Scene | None = None,
+    first: int = 0,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> Grown:
+    """Choose in twice as many worlds, again and again, until the layout gets no better.
+
+    A round's layout is chosen in the worlds from `first` on, as if so many had been asked for. It
+    is compared with that of the round before in 60 fresh worlds, the same ones for both: unless it
+    is ahead with 95 % confidence, the fewer worlds are enough. No other round begins after five
+    times the time limit, for 64 worlds, or where twice as many do not fit into memory.
+
+    The best solution in n worlds tends to the best over all, and stopping by what fresh worlds
+    measure, not by values in the worlds that were chosen in, is sequential sampling [1]_. Raises
+    InputError as :func:`place`, or for a question that is not for the highest mean APR.
+
+    References
+    ----------
+    .. [1] G. Bayraksan, D. P. Morton, "A sequential sampling procedure for stochastic programming",
+       Operations Research 59 (2011).
+    """
+    began_s = now_s()
+    rounds: list[Round] = []
+    best: tuple[Question, Assembly, Placement] | None = None
+    stopped: Stopped = "most"
+    for n_worlds in SIZES:
+        if best is not None and now_s() - began_s > _TIMES * question.time_limit_s:
+            stopped = "time"
+            break
+        asked = replace(question, samples=n_worlds)
+        setting = None if best is None else best[1].setting
+        trial = assemble(asked, scene=scene, setting=setting, compute=compute)
+        trial = replace(trial, first_sample=first)
+        _check_mean(trial.wishes, "worlds are added for nothing else")
+        try:
+            found = place(trial)
+        except InputError as error:
+            if best is None or error.where != "memory":
+                raise
+            stopped = "memory"
+            break
+        rounds.append(_round(trial, found, rounds[-1] if rounds else None))
+        if len(rounds) > 1 and not rounds[-1].is_ahead:
+            stopped = "same" if rounds[-1].ahead is None else "no better"
+            break
+        best = asked, trial, found
+    assert best is not None  # the first round is taken in any case
+    asked, assembly, placement = best
+    return Grown(
+        question=asked,
+        assembly=assembly,
+        placement=placement,
+        rounds=tuple(rounds),
+        stopped=stopped,
+    )
+
+
+def _round(assembly: Assembly, found: Placement, before: Round | None) -> Round:
+    """What was chosen in some worlds, in fresh ones next to what the round before had."""
+    stage = found.certificate.stages[0]
+    judged, ahead = None, None
+    if before is not None and found.layout.units == before.judged.layout.units:
+        judged = before.judged
+    else:
+        (judged,) = _judge(assembly, [found.layout], n_judged=N_JUDGED, first=APART)
+        if before is not None:
+            gain = judged.apr_by_sample - before.judged.apr_by_sample
+            ahead = estimate_mean(gain, bounds=(-1.0, 1.0))
+    return Round(
+        n_worlds=assembly.n_samples,
+        apr=stage.objective,
+        bound=min(1.0, stage.bound),
+        judged=judged,
+        ahead=ahead,
     )

@@ -203,7 +203,7 @@ def assemble(
         candidates = _distinct([*compress(candidates, may_look(candidates))], units)
     wishes = read_wishes(question, existing=units, counts_money=counts_money)
     build_limits(wishes, scene, candidates)
-    uncertainty = load_drawn(question, scene, n_samples=question.samples)
+    uncertainty = load_drawn(question, scene, n_samples=question.n_samples)
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
     effort = build_effort(question, compute)
@@ -220,7 +220,7 @@ def assemble(
         private_ground=private_ground,
         may_look=may_look,
         uncertainty=uncertainty,
-        n_samples=question.samples,
+        n_samples=question.n_samples,
         compute=compute,
     )
 

@@ -9,11 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
+from placement.certify import Grown, Stopped
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
+from ..language import mark, tr
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -28,6 +30,27 @@ _AS_THEY_ARE = (
 _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
+_ENOUGH: dict[Stopped, str] = {
+    "same": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the same layout"
+    ),
+    "no better": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): in {others} fresh ones "
+        "the layout of {tried} prevents {low:+.2f} to {high:+.2f} points more (95 %)"
+    ),
+    "time": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), the last ones that there was "
+        "time for: with a longer --time-limit more are tried"
+    ),
+    "memory": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}): twice as many do not fit "
+        "into the memory of this machine"
+    ),
+    "most": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), and was still getting "
+        "better: more are not tried"
+    ),
+}
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -97,12 +120,35 @@ class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
     cvar_high: Annotated[float | None, says("Upper end of it.")] = None
 
 
+class RoundRecord(Record, frozen=True, kw_only=True):
+    """What was chosen in a number of worlds, to find out how many are enough."""
+
+    worlds: Annotated[int, says("Number of worlds to choose in.", ge=1)]
+    in_sample: Annotated[float, says("Mean APR of the layout there.")]
+    bound: Annotated[float, says("Mean APR that no layout exceeds there.")]
+    mean: Annotated[float, says("Mean APR in fresh worlds that only compare rounds.")]
+    ahead_low: Annotated[
+        float | None, says("That less the round before's, low end of 95 %; null: same layout.")
+    ]
+    ahead_high: Annotated[float | None, says("High end.")]
+
+
+class GrowthRecord(Record, frozen=True, kw_only=True):
+    """How many worlds to choose in are enough."""
+
+    taken: Annotated[int, says("So many.", ge=1)]
+    compared_in: Annotated[int, says("Number of fresh worlds that compare rounds.", ge=1)]
+    stopped: Annotated[Stopped, says("Why no more were tried.")]
+    rounds: Annotated[tuple[RoundRecord, ...], says("The fewest worlds first.")]
+
+
 class SampledRecord(Record, frozen=True, kw_only=True):
     """APR in sampled worlds, the same fresh ones for all layouts."""
 
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
     chosen_in: Annotated[int | None, says("Other worlds, to choose the first layout in.")] = None
+    growth: Annotated[GrowthRecord | None, says("How many are enough; null: not asked.")] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
     traffic_source: Annotated[str, says("Who drives by: SUMO with its demand; or empty.")] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
@@ -125,12 +171,13 @@ def build_sampled_record(
     planned_apr: Mapping[str, float] | None = None,
     chosen_apr: Mapping[str, float] | None = None,
     chosen_in: int | None = None,
+    grown: Grown | None = None,
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
     `tail` is the worst share of the worlds that is summed up. By name of the layout, `planned_apr`
     is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
-    chosen in.
+    chosen in; `grown` says how their number was found out.
     """
     subject = judged[0]
     tails = None
@@ -141,6 +188,7 @@ def build_sampled_record(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=len(subject.apr_by_sample),
         chosen_in=chosen_in,
+        growth=None if grown is None else build_growth_record(grown),
         seed=seed,
         traffic_source="" if uncertainty.moving is None else uncertainty.moving.name,
         moving=None if uncertainty.moving is None else subject.driving,
@@ -169,6 +217,41 @@ def build_sampled_record(
             for one, other in combinations(range(len(judged)), 2)
         ),
     )
+
+
+def build_growth_record(grown: Grown) -> GrowthRecord:
+    """How many worlds are enough, round by round."""
+    return GrowthRecord(
+        taken=grown.question.n_samples,
+        compared_in=len(grown.rounds[0].judged.apr_by_sample),
+        stopped=grown.stopped,
+        rounds=tuple(
+            RoundRecord(
+                worlds=one.n_worlds,
+                in_sample=one.apr,
+                bound=one.bound,
+                mean=one.judged.estimate.mean,
+                ahead_low=None if one.ahead is None else one.ahead.low,
+                ahead_high=None if one.ahead is None else one.ahead.high,
+            )
+            for one in grown.rounds
+        ),
+    )
+
+
+def growth_sentences(growth: GrowthRecord | None) -> list[str]:
+    """Sentence on how many worlds a layout was chosen in, and why not in more; no full stop."""
+    if growth is None:
+        return []
+    last = growth.rounds[-1]
+    values = {
+        "taken": growth.taken,
+        "tried": last.worlds,
+        "others": growth.compared_in,
+        "low": _points(last.ahead_low),
+        "high": _points(last.ahead_high),
+    }
+    return [tr(_ENOUGH[growth.stopped], **values)]
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -245,6 +328,7 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
             f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
             f"{better if chosen > or_nan(subject.mean) else ''}"
         )
+    sentences += growth_sentences(found.growth)
     n_worst = found.tail * (found.chosen_in or 0)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         sentences.append(

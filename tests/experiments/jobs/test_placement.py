@@ -11,7 +11,7 @@ from experiments.jobs import placement
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
 from geometry.errors import InputError
-from placement import pipeline
+from placement import certify, pipeline
 from placement.compute import Compute
 from placement.layout import Layout, load_carlancap_layout, load_layout
 from placement.question import Question
@@ -101,6 +101,20 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
     page = (tmp_path / "out/report.html").read_text()
     assert "If the world is not as planned" in page
     assert "25.0 % of the messages lost" in page
+
+
+@pytest.mark.usefixtures("small_study", "without_figures")
+def test_the_number_of_worlds_is_told_and_gives_the_same_answer(tmp_path, monkeypatch):
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
+    monkeypatch.setattr(certify, "N_JUDGED", 4)
+    found = place(tmp_path / "auto", samples="auto")
+    growth = found["sampled"]["growth"]
+    assert found["sampled"]["chosen_in"] == growth["taken"]
+    assert [one["worlds"] for one in growth["rounds"]][-1] >= growth["taken"]
+    again = place(tmp_path / "number", samples=growth["taken"])
+    assert again["layout"] == found["layout"]
+    assert again["apr"] == found["apr"]
+    assert again["sampled"] == found["sampled"] | {"growth": None}
 
 
 @pytest.mark.usefixtures("small_study", "without_figures")
