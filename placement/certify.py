@@ -10,12 +10,11 @@ from geometry.scene import Scene
 
 from .cache import cached_value
 from .compute import DEFAULT_COMPUTE, Compute, check_whole
-from .layout import Layout
 from .optimiser import Solution, solve_placement
 from .optimiser.greedy import solve_greedy
 from .pipeline import Assembly, Placement, assemble, pick_layout, place
 from .question import N_BLOCKS, N_JUDGED, Question
-from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean, out_of_sample_layouts
+from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean
 from .wishes import Wishes
 
 
@@ -105,10 +104,11 @@ def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_J
     }
     layouts = [pick_layout(assembly.candidates, rows, name) for rows, name in names.items()]
     compute.progress("choose in fresh worlds", 0, 0)
-    pool = _judge(assembly, layouts, n_judged=n_judged, first=0)
+    pool = assembly.in_fresh_worlds(layouts, n_worlds=n_judged, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
     compute.progress("judge in other fresh worlds", 0, 0)
-    (judged,) = _judge(assembly, [pool[0].layout], n_judged=n_judged, first=n_judged)
+    best = [pool[0].layout]
+    (judged,) = assembly.in_fresh_worlds(best, n_worlds=n_judged, first=n_judged)
     gap = estimate_gap([block.bound for block in blocks], judged.apr_by_sample.tolist())
     return Certified(blocks=blocks, pool=tuple(pool), judged=judged, gap=gap)
 
@@ -117,20 +117,6 @@ def _check_mean(wishes: Wishes, why: str) -> None:
     if wishes.target is not None or wishes.survive or wishes.tail < 1.0:
         got = Unquoted("a target, failures or a tail of the worlds")
         raise InputError("question", got, f"a budget and the mean APR: {why}")
-
-
-def _judge(
-    assembly: Assembly, layouts: Sequence[Layout], *, n_judged: int, first: int
-) -> list[SampledApr]:
-    """Layouts in the same fresh worlds, from one of them on."""
-    assert assembly.uncertainty is not None  # worlds are sampled
-    return out_of_sample_layouts(
-        *(assembly.setting, layouts, assembly.uncertainty),
-        n_samples=n_judged,
-        first=first,
-        fusion=assembly.fusion,
-        compute=assembly.compute,
-    )
 
 
 def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
@@ -169,8 +155,6 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
 
 SIZES = (4, 8, 16, 32, 64)
 """Worlds to choose in, round by round."""
-APART = 100_000
-"""Number of the first of the worlds that say how many are enough: nothing else is judged there."""
 _TIMES = 5  # Rounds take so many times the time limit of one, before the last one begins
 
 Stopped = Literal["same", "no better", "time", "memory", "most"]
@@ -242,7 +226,7 @@ def grow(
         trial = replace(trial, first_sample=first)
         _check_mean(trial.wishes, "worlds are added for nothing else")
         try:
-            found = place(trial)
+            found = place(trial, asks_worlds=True)
         except InputError as error:
             if best is None or error.where != "memory":
                 raise
@@ -267,11 +251,13 @@ def grow(
 def _round(assembly: Assembly, found: Placement, before: Round | None) -> Round:
     """What was chosen in some worlds, in fresh ones next to what the round before had."""
     stage = found.certificate.stages[0]
-    judged, ahead = None, None
+    ahead = None
     if before is not None and found.layout.units == before.judged.layout.units:
         judged = before.judged
     else:
-        (judged,) = _judge(assembly, [found.layout], n_judged=N_JUDGED, first=APART)
+        (judged, *_) = found.preferred or assembly.in_fresh_worlds(
+            [found.layout], n_worlds=N_JUDGED
+        )
         if before is not None:
             gain = judged.apr_by_sample - before.judged.apr_by_sample
             ahead = estimate_mean(gain, bounds=(-1.0, 1.0))

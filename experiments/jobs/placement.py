@@ -245,7 +245,9 @@ def _find(job: _Job, plan: Assembly, grown: Grown | None) -> _Found:
         progress(stage, done, total)
 
     reporting = replace(compute, progress=report)
-    placement = grown.placement if grown else place(replace(plan, compute=reporting))
+    placement = (
+        grown.placement if grown else place(replace(plan, compute=reporting), asks_worlds=True)
+    )
     refinement = None
     if question.refine:
         refinement = refine(

@@ -6,10 +6,11 @@ from typing import Annotated, Any
 
 from msgspec.structs import asdict as fields_of
 
-from placement.certify import APART, GapEstimate, certify, estimate_gap, grow
+from placement.certify import GapEstimate, certify, estimate_gap, grow
 from placement.compute import Compute
 from placement.pipeline import assemble
 from placement.question import AUTO, Question
+from placement.sampling.out_of_sample import APART
 
 from ..export.json import to_json, to_json_text
 from ..progress import StageProgress

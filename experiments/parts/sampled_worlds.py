@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
 from placement.certify import Grown, Stopped
+from placement.pipeline import FOUND
+from placement.question import N_JUDGED
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
@@ -30,6 +32,15 @@ _AS_THEY_ARE = (
 _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
+_TIED = mark(
+    "As planned, greedy choice's layout is as good as the one found. In {n} sampled worlds it "
+    "prevents {points:.2f} points more (95 %: {low:.2f} to {high:.2f}): so it is the answer."
+)
+_SURPASSED = mark(
+    "Greedy choice's layout is the answer, not the one found, which is better in the {chosen} "
+    "worlds to choose in: in {n} fresh ones greedy choice's prevents {points:.2f} points more "
+    "(95 %: {low:.2f} to {high:.2f})."
+)
 _ENOUGH: dict[Stopped, str] = {
     "same": mark(
         "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the same layout"
@@ -213,7 +224,9 @@ def build_sampled_record(
             for row, item in enumerate(judged)
         ),
         pairs=tuple(
-            _pair(judged[one], judged[other], None if tails is None else tails[one] - tails[other])
+            build_pair_record(
+                judged[one], judged[other], None if tails is None else tails[one] - tails[other]
+            )
             for one, other in combinations(range(len(judged)), 2)
         ),
     )
@@ -280,7 +293,9 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     )
 
 
-def _pair(first: SampledApr, second: SampledApr, tails: FloatArray | None) -> SampledPairRecord:
+def build_pair_record(
+    first: SampledApr, second: SampledApr, tails: FloatArray | None = None
+) -> SampledPairRecord:
     """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
     gain = first.apr_by_sample - second.apr_by_sample
     low, high = (None, None) if tails is None else np.quantile(tails, (0.025, 0.975)).tolist()
@@ -343,6 +358,15 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
         sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
     return [f"{sentence}." for sentence in sentences]
+
+
+def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | None) -> list[str]:
+    """Sentence on greedy choice's layout where fresh worlds took it, not the one found."""
+    if preferred is None or preferred.second != FOUND:
+        return []
+    points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
+    values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
+    return [tr(_TIED if chosen_in is None else _SURPASSED, **values)]
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:

@@ -10,11 +10,13 @@ from experiments.language import speaking
 from experiments.parts.sampled_worlds import (
     GrowthRecord,
     RoundRecord,
+    build_pair_record,
     build_sampled_record,
     build_uncertainty_record,
     growth_sentences,
     overtaken_sentences,
     plot_sampled_apr,
+    preferred_sentences,
     table,
     uncertainty_sentences,
     what_is_uncertain,
@@ -312,3 +314,17 @@ def test_it_is_told_how_many_worlds_are_enough_and_why(stopped, ahead, words):
     with speaking("de"):
         (german,) = growth_sentences(growth(stopped, ahead))
     assert "8 Welten" in german
+
+
+def test_it_is_told_when_fresh_worlds_took_greedy_choice(judge):
+    better, worse = judge("greedy", [0.9, 0.8, 1.0, 0.9]), judge("found", [0.8, 0.75, 0.9, 0.8])
+    taken = build_pair_record(better, worse)
+    (planned,), (sampled,) = preferred_sentences(taken, None), preferred_sentences(taken, 8)
+    points = f"{100.0 * taken.mean:.2f} points more (95 %: {100.0 * taken.low:.2f} to "
+    assert planned.startswith("As planned, greedy choice's layout is as good as the one found.")
+    assert "is better in the 8 worlds to choose in" in sampled
+    assert points in planned
+    assert points in sampled
+    assert taken.mean == pytest.approx(0.0875)
+    assert preferred_sentences(build_pair_record(worse, better), 8) == []
+    assert preferred_sentences(None, None) == []

@@ -9,12 +9,13 @@ from scipy.stats import t as student
 
 from geometry.errors import InputError
 from placement import certify as certifying
-from placement.certify import APART, SIZES, certify, estimate_gap, grow
+from placement import pipeline
+from placement.certify import SIZES, certify, estimate_gap, grow
 from placement.compute import Compute
 from placement.layout import load_carlancap_layout
 from placement.pipeline import Assembly, assemble, place
 from placement.question import AUTO, Question
-from placement.sampling.out_of_sample import out_of_sample_layouts
+from placement.sampling.out_of_sample import APART, out_of_sample_layouts
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import load_uncertainty
 from placement.wishes import Wishes
@@ -156,6 +157,7 @@ SMALL = Question(
 
 def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     monkeypatch.setattr(certifying, "N_JUDGED", 6)
+    monkeypatch.setattr(pipeline, "N_JUDGED", 6)
     compute = Compute(workers=2, seed=3)
     found = grow(SMALL, compute=compute)
     taken = found.question.n_samples
@@ -164,7 +166,7 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     assert found.rounds[-1].n_worlds == 2 * taken
     for one in found.rounds:
         plan = assemble(replace(SMALL, samples=one.n_worlds), compute=compute)
-        alone = place(plan)  # as if the number had been given
+        alone = place(plan, asks_worlds=True)  # as if the number had been given
         assert one.judged.layout.units == alone.layout.units
         assert one.apr == alone.certificate.stages[0].objective
         (again,) = out_of_sample_layouts(
@@ -183,11 +185,11 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
     real, judge = place, out_of_sample_layouts
 
-    def placed(plan):
+    def placed(plan, **how):
         number = next(rounds)
         if error is not None and number:
             raise error
-        found = real(plan)
+        found = real(plan, **how)
         clock[0] += seconds
         return replace(found, layout=replace(found.layout, units=units[number : number + 1]))
 
@@ -197,7 +199,7 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
 
     monkeypatch.setattr(certifying, "SIZES", sizes)
     monkeypatch.setattr(certifying, "place", placed)
-    monkeypatch.setattr(certifying, "out_of_sample_layouts", judged)
+    monkeypatch.setattr(pipeline, "out_of_sample_layouts", judged)
     monkeypatch.setattr(certifying, "now_s", lambda: clock[0])
     return grow(SMALL, compute=Compute(workers=2, seed=3))
 
@@ -245,7 +247,7 @@ def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkey
     seen = []
     monkeypatch.setattr(certifying, "N_JUDGED", 2)
     monkeypatch.setattr(
-        certifying, "place", lambda plan: seen.append(plan.first_sample) or place(plan)
+        certifying, "place", lambda plan, **_: seen.append(plan.first_sample) or place(plan)
     )
     grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
     assert set(seen) == {APART}
