@@ -245,9 +245,10 @@ def _find(job: _Job, plan: Assembly, grown: Grown | None) -> _Found:
         progress(stage, done, total)
 
     reporting = replace(compute, progress=report)
-    placement = (
-        grown.placement if grown else place(replace(plan, compute=reporting), asks_worlds=True)
-    )
+    if grown:
+        placement = grown.placement
+    else:  # poses that are turned yet are compared with nothing
+        placement = place(replace(plan, compute=reporting), asks_worlds=not question.refine)
     refinement = None
     if question.refine:
         refinement = refine(
