@@ -157,36 +157,63 @@ SIZES = (4, 8, 16, 32, 64)
 """Worlds to choose in, round by round."""
 _TIMES = 5  # Rounds take so many times the time limit of one, before the last one begins
 
-Stopped = Literal["same", "no better", "time", "memory", "most"]
-"""Why no more worlds are tried: same layout, none that is better beyond chance, or a limit."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """What was chosen in a number of worlds."""
+    """What was chosen in a number of worlds.
 
-    n_worlds: int
-    apr: float  # Mean APR of the layout there
-    bound: float  # Mean APR that no layout exceeds there, proven
-    judged: SampledApr  # The layout in worlds that nothing was chosen in
-    # Its APR there less that of the round before, world by world; None: the same layout, or first
-    ahead: MeanEstimate | None
+    Attributes
+    ----------
+    worlds : int
+        Number of worlds to choose in.
+    in_sample : float
+        Mean APR of the layout in them.
+    bound : float
+        Mean APR that no layout exceeds in them.
+    mean : float
+        Mean APR of the layout in fresh worlds that only compare rounds.
+    low, high : float, optional
+        95 % interval of that less the round before's; null: the first round, or the same layout.
+    """
 
-    @property
-    def is_ahead(self) -> bool:
-        """True if it is better than that of the round before, beyond chance."""
-        return self.ahead is not None and self.ahead.low > 0.0
+    worlds: int
+    in_sample: float
+    bound: float
+    mean: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Growth:
+    """How many worlds to choose in are enough.
+
+    Attributes
+    ----------
+    taken : int
+        So many.
+    compared_in : int
+        Fresh worlds that compare rounds.
+    stopped : str
+        Why no more were tried: same layout, none better beyond chance, or what had run out.
+    rounds : tuple of Round
+        The fewest worlds first.
+    """
+
+    taken: int
+    compared_in: int
+    stopped: Literal["same", "no better", "time", "memory", "most"]
+    rounds: tuple[Round, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grown:
-    """How many worlds are enough, and what is best in them."""
+    """What is best in as many worlds as are enough."""
 
-    question: Question  # With that number
+    question: Question  # With their number
     assembly: Assembly
     placement: Placement
-    rounds: tuple[Round, ...]
-    stopped: Stopped
+    growth: Growth
 
 
 def grow(
@@ -212,10 +239,9 @@ def grow(
     .. [1] G. Bayraksan, D. P. Morton, "A sequential sampling procedure for stochastic programming",
        Operations Research 59 (2011).
     """
-    began_s = now_s()
-    rounds: list[Round] = []
-    best: tuple[Question, Assembly, Placement] | None = None
-    stopped: Stopped = "most"
+    began_s, rounds = now_s(), list[Round]()
+    best: tuple[Question, Assembly, Placement, SampledApr] | None = None
+    stopped: Literal["same", "no better", "time", "memory", "most"] = "most"
     for n_worlds in SIZES:
         if best is not None and now_s() - began_s > _TIMES * question.time_limit_s:
             stopped = "time"
@@ -232,39 +258,39 @@ def grow(
                 raise
             stopped = "memory"
             break
-        rounds.append(_round(trial, found, rounds[-1] if rounds else None))
-        if len(rounds) > 1 and not rounds[-1].is_ahead:
-            stopped = "same" if rounds[-1].ahead is None else "no better"
+        before = None if best is None else best[3]
+        judged, this = _round(trial, found, before)
+        rounds.append(this)
+        if before is not None and not (this.low or 0.0) > 0.0:
+            stopped = "same" if this.low is None else "no better"
             break
-        best = asked, trial, found
+        best = asked, trial, found, judged
     assert best is not None  # the first round is taken in any case
-    asked, assembly, placement = best
-    return Grown(
-        question=asked,
-        assembly=assembly,
-        placement=placement,
-        rounds=tuple(rounds),
-        stopped=stopped,
+    asked, assembly, placement, judged = best
+    n_compared = len(judged.apr_by_sample)
+    growth = Growth(
+        taken=asked.n_samples, compared_in=n_compared, stopped=stopped, rounds=tuple(rounds)
     )
+    return Grown(question=asked, assembly=assembly, placement=placement, growth=growth)
 
 
-def _round(assembly: Assembly, found: Placement, before: Round | None) -> Round:
+def _round(
+    assembly: Assembly, found: Placement, before: SampledApr | None
+) -> tuple[SampledApr, Round]:
     """What was chosen in some worlds, in fresh ones next to what the round before had."""
-    stage = found.certificate.stages[0]
-    ahead = None
-    if before is not None and found.layout.units == before.judged.layout.units:
-        judged = before.judged
+    stage, gain = found.certificate.stages[0], None
+    if before is not None and found.layout.units == before.layout.units:
+        judged = before
     else:
-        (judged, *_) = found.preferred or assembly.in_fresh_worlds(
-            [found.layout], n_worlds=N_JUDGED
-        )
+        fresh = found.preferred or assembly.in_fresh_worlds([found.layout], n_worlds=N_JUDGED)
+        judged = fresh[0]
         if before is not None:
-            gain = judged.apr_by_sample - before.judged.apr_by_sample
-            ahead = estimate_mean(gain, bounds=(-1.0, 1.0))
-    return Round(
-        n_worlds=assembly.n_samples,
-        apr=stage.objective,
+            gain = estimate_mean(judged.apr_by_sample - before.apr_by_sample, bounds=(-1.0, 1.0))
+    return judged, Round(
+        worlds=assembly.n_samples,
+        in_sample=stage.objective,
         bound=min(1.0, stage.bound),
-        judged=judged,
-        ahead=ahead,
+        mean=judged.estimate.mean,
+        low=None if gain is None else gain.low,
+        high=None if gain is None else gain.high,
     )

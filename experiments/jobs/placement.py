@@ -18,7 +18,7 @@ from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
-from placement.certify import Grown, grow
+from placement.certify import Grown, Growth, grow
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
@@ -138,7 +138,7 @@ class _Found:
     on_grid: Placement
     refinement: Refinement | None
     poses: Sequence[CandidatePose]
-    grown: Grown | None  # Where the number of worlds was to be found out
+    growth: Growth | None  # Where the number of worlds was to be found out
 
 
 def run_placement(
@@ -260,7 +260,7 @@ def _find(job: _Job, plan: Assembly, grown: Grown | None) -> _Found:
         on_grid=placement,
         refinement=refinement,
         poses=plan.candidates if refinement is None else refinement.candidates,
-        grown=grown,
+        growth=grown.growth if grown else None,
     )
 
 
@@ -323,7 +323,7 @@ def _in_fresh_worlds(
         planned_apr={item.layout.name: headline_apr(item) for item in evaluations.values()},
         chosen_apr={placement.layout.name: chosen_apr},
         chosen_in=job.question.n_samples,
-        grown=found.grown,
+        growth=found.growth,
     )
 
 

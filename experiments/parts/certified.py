@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from msgspec.structs import asdict as fields_of
 
-from placement.certify import GapEstimate, certify, estimate_gap, grow
+from placement.certify import GapEstimate, Growth, certify, estimate_gap, grow
 from placement.compute import Compute
 from placement.pipeline import assemble
 from placement.question import AUTO, Question
@@ -18,7 +18,7 @@ from ..results.drives import DrivesRecord, build_drives_record
 from ..results.folders import LAYOUT_FILE, expect_files, save_files
 from ..results.numbers import percent, several
 from ..results.record import Record, says
-from .sampled_worlds import EstimateRecord, GrowthRecord, build_growth_record, growth_sentences
+from .sampled_worlds import EstimateRecord, growth_sentences
 from .section import Table
 
 JSON_NAME = "certified.json"
@@ -45,7 +45,7 @@ class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
     command: Annotated[str, says("That made it.")]
     candidates: Annotated[int, says("Number of poses to choose from.")]
     worlds_of_block: Annotated[int, says("Number of worlds in each block.", ge=2)]
-    growth: Annotated[GrowthRecord | None, says("How many are enough; null: not asked.")] = None
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
     uncertainty: Annotated[str, says("Name of what is drawn in the worlds.")]
     seed: Annotated[int, says("Of the draws.", ge=0)]
     blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.")]
@@ -76,7 +76,7 @@ def run_certify(
     growth = None
     if question.samples == AUTO:  # in worlds that neither a bound nor the layout is judged in
         grown = grow(question, first=APART, compute=compute)
-        question, growth = grown.question, build_growth_record(grown)
+        question, growth = grown.question, grown.growth
     plan = assemble(question, compute=compute)
     found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)
     assert plan.uncertainty is not None

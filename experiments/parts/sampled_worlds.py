@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
-from placement.certify import Grown, Stopped
+from placement.certify import Growth
 from placement.pipeline import FOUND
 from placement.question import N_JUDGED
 from placement.sampling.moving.trajectories import TrafficCount
@@ -41,7 +41,7 @@ _SURPASSED = mark(
     "worlds to choose in: in {n} fresh ones greedy choice's prevents {points:.2f} points more "
     "(95 %: {low:.2f} to {high:.2f})."
 )
-_ENOUGH: dict[Stopped, str] = {
+_ENOUGH = {
     "same": mark(
         "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the same layout"
     ),
@@ -131,35 +131,13 @@ class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
     cvar_high: Annotated[float | None, says("Upper end of it.")] = None
 
 
-class RoundRecord(Record, frozen=True, kw_only=True):
-    """What was chosen in a number of worlds, to find out how many are enough."""
-
-    worlds: Annotated[int, says("Number of worlds to choose in.", ge=1)]
-    in_sample: Annotated[float, says("Mean APR of the layout there.")]
-    bound: Annotated[float, says("Mean APR that no layout exceeds there.")]
-    mean: Annotated[float, says("Mean APR in fresh worlds that only compare rounds.")]
-    ahead_low: Annotated[
-        float | None, says("That less the round before's, low end of 95 %; null: same layout.")
-    ]
-    ahead_high: Annotated[float | None, says("High end.")]
-
-
-class GrowthRecord(Record, frozen=True, kw_only=True):
-    """How many worlds to choose in are enough."""
-
-    taken: Annotated[int, says("So many.", ge=1)]
-    compared_in: Annotated[int, says("Number of fresh worlds that compare rounds.", ge=1)]
-    stopped: Annotated[Stopped, says("Why no more were tried.")]
-    rounds: Annotated[tuple[RoundRecord, ...], says("The fewest worlds first.")]
-
-
 class SampledRecord(Record, frozen=True, kw_only=True):
     """APR in sampled worlds, the same fresh ones for all layouts."""
 
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
     chosen_in: Annotated[int | None, says("Other worlds, to choose the first layout in.")] = None
-    growth: Annotated[GrowthRecord | None, says("How many are enough; null: not asked.")] = None
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
     traffic_source: Annotated[str, says("Who drives by: SUMO with its demand; or empty.")] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
@@ -182,13 +160,13 @@ def build_sampled_record(
     planned_apr: Mapping[str, float] | None = None,
     chosen_apr: Mapping[str, float] | None = None,
     chosen_in: int | None = None,
-    grown: Grown | None = None,
+    growth: Growth | None = None,
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
     `tail` is the worst share of the worlds that is summed up. By name of the layout, `planned_apr`
     is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
-    chosen in; `grown` says how their number was found out.
+    chosen in; `growth` says how their number was found out.
     """
     subject = judged[0]
     tails = None
@@ -199,7 +177,7 @@ def build_sampled_record(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=len(subject.apr_by_sample),
         chosen_in=chosen_in,
-        growth=None if grown is None else build_growth_record(grown),
+        growth=growth,
         seed=seed,
         traffic_source="" if uncertainty.moving is None else uncertainty.moving.name,
         moving=None if uncertainty.moving is None else subject.driving,
@@ -232,27 +210,7 @@ def build_sampled_record(
     )
 
 
-def build_growth_record(grown: Grown) -> GrowthRecord:
-    """How many worlds are enough, round by round."""
-    return GrowthRecord(
-        taken=grown.question.n_samples,
-        compared_in=len(grown.rounds[0].judged.apr_by_sample),
-        stopped=grown.stopped,
-        rounds=tuple(
-            RoundRecord(
-                worlds=one.n_worlds,
-                in_sample=one.apr,
-                bound=one.bound,
-                mean=one.judged.estimate.mean,
-                ahead_low=None if one.ahead is None else one.ahead.low,
-                ahead_high=None if one.ahead is None else one.ahead.high,
-            )
-            for one in grown.rounds
-        ),
-    )
-
-
-def growth_sentences(growth: GrowthRecord | None) -> list[str]:
+def growth_sentences(growth: Growth | None) -> list[str]:
     """Sentence on how many worlds a layout was chosen in, and why not in more; no full stop."""
     if growth is None:
         return []
@@ -261,8 +219,8 @@ def growth_sentences(growth: GrowthRecord | None) -> list[str]:
         "taken": growth.taken,
         "tried": last.worlds,
         "others": growth.compared_in,
-        "low": _points(last.ahead_low),
-        "high": _points(last.ahead_high),
+        "low": _points(last.low),
+        "high": _points(last.high),
     }
     return [tr(_ENOUGH[growth.stopped], **values)]
 

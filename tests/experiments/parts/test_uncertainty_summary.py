@@ -8,8 +8,6 @@ import pytest
 from experiments.figures.axes import to_png
 from experiments.language import speaking
 from experiments.parts.sampled_worlds import (
-    GrowthRecord,
-    RoundRecord,
     build_pair_record,
     build_sampled_record,
     build_uncertainty_record,
@@ -25,6 +23,7 @@ from experiments.results.numbers import percent
 from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
+from placement.certify import Growth, Round
 from placement.latency import load_latency_budget
 from placement.layout import Layout
 from placement.sampling.out_of_sample import SampledApr
@@ -283,12 +282,10 @@ def test_every_pair_of_layouts_is_compared_world_by_world(judge):
 def growth(stopped, ahead):
     def of(worlds, ahead):
         low, high = ahead
-        return RoundRecord(
-            worlds=worlds, in_sample=0.97, bound=0.98, mean=0.95, ahead_low=low, ahead_high=high
-        )
+        return Round(worlds=worlds, in_sample=0.97, bound=0.98, mean=0.95, low=low, high=high)
 
     rounds = (of(4, (None, None)), of(8, (0.001, 0.003)), of(16, ahead))
-    return GrowthRecord(taken=8, compared_in=60, stopped=stopped, rounds=rounds)
+    return Growth(taken=8, compared_in=60, stopped=stopped, rounds=rounds)
 
 
 @pytest.mark.parametrize(

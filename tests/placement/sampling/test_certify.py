@@ -160,23 +160,28 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     monkeypatch.setattr(pipeline, "N_JUDGED", 6)
     compute = Compute(workers=2, seed=3)
     found = grow(SMALL, compute=compute)
-    taken = found.question.n_samples
-    assert found.stopped in ("same", "no better")
-    assert [one.n_worlds for one in found.rounds] == [*SIZES[: len(found.rounds)]]
-    assert found.rounds[-1].n_worlds == 2 * taken
-    for one in found.rounds:
-        plan = assemble(replace(SMALL, samples=one.n_worlds), compute=compute)
+    growth, last = found.growth, None
+    assert growth.stopped in ("same", "no better")
+    assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
+    assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.question.n_samples
+    for one in growth.rounds:
+        plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
         alone = place(plan, asks_worlds=True)  # as if the number had been given
-        assert one.judged.layout.units == alone.layout.units
-        assert one.apr == alone.certificate.stages[0].objective
+        assert one.in_sample == alone.certificate.stages[0].objective
         (again,) = out_of_sample_layouts(
             *(plan.setting, [alone.layout], plan.uncertainty),
             n_samples=6,
             first=APART,
             compute=compute,
         )
-        assert one.judged.apr_by_sample == pytest.approx(again.apr_by_sample)
-        if one.n_worlds == taken:
+        assert one.mean == pytest.approx(again.estimate.mean)
+        if one.low is not None:
+            gain = again.apr_by_sample - last.apr_by_sample
+            reach = student.ppf(0.975, 5) * gain.std(ddof=1) / np.sqrt(6.0)
+            limits = (gain.mean() - reach, gain.mean() + reach)
+            assert (one.low, one.high) == pytest.approx(limits) or np.ptp(gain) == 0.0
+        last = again
+        if one.worlds == growth.taken:
             assert found.placement.layout.units == alone.layout.units
 
 
@@ -221,16 +226,16 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     monkeypatch, aprs, seconds, taken, stopped
 ):
     found = scripted(monkeypatch, aprs, seconds=seconds)
-    assert (found.question.n_samples, found.stopped) == (taken, stopped)
+    assert (found.question.n_samples, found.growth.stopped) == (taken, stopped)
     assert found.assembly.n_samples == taken
     assert found.placement.problem.sample_index.max() + 1 == taken
 
 
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
-    assert (found.question.n_samples, found.stopped) == (2, "most")
+    assert (found.question.n_samples, found.growth.stopped) == (2, "most")
     found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
-    assert (found.question.n_samples, found.stopped) == (1, "memory")
+    assert (found.question.n_samples, found.growth.stopped) == (1, "memory")
     with pytest.raises(InputError, match="sites"):
         scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
 
