@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
@@ -155,6 +155,7 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
 
 SIZES = (4, 8, 16, 32, 64)
 """Worlds to choose in, round by round."""
+Stopped = Literal["same", "no better", "time", "memory", "most"]
 _TIMES = 5  # Rounds take so many times the time limit of one, before the last one begins
 
 
@@ -202,15 +203,13 @@ class Growth:
 
     taken: int
     compared_in: int
-    stopped: Literal["same", "no better", "time", "memory", "most"]
+    stopped: Stopped
     rounds: tuple[Round, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Grown:
+class Grown(NamedTuple):
     """What is best in as many worlds as are enough."""
 
-    question: Question  # With their number
     assembly: Assembly
     placement: Placement
     growth: Growth
@@ -240,14 +239,14 @@ def grow(
        Operations Research 59 (2011).
     """
     began_s, rounds = now_s(), list[Round]()
-    best: tuple[Question, Assembly, Placement, SampledApr] | None = None
-    stopped: Literal["same", "no better", "time", "memory", "most"] = "most"
+    best: tuple[Assembly, Placement, SampledApr] | None = None
+    stopped: Stopped = "most"
     for n_worlds in SIZES:
         if best is not None and now_s() - began_s > _TIMES * question.time_limit_s:
             stopped = "time"
             break
         asked = replace(question, samples=n_worlds)
-        setting = None if best is None else best[1].setting
+        setting = None if best is None else best[0].setting
         trial = assemble(asked, scene=scene, setting=setting, compute=compute)
         trial = replace(trial, first_sample=first)
         _check_mean(trial.wishes, "worlds are added for nothing else")
@@ -258,20 +257,21 @@ def grow(
                 raise
             stopped = "memory"
             break
-        before = None if best is None else best[3]
-        judged, this = _round(trial, found, before)
+        judged, this = _round(trial, found, None if best is None else best[2])
         rounds.append(this)
-        if before is not None and not (this.low or 0.0) > 0.0:
+        if best is not None and not (this.low or 0.0) > 0.0:
             stopped = "same" if this.low is None else "no better"
             break
-        best = asked, trial, found, judged
+        best = trial, found, judged
     assert best is not None  # the first round is taken in any case
-    asked, assembly, placement, judged = best
-    n_compared = len(judged.apr_by_sample)
+    assembly, placement, judged = best
     growth = Growth(
-        taken=asked.n_samples, compared_in=n_compared, stopped=stopped, rounds=tuple(rounds)
+        taken=assembly.n_samples,
+        compared_in=len(judged.apr_by_sample),
+        stopped=stopped,
+        rounds=tuple(rounds),
     )
-    return Grown(question=asked, assembly=assembly, placement=placement, growth=growth)
+    return Grown(assembly, placement, growth)
 
 
 def _round(

@@ -495,19 +495,12 @@ def _may_prefer(
     is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(solution.pose_index)
     if is_other or is_same or assembly.n_samples:
         return not (is_other or is_same)
-    is_chancy = setting.cars > 0.0 or isinstance(setting.table_detector, ResponseDetector)
-    return is_chancy and _is_as_good(problem, solution, greedy)
-
-
-def _is_as_good(problem: PlacementProblem, solution: Solution, poses: Sequence[int]) -> bool:
-    """True if poses are as good as a solution in all stages up to the APR."""
-    values = objective_values(problem, poses)
-    names = [stage.name for stage in solution.certificate.stages]
-    stages = solution.certificate.stages[: names.index(Objective.APR) + 1]
-    return all(
-        abs(values[Objective(one.name)] - one.objective) <= Objective(one.name).tolerance
-        for one in stages
-    )
+    if not setting.cars and not isinstance(setting.table_detector, ResponseDetector):
+        return False
+    values = objective_values(problem, greedy)
+    stages = {Objective(stage.name): stage for stage in solution.certificate.stages}
+    first = [*stages][: [*stages].index(Objective.APR) + 1]
+    return all(abs(values[one] - stages[one].objective) <= one.tolerance for one in first)
 
 
 def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:

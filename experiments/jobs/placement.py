@@ -158,7 +158,7 @@ def run_placement(
     _check_out(out, progress)
     scene = load_scene(question.scene)
     grown = grow(question, scene=scene, compute=compute) if question.samples == AUTO else None
-    question = grown.question if grown else question
+    question = replace(question, samples=grown.growth.taken) if grown else question
     plan = grown.assembly if grown else assemble(question, scene=scene, compute=compute)
     job_of = partial(_begin_job, setting=plan.setting, compute=compute, progress=progress)
     with job_of(question, scene, side=side, out=out) as job:

@@ -75,8 +75,8 @@ def run_certify(
     expect_files(out, progress)
     growth = None
     if question.samples == AUTO:  # in worlds that neither a bound nor the layout is judged in
-        grown = grow(question, first=APART, compute=compute)
-        question, growth = grown.question, grown.growth
+        growth = grow(question, first=APART, compute=compute).growth
+        question = replace(question, samples=growth.taken)
     plan = assemble(question, compute=compute)
     found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)
     assert plan.uncertainty is not None

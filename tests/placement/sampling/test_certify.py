@@ -163,7 +163,7 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     growth, last = found.growth, None
     assert growth.stopped in ("same", "no better")
     assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
-    assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.question.n_samples
+    assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
     for one in growth.rounds:
         plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
         alone = place(plan, asks_worlds=True)  # as if the number had been given
@@ -226,16 +226,16 @@ def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
     monkeypatch, aprs, seconds, taken, stopped
 ):
     found = scripted(monkeypatch, aprs, seconds=seconds)
-    assert (found.question.n_samples, found.growth.stopped) == (taken, stopped)
+    assert (found.growth.taken, found.growth.stopped) == (taken, stopped)
     assert found.assembly.n_samples == taken
     assert found.placement.problem.sample_index.max() + 1 == taken
 
 
 def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
     found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
-    assert (found.question.n_samples, found.growth.stopped) == (2, "most")
+    assert (found.growth.taken, found.growth.stopped) == (2, "most")
     found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
-    assert (found.question.n_samples, found.growth.stopped) == (1, "memory")
+    assert (found.growth.taken, found.growth.stopped) == (1, "memory")
     with pytest.raises(InputError, match="sites"):
         scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
 
