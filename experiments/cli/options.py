@@ -65,8 +65,8 @@ class WordedOption(click.Option):
 
     The `section` is a title in the help; empty: a command's own options, which stand before all
     sections. The short help shows only `is_common` ones. `expected` is what a value must be, for
-    the message about another one; a number `takes_infinity` as "inf". Without the parameter that it
-    `needs`, or beside the one that it `excludes`, the option is refused.
+    the message about another one; a number `takes_infinity` as "inf", or a `word`. Without the
+    parameter that it `needs`, or beside the one that it `excludes`, the option is refused.
     """
 
     def __init__(
@@ -77,6 +77,7 @@ class WordedOption(click.Option):
         expected: str = "",
         is_path: bool = False,
         takes_infinity: bool = False,
+        word: str = "",
         needs: str = "",
         excludes: str = "",
         **kwargs: Any,
@@ -84,7 +85,8 @@ class WordedOption(click.Option):
         if is_path:
             kwargs["shell_complete"] = complete_paths
         super().__init__(*args, **kwargs)
-        self.takes_infinity, self.needs, self.excludes = takes_infinity, needs, excludes
+        self.takes_infinity, self.word = takes_infinity, word
+        self.needs, self.excludes = needs, excludes
         self.section, self.is_common, self.expected = section, is_common, expected
         if isinstance(self.type, click.Choice):
             self.expected = "one of " + ", ".join(map(str, self.type.choices))
@@ -111,6 +113,8 @@ class WordedOption(click.Option):
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
         """The value, checked by its type."""
+        if self.word and value == self.word:
+            return value
         try:
             typed = super().type_cast_value(ctx, value)
         except click.BadParameter:

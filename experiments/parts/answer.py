@@ -16,7 +16,7 @@ from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
 from .explanation import next_unit_sentence, refinement_sentences
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
-from .sampled_worlds import overtaken_sentences, uncertainty_sentences
+from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
 from .units import private_ground_sentences
 
 _SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
@@ -130,7 +130,9 @@ def preferred(result: Result) -> list[str]:
     found = []
     if isinstance(result, PlacementResult):
         is_proven = any(stage.name == "apr" and stage.gap == 0.0 for stage in result.stages)
-        found = recommended_sentences(result.front_runners, is_proven=is_proven)
+        chosen_in = result.sampled.chosen_in if result.sampled else None
+        found = preferred_sentences(result.preferred, chosen_in)
+        found += recommended_sentences(result.front_runners, is_proven=is_proven)
     return found + (overtaken_sentences(result.sampled) if result.sampled else [])
 
 

@@ -6,10 +6,11 @@ from typing import Annotated, Any
 
 from msgspec.structs import asdict as fields_of
 
-from placement.certify import GapEstimate, certify, estimate_gap
+from placement.certify import GapEstimate, Growth, certify, estimate_gap, grow
 from placement.compute import Compute
 from placement.pipeline import assemble
-from placement.question import Question
+from placement.question import AUTO, Question
+from placement.sampling.out_of_sample import APART
 
 from ..export.json import to_json, to_json_text
 from ..progress import StageProgress
@@ -17,7 +18,7 @@ from ..results.drives import DrivesRecord, build_drives_record
 from ..results.folders import LAYOUT_FILE, expect_files, save_files
 from ..results.numbers import percent, several
 from ..results.record import Record, says
-from .sampled_worlds import EstimateRecord
+from .sampled_worlds import EstimateRecord, growth_sentences
 from .section import Table
 
 JSON_NAME = "certified.json"
@@ -44,6 +45,7 @@ class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
     command: Annotated[str, says("That made it.")]
     candidates: Annotated[int, says("Number of poses to choose from.")]
     worlds_of_block: Annotated[int, says("Number of worlds in each block.", ge=2)]
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
     uncertainty: Annotated[str, says("Name of what is drawn in the worlds.")]
     seed: Annotated[int, says("Of the draws.", ge=0)]
     blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.")]
@@ -71,6 +73,10 @@ def run_certify(
 ) -> CertifiedResult:
     """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
     expect_files(out, progress)
+    growth = None
+    if question.samples == AUTO:  # in worlds that neither a bound nor the layout is judged in
+        growth = grow(question, first=APART, compute=compute).growth
+        question = replace(question, samples=growth.taken)
     plan = assemble(question, compute=compute)
     found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)
     assert plan.uncertainty is not None
@@ -79,6 +85,7 @@ def run_certify(
         command=command,
         candidates=len(plan.candidates),
         worlds_of_block=plan.n_samples,
+        growth=growth,
         uncertainty=plan.uncertainty.name,
         seed=compute.seed,
         blocks=tuple(
@@ -145,6 +152,7 @@ def words(result: CertifiedResult) -> list[str]:
         f"than {100.0 * result.most:.2f} %: {100.0 * result.bias:.2f} points of the gap would go "
         f"with larger blocks or a better layout, {100.0 * result.chance:.2f} with more worlds",
         f"The upper limit is the mean of {n_blocks} proven bounds, one for each block of {worlds}",
+        *growth_sentences(result.growth),
     ]
     if loose:
         said.append(

@@ -9,11 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
+from placement.certify import Growth
+from placement.pipeline import FOUND
+from placement.question import N_JUDGED
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
+from ..language import mark, tr
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -28,6 +32,36 @@ _AS_THEY_ARE = (
 _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
+_TIED = mark(
+    "As planned, greedy choice's layout is as good as the one found. In {n} sampled worlds it "
+    "prevents {points:.2f} points more (95 %: {low:.2f} to {high:.2f}): so it is the answer."
+)
+_SURPASSED = mark(
+    "Greedy choice's layout is the answer, not the one found, which is better in the {chosen} "
+    "worlds to choose in: in {n} fresh ones greedy choice's prevents {points:.2f} points more "
+    "(95 %: {low:.2f} to {high:.2f})."
+)
+_ENOUGH = {
+    "same": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the same layout"
+    ),
+    "no better": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): in {others} fresh ones "
+        "the layout of {tried} prevents {low:+.2f} to {high:+.2f} points more (95 %)"
+    ),
+    "time": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), the last ones that there was "
+        "time for: with a longer --time-limit more are tried"
+    ),
+    "memory": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}): twice as many do not fit "
+        "into the memory of this machine"
+    ),
+    "most": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), and was still getting "
+        "better: more are not tried"
+    ),
+}
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -103,6 +137,7 @@ class SampledRecord(Record, frozen=True, kw_only=True):
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
     chosen_in: Annotated[int | None, says("Other worlds, to choose the first layout in.")] = None
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
     traffic_source: Annotated[str, says("Who drives by: SUMO with its demand; or empty.")] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
@@ -125,12 +160,13 @@ def build_sampled_record(
     planned_apr: Mapping[str, float] | None = None,
     chosen_apr: Mapping[str, float] | None = None,
     chosen_in: int | None = None,
+    growth: Growth | None = None,
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
     `tail` is the worst share of the worlds that is summed up. By name of the layout, `planned_apr`
     is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
-    chosen in.
+    chosen in; `growth` says how their number was found out.
     """
     subject = judged[0]
     tails = None
@@ -141,6 +177,7 @@ def build_sampled_record(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=len(subject.apr_by_sample),
         chosen_in=chosen_in,
+        growth=growth,
         seed=seed,
         traffic_source="" if uncertainty.moving is None else uncertainty.moving.name,
         moving=None if uncertainty.moving is None else subject.driving,
@@ -165,10 +202,27 @@ def build_sampled_record(
             for row, item in enumerate(judged)
         ),
         pairs=tuple(
-            _pair(judged[one], judged[other], None if tails is None else tails[one] - tails[other])
+            build_pair_record(
+                judged[one], judged[other], None if tails is None else tails[one] - tails[other]
+            )
             for one, other in combinations(range(len(judged)), 2)
         ),
     )
+
+
+def growth_sentences(growth: Growth | None) -> list[str]:
+    """Sentence on how many worlds a layout was chosen in, and why not in more; no full stop."""
+    if growth is None:
+        return []
+    last = growth.rounds[-1]
+    values = {
+        "taken": growth.taken,
+        "tried": last.worlds,
+        "others": growth.compared_in,
+        "low": _points(last.low),
+        "high": _points(last.high),
+    }
+    return [tr(_ENOUGH[growth.stopped], **values)]
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -197,7 +251,9 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     )
 
 
-def _pair(first: SampledApr, second: SampledApr, tails: FloatArray | None) -> SampledPairRecord:
+def build_pair_record(
+    first: SampledApr, second: SampledApr, tails: FloatArray | None = None
+) -> SampledPairRecord:
     """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
     gain = first.apr_by_sample - second.apr_by_sample
     low, high = (None, None) if tails is None else np.quantile(tails, (0.025, 0.975)).tolist()
@@ -245,6 +301,7 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
             f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
             f"{better if chosen > or_nan(subject.mean) else ''}"
         )
+    sentences += growth_sentences(found.growth)
     n_worst = found.tail * (found.chosen_in or 0)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         sentences.append(
@@ -259,6 +316,15 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
         sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
     return [f"{sentence}." for sentence in sentences]
+
+
+def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | None) -> list[str]:
+    """Sentence on greedy choice's layout where fresh worlds took it, not the one found."""
+    if preferred is None or preferred.second != FOUND:
+        return []
+    points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
+    values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
+    return [tr(_TIED if chosen_in is None else _SURPASSED, **values)]
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
