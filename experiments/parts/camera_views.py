@@ -4,16 +4,19 @@ import base64
 import io
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from geometry.errors import InputError, check_one_of
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.imaging import build_backdrop, draw_picture
+from placement.evaluator.pictures import find_frame
+from placement.imaging import Backdrop, build_backdrop, draw_picture
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
@@ -24,6 +27,7 @@ from .section import Picture
 
 _WIDTH_IN, _WIDTH_PX = 3.2, 512
 _JPEG_QUALITY = 85
+_MOST_BACKDROPS = 3
 _MOST_CAMERAS = 4  # of more, none is drawn: a first screen has no room for them
 
 
@@ -36,13 +40,24 @@ def camera_views(setting: Setting, layout: Layout) -> list[Picture]:
     return [_view(unit, labels[unit.id], setting) for unit in cameras]
 
 
-def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
+def _with_width(unit: CandidatePose, width_px: int) -> CandidatePose:
+    """A camera that looks the same way, with so many columns."""
     assert isinstance(unit.sensor, CameraModel)
-    height_px = round(unit.sensor.height_px * _WIDTH_PX / unit.sensor.width_px)
-    small = replace(unit, sensor=replace(unit.sensor, width_px=_WIDTH_PX, height_px=height_px))
-    rgb, run, time_s = draw_view(small, setting)
+    height_px = round(unit.sensor.height_px * width_px / unit.sensor.width_px)
+    return replace(unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px))
+
+
+def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    """An image (h, w, 3) as a file."""
     buffer = io.BytesIO()
     Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
+    return buffer.getvalue()
+
+
+def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
+    small = _with_width(unit, _WIDTH_PX)
+    assert isinstance(small.sensor, CameraModel)
+    rgb, run, time_s = draw_view(small, setting)
     title = f"{label}: what it will see"
     when = f"{abs(time_s):.1f} s before the collision"
     what = case_title(run.case)
@@ -50,10 +65,10 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
         title=title,
         caption=f"Rendered from the map. {what}, {when}.",
         alt=f"Rendered picture of camera {label} at {unit.site_id or 'its mount'}: {what}, {when}.",
-        image=base64.b64encode(buffer.getvalue()).decode(),
+        image=base64.b64encode(to_jpeg(rgb)).decode(),
         format="jpeg",
         width_px=_WIDTH_PX,
-        height_px=height_px,
+        height_px=small.sensor.height_px,
         width_in=_WIDTH_IN,
     )
 
@@ -66,13 +81,8 @@ def draw_view(
     The road user is nearest to where the middle of the image meets the road.
     """
     assert isinstance(unit.sensor, CameraModel)
-    yaw = math.radians(unit.pose.yaw_deg)
-    tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
-    reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)
-    aim_m = unit.pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
-    away_m = [np.hypot(*(run.vru_position_m - aim_m).T) for run in setting.runs]
-    nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
-    run, frame = setting.runs[nearest], int(np.argmin(away_m[nearest]))
+    index, frame = _nearest_frame(unit, setting)
+    run = setting.runs[index]
     picture = draw_picture(
         build_backdrop(setting.scene, run.obstruction),
         run,
@@ -83,3 +93,73 @@ def draw_view(
         compute=compute,
     )
     return picture.rgb, run, float(run.time_s[frame])
+
+
+def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[int, int]:
+    """Index of the run, and of its frame, in which a road user is nearest to a camera's aim."""
+    yaw = math.radians(unit.pose.yaw_deg)
+    tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
+    reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)
+    aim_m = unit.pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
+    away_m = [np.hypot(*(run.vru_position_m - aim_m).T) for run in setting.runs]
+    nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
+    return nearest, int(np.argmin(away_m[nearest]))
+
+
+class LivePictures:
+    """Pictures of cameras that are being aimed: one at a time, of any width.
+
+    What stands still in the runs that were shown last is prepared once.
+    """
+
+    def __init__(self, setting: Setting, *, compute: Compute) -> None:
+        self._setting, self._compute = setting, compute
+        self._backdrops: dict[tuple[object, ...], Backdrop] = {}
+
+    def draw(
+        self, unit: CandidatePose, *, run_id: str, frame: int, width_px: int
+    ) -> dict[str, Any]:
+        """A picture of a frame of a run; without a run, of a road user near the camera's aim.
+
+        "image" is a JPEG in base64, "box" where the road user is seen: left, top, right, bottom as
+        shares of the sides, or None. Raises InputError: it is no camera, there is no such frame.
+        """
+        setting = self._setting
+        if not isinstance(unit.sensor, CameraModel):
+            raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
+        if run_id:
+            check_one_of("run", run_id, setting.axis.run_ids)
+            index = setting.axis.run_ids.index(run_id)
+            frame = find_frame(setting.runs[index], frame)
+        else:
+            index, frame = _nearest_frame(unit, setting)
+        run, small = setting.runs[index], _with_width(unit, width_px)
+        assert isinstance(small.sensor, CameraModel)
+        picture = draw_picture(
+            *(self._backdrop(run), run, frame, small.pose, small.sensor),
+            weather=pick_weather(run.weather, "weather"),
+            compute=self._compute,
+        )
+        return {
+            **{"run": index, "frame": frame, "timeS": float(run.time_s[frame])},
+            "image": base64.b64encode(to_jpeg(picture.rgb)).decode(),
+            "size": [small.sensor.width_px, small.sensor.height_px],
+            "box": _box(picture.instance == picture.names.index("vru")),
+        }
+
+    def _backdrop(self, run: Run) -> Backdrop:
+        key = tuple(parked.key for parked in run.obstruction)
+        if key not in self._backdrops:
+            newest = [*self._backdrops.items()][1 - _MOST_BACKDROPS :]
+            self._backdrops = dict(newest)
+            self._backdrops[key] = build_backdrop(self._setting.scene, run.obstruction)
+        return self._backdrops[key]
+
+
+def _box(mask: NDArray[np.bool_]) -> list[float] | None:
+    """Left, top, right and bottom of what is True in an image (h, w), as shares; None: nothing."""
+    (rows, columns), (height, width) = np.nonzero(mask), mask.shape
+    if not len(rows):
+        return None
+    left, right = columns.min() / width, (columns.max() + 1) / width
+    return [float(edge) for edge in (left, rows.min() / height, right, (rows.max() + 1) / height)]

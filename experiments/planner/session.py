@@ -24,6 +24,7 @@ from placement.live import LiveTable, table_verdict
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
+from ..parts.camera_views import LivePictures
 from ..parts.player import svg_path, unit_records
 from . import plan
 from .numbers import (
@@ -78,6 +79,7 @@ class Workspace:
         self._sight_turn = threading.Lock()
         self.live = LiveTable(setting, compute=work.compute)
         self.views = GroundViews(setting)
+        self.pictures = LivePictures(setting, compute=work.compute)
         self.is_over = threading.Event()  # nobody waits for numbers any longer
         self.known: OrderedDict[Key, dict[str, Any]] = OrderedDict()  # by the evaluator
         self.failed: dict[Key, str] = {}
@@ -238,6 +240,7 @@ class Session:
         self._shows_coverage = False
         self._changed, self._rests, self._moved = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self._views: dict[str, tuple[Key, dict[str, Any]]] = {}  # by unit, with its pose
+        self._picture_turn, self._newest_picture = asyncio.Lock(), object()
         self._tasks: set[asyncio.Task[None]] = set()
         self._doing: dict[str, Any] = {}
 
@@ -472,12 +475,33 @@ class Session:
         model = self._chosen[0] if self._chosen else load_candidate_grid().sensors[0].name
         return plan.first_units(self._stock(), model)
 
-    async def private_view(self, unit_id: str) -> list[list[int]]:
-        """Places of private ground in a unit's picture, centimetres; InputError: no such unit."""
+    async def camera_picture(
+        self, unit_id: str, *, run_id: str, frame: int, width_px: int
+    ) -> dict[str, Any]:
+        """What a camera sees as the newest state has it; see `LivePictures.draw`.
+
+        Of those that wait for their turn only the newest is drawn. InputError: there is no such
+        unit, run or frame. Cancelled: another one was asked for meanwhile.
+        """
+        self._newest_picture = asked = object()
+        async with self._picture_turn:
+            if asked is not self._newest_picture:
+                raise Cancelled
+            revision, unit = self.revision, self._unit(unit_id)
+            found = await asyncio.to_thread(
+                self.workspace.pictures.draw, unit, run_id=run_id, frame=frame, width_px=width_px
+            )
+            return {"revision": revision, **found}
+
+    def _unit(self, unit_id: str) -> CandidatePose:
         unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
         if unit is None:
             raise InputError("unit", unit_id, "one that is mounted there")
-        return await asyncio.to_thread(self.workspace.private_places, unit)
+        return unit
+
+    async def private_view(self, unit_id: str) -> list[list[int]]:
+        """Places of private ground in a unit's picture, centimetres; InputError: no such unit."""
+        return await asyncio.to_thread(self.workspace.private_places, self._unit(unit_id))
 
     async def _judge(self) -> None:
         """Numbers by the evaluator, of whatever is shown and rests: the newest first."""

@@ -30,6 +30,7 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.aeb import is_in_time
 
+from ..parts.camera_views import to_jpeg
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment
@@ -141,8 +142,6 @@ class Tasks:
 
     def picture(self, layout: Layout, unit_id: str, run_id: str, frame: int) -> bytes:
         """Picture of a camera in a frame of a run, as JPEG."""
-        from PIL import Image
-
         from placement.evaluator.pictures import find_frame, find_viewpoint, render
         from placement.imaging import Picture
 
@@ -152,9 +151,7 @@ class Tasks:
         seen = render(self.setting.scene, run, frame, viewpoint, compute=self._of_units)
         if not isinstance(seen, Picture):
             raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
-        buffer = io.BytesIO()
-        Image.fromarray(seen.rgb).save(buffer, format="JPEG", quality=85)
-        return buffer.getvalue()
+        return to_jpeg(seen.rgb)
 
     def choose_sensors(self, sensors: str) -> None:
         """Models that advice may mount, with commas between; none: the grid's own."""

@@ -6,6 +6,7 @@ import { bearingOf, createCompass, createSideView, giveUpHandle } from "./handle
 import { ask, openLine } from "./line.js";
 import { bandColour, createMap } from "./map.js";
 import { createPlayed } from "./run.js";
+import { createSeen } from "./seen.js";
 import { element } from "./shared.js";
 
 const find = (id) => document.getElementById(id);
@@ -55,7 +56,8 @@ const onHandles = {
   giveUp, snapped, refused,
 };
 const compass = createCompass(find("compass-holder"), onHandles), sideView = createSideView(find("side-holder"), onHandles);
-const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => markPlayed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? "avoided"); } });
+const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => { markPlayed(); seen.changed(); }, onFrame: () => seen.changed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? "avoided"); } });
+const seen = createSeen({ scene: () => scene, unitNow: () => state?.units.find((unit) => unit.id === selected), runNow: () => (played.run() ? { run: played.run(), frame: played.frame() } : null) });
 const comparison = compareVariants({ map, state: () => state, cases: () => scene.cases });
 const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
 
@@ -82,6 +84,7 @@ function connected(isOpen) {
   banner.textContent = isOpen ? "" : "The connection to place-rsus plan is lost; trying again. What you do now is not saved.";
   find("main").inert = !isOpen;
   if (!isOpen) { numbers = null; live.clear(); showNumbers(); }
+  else seen.again();
 }
 
 // What was asked for is not answered: no number is taken for that of what is shown.
@@ -291,6 +294,7 @@ const current = () => { const unit = state?.units.find((each) => each.id === sel
 
 function fillUnit() {
   const unit = current();
+  seen.changed();
   find("unit").hidden = !unit;
   if (!unit) return;
   const reach = map.viewOf(unit.id)?.reachM;

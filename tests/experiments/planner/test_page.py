@@ -3,6 +3,7 @@
 import json
 import re
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -15,6 +16,8 @@ from shapely import box
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
 from experiments.export.json import to_json_text
+from experiments.figures.axes import describe_run
+from experiments.parts.camera_views import draw_view
 from experiments.parts.result import build_evaluation_record
 from experiments.planner.plan import Variant
 from experiments.results.numbers import percent
@@ -1097,3 +1100,71 @@ def test_the_help_says_every_handling_and_every_colour(browser, serve):
         unit_colour = page.locator('[data-view="RSU0"]').get_attribute("stroke")
         meanings = {"#0072B2", "#D55E00", "#CC79A7", "#F0E442", "#CC0000"}
         assert unit_colour.upper() not in meanings
+
+
+# ---------- what a camera sees
+
+
+def pixels_of(page):
+    """The picture as the browser decodes it, (h, w, 3), in grey levels."""
+    size, flat = page.evaluate(
+        """async () => { const image = document.getElementById("seen-image");
+        await image.decode(); const [width, height] = [image.naturalWidth, image.naturalHeight];
+        const canvas = Object.assign(document.createElement("canvas"), { width, height });
+        const context = canvas.getContext("2d"); context.drawImage(image, 0, 0);
+        return [[height, width], [...context.getImageData(0, 0, width, height).data]]; }"""
+    )
+    return np.array(flat, dtype=float).reshape(*size, 4)[..., :3]
+
+
+def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands(
+    browser, serve, small_setting, tmp_path
+):
+    unit = load_carlancap_layout().units[7]
+    with opened(browser, serve([unit])) as page:
+        fine = page.locator('#seen[data-width="640"][aria-busy="false"]')
+        fine.wait_for()
+        before = page.locator("#seen-image").get_attribute("src")
+        x, y = middle(page.locator("#compass"))
+        page.mouse.move(x, y - 30)
+        page.mouse.down()
+        page.mouse.move(x + 20, y - 20, steps=4)
+        page.locator('#seen[data-width="320"]').wait_for()  # the button is still pressed
+        during = page.locator("#seen-image").get_attribute("src")
+        assert during != before
+        page.mouse.move(x + 25, y + 5, steps=4)
+        page.mouse.up()
+        fine.wait_for()
+        shown = pixels_of(page)
+        assert shown.shape == (360, 640, 3)
+        (turned,) = saved(page, tmp_path).units
+        assert turned.pose.yaw_deg != unit.pose.yaw_deg
+        small = replace(turned, sensor=replace(turned.sensor, width_px=640, height_px=360))
+        expected, run, _ = draw_view(small, small_setting, compute=Compute(workers=2))
+        assert abs(shown - expected).mean() < 4.0  # JPEG's own loss
+        title = small_setting.runs.index(run)
+        assert describe_run(small_setting.axis, title) in page.locator("#seen-text").inner_text()
+
+
+def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
+        told(page)
+        page.locator("#lost button").first.click()
+        page.locator("#played").wait_for()
+        title = page.locator("#lost button").first.inner_text().rsplit(":", 1)[0]
+        text = page.locator("#seen-text")
+        slider = page.locator("#played-frame")
+        slider.focus()
+        page.keyboard.press("End")
+        expect(text).to_contain_text(f"{title}, at the impact", timeout=PATIENCE_MS)
+        page.locator('#seen[data-width="640"][aria-busy="false"]').wait_for()
+        before = page.locator("#seen-image").get_attribute("src")
+        for _ in range(10):
+            page.keyboard.press("ArrowLeft")
+        expect(text).to_contain_text(f"{title}, 1.0 s before the impact", timeout=PATIENCE_MS)
+        assert page.locator("#seen-image").get_attribute("src") != before
+        page.locator("#played-close").click()
+        expect(text).to_contain_text("nearest to where it looks", timeout=PATIENCE_MS)
+        page.locator("#unit-sensor").select_option(label="ouster-os1-128")
+        expect(text).to_have_text("A LiDAR takes no picture.", timeout=PATIENCE_MS)
+        assert page.locator("#seen-frame").is_hidden()

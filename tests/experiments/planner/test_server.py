@@ -1,6 +1,7 @@
 """The server without a browser: who is let in, what is answered, and that numbers agree."""
 
 import asyncio
+import base64
 import io
 import json
 import shutil
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from plan_sessions import InThread, few_poses, small_session, small_work  # noqa: F401
 from shapely import box
 
@@ -24,6 +26,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from experiments.export.json import to_json_text
 from experiments.jobs.placement import run_evaluation
+from experiments.parts.camera_views import draw_view
 from experiments.parts.units import build_private_ground_record
 from experiments.planner import server
 from experiments.planner.plan import Variant
@@ -34,6 +37,7 @@ from experiments.progress import StageProgress
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
 from geometry.scene_files import save_scene
+from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.ground import load_private_ground
@@ -692,6 +696,65 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
         response = client.get(f"/{TOKEN}/picture", params=values)
         assert response.status_code == 400
         assert said in response.json()["problem"]
+
+
+def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client, small_setting):
+    unit = load_carlancap_layout().units[7]
+    client = open_client([unit])
+    run = small_setting.runs[0]
+    for frame in (0, len(run.time_s) - 1):
+        values = {"unit": unit.id, "run": run.id, "frame": frame, "width": 320}
+        found = client.get(f"/{TOKEN}/seen", params=values).json()
+        assert (found["run"], found["frame"], found["size"]) == (0, frame, [320, 180])
+        assert found["timeS"] == run.time_s[frame]
+        image = Image.open(io.BytesIO(base64.b64decode(found["image"])))
+        assert (image.format, image.size) == ("JPEG", (320, 180))
+        waist_m = np.array([[*run.vru_position_m[frame], 0.9]])
+        ((x_px, y_px, *_),) = project_points(waist_m, unit.pose, unit.sensor)
+        at = x_px / unit.sensor.width_px, y_px / unit.sensor.height_px
+        is_inside = 0.0 < at[0] < 1.0 and 0.0 < at[1] < 1.0
+        assert is_inside == (found["box"] is not None)
+        if is_inside:
+            left, top, right, bottom = found["box"]
+            assert left - 0.01 < at[0] < right + 0.01
+            assert top - 0.01 < at[1] < bottom + 0.01
+    nearest = client.get(f"/{TOKEN}/seen", params={"unit": unit.id, "width": 160}).json()
+    _, expected, time_s = draw_view(unit_of_width(unit, 160), small_setting)
+    assert small_setting.runs[nearest["run"]].id == expected.id
+    assert nearest["timeS"] == time_s
+    for values, said in (
+        ({"unit": "nobody"}, "unit: got 'nobody'"),
+        ({"unit": unit.id, "run": "x"}, "run: got 'x'"),
+        ({"unit": unit.id, "run": run.id, "frame": "999"}, "frame: got 999"),
+        ({"unit": unit.id, "width": "wide"}, "width: got 'wide'"),
+    ):
+        response = client.get(f"/{TOKEN}/seen", params=values)
+        assert response.status_code == 400
+        assert said in response.json()["problem"]
+
+
+def unit_of_width(unit, width_px):
+    height_px = round(unit.sensor.height_px * width_px / unit.sensor.width_px)
+    return replace(unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px))
+
+
+def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting):
+    unit = load_carlancap_layout().units[7]
+    variants = [Variant(name="mine", units=(unit,))]
+    session = small_session(tmp_path, small_setting, variants=variants)
+    drawn = []
+    session.workspace.pictures.draw = lambda unit, **asked: drawn.append(asked["width_px"]) or {}
+
+    async def ask_at_once():
+        asked = [
+            session.camera_picture(unit.id, run_id="", frame=0, width_px=width)
+            for width in (100, 200, 300, 400)
+        ]
+        return await asyncio.gather(*asked, return_exceptions=True)
+
+    answers = asyncio.run(ask_at_once())
+    assert drawn == [100, 400]
+    assert [type(answer) for answer in answers] == [dict, Cancelled, Cancelled, dict]
 
 
 def test_report_and_sheet_are_those_of_the_command_line(open_client, few_runs, monkeypatch):
