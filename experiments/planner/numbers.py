@@ -1,29 +1,37 @@
 """Messages to the page: the junction once, then units and numbers whenever they change."""
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from geometry.catalogue import Sensor, sensor_kind
+from geometry.errors import InputError, check_one_of
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
+from placement.detectors import DETECTOR_NAMES
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
 from placement.ground import BANDS, PrivateGround, PrivateSight, find_ground_coverage
 from placement.layout import Layout
-from placement.setting import Setting
-from scenarios.runs import Run
+from placement.question import BLIND, SEE, Question, question_fields, read_cars
+from placement.setting import Setting, check_question
+from scenarios.cases import load_case_sets
+from scenarios.runs import WEATHERS, Run
+from scenarios.weights import WEIGHT_WORDS, default_weights
 
+from ..cli.options import JUDGED, option_of
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
 from ..results.record import build_evaluation_record
-from .plan import SCHEMA, Background, History, PlanState, mount_range_m
+from .plan import SCHEMA, Background, ChangeQuestion, History, PlanState, mount_range_m
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"
 
@@ -102,6 +110,66 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
 def centimetres(values_m: Any) -> Any:
     """Metres as lists of whole centimetres, as messages have them."""
     return np.rint(100.0 * np.asarray(values_m)).astype(int).tolist()
+
+
+# ---------- what is asked
+
+
+def change_question(question: Question, change: ChangeQuestion, begun: Question) -> Question:
+    """A question with what a browser changes; files are those that the session has `begun` with.
+
+    Raises InputError: a value is none that can be chosen.
+    """
+    asked = msgspec.structs.asdict(change)
+    given = {name: value for name, value in asked.items() if value is not msgspec.UNSET}
+    for name in ("detector", "weights"):
+        if name in given:
+            check_one_of(name, given[name], _choices(begun)[name])
+    cases = given.get("cases", "")
+    if ".toml" in cases.lower() and cases != begun.cases:
+        raise InputError("cases", cases, "sets and names of cases")
+    changed = replace(question, **given)
+    if 0.0 < read_cars(changed.cars) < 1.0:
+        raise InputError("cars", changed.cars, f"{BLIND} or {SEE}: the page tells each run once")
+    check_question(replace(changed, detector=DETECTOR_NAMES[0]))
+    return changed
+
+
+def _choices(begun: Question) -> dict[str, list[str]]:
+    known = {"detector": DETECTOR_NAMES, "weights": ("", *WEIGHT_WORDS), "cars": (BLIND, SEE)}
+    return {name: [*dict.fromkeys([*words, getattr(begun, name)])] for name, words in known.items()}
+
+
+def question_record(question: Question, begun: Question) -> dict[str, Any]:
+    """What the page lets choose of a question, and how the numbers are made again elsewhere."""
+    names = msgspec.structs.fields(ChangeQuestion)
+    weights = question.weights or default_weights(question.cases)
+    meaning = _MEANINGS.get(weights, f"Runs count by the weights of {weights}")
+    return {
+        "now": {field.name: getattr(question, field.name) for field in names},
+        "choices": _choices(begun) | {"weather": WEATHERS, "cases": [*load_case_sets()]},
+        "defaultWeights": default_weights(question.cases),
+        "meaning": f"{meaning}.",
+        "command": evaluate_command(question),
+    }
+
+
+_MEANINGS = {
+    "case": "Mean over cases, and in each over approaches, positions and runs; not over all runs",
+    "run": "Share of all runs: each counts the same, so cases with more runs count more",
+    "fhwa-crash-types": "Cases count by how often cars hit people so, not by their runs",
+    "euroncap-rating-2026": "Cases count by their points in Euro NCAP's rating, not by their runs",
+}
+
+
+def evaluate_command(question: Question) -> str:
+    """Command that evaluates the saved layout, as a shell takes it."""
+    words = ["place-rsus", "evaluate", "--layout", "layout.json"]
+    for field in question_fields().values():
+        value = getattr(question, field.name)
+        if field.name in ("no_look", *JUDGED) and value != field.default:
+            words += [option_of(field)] if value is True else [option_of(field), f"{value}"]
+    return shlex.join(words)
 
 
 def state_record(history: History, scene: Scene) -> dict[str, Any]:

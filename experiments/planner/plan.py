@@ -208,7 +208,18 @@ class ChooseSensors(_Request, tag="sensors"):
     names: list[str]
 
 
-_Other = Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
+class ChangeQuestion(_Request, tag="question"):
+    """Drive other cases, or see and judge them otherwise; what is not given stays as it is."""
+
+    cases: str | UnsetType = UNSET
+    weather: str | UnsetType = UNSET
+    detector: str | UnsetType = UNSET
+    weights: str | UnsetType = UNSET
+    cars: str | UnsetType = UNSET
+    vam_rate: float | UnsetType = UNSET
+
+
+_Other = ChangeQuestion | Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
 Message = Change | Undo | Redo | Revert | _Other
 _DECODER = msgspec.json.Decoder(Message)
 

@@ -19,7 +19,7 @@ from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
 
-from .numbers import layout_text
+from .numbers import evaluate_command, layout_text
 from .plan import MAX_IMAGE_BYTES, MAX_PLAN_BYTES, build_background, read_plan
 from .session import MAX_MAP_BYTES, Session
 from .tasks import Cancelled, TaskError
@@ -273,7 +273,7 @@ class Pages:
         return Response(picture, media_type="image/jpeg")
 
     async def _report(self, request: Request) -> Response:
-        asked = self._session.layout(), "place-rsus plan"
+        asked = self._session.layout(), evaluate_command(self._session.work.question)
         content = await self._session.call("report", *asked, is_long=True)
         return _download(content, "report.zip", "application/zip")
 

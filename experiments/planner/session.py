@@ -21,6 +21,7 @@ from placement.candidates import CandidatePose, build_grid, load_candidate_grid,
 from placement.ground import PrivateGround, PrivateSight, load_private_ground
 from placement.layout import Layout
 from placement.live import LiveTable, table_verdict
+from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
@@ -29,11 +30,13 @@ from ..parts.player import svg_path, unit_records
 from . import plan
 from .numbers import (
     centimetres,
+    change_question,
     cost_record,
     coverage_record,
     key_of,
     plan_text,
     private_record,
+    question_record,
     scene_record,
     state_record,
     table_numbers,
@@ -228,6 +231,9 @@ class Session:
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
         self.is_lost = False
         self._exact, self._advice = make_worker(work), make_worker(work)
+        self._begun = work.question
+        # The question that is to come, and whose worker builds its setting
+        self._coming: tuple[Question, Worker | None] = work.question, None
         self._proposals: list[Proposal] = []
         self._numbers_of_proposals = count(1)
         self._words = sensor_words(work.question.sensors)
@@ -270,8 +276,9 @@ class Session:
 
     def stop_processes(self) -> None:
         """End everything that works in other processes; from any thread."""
-        for worker in (self._exact, self._advice):
-            worker.stop()
+        for worker in (self._exact, self._advice, self._coming[1]):
+            if worker is not None:
+                worker.stop()
 
     def _spawn(self, work: Any) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -294,6 +301,7 @@ class Session:
         self.listeners.add(listener)
         self.left_at_s = None
         listener(self._scene_message())
+        listener(self._question_message())
         listener(self._state_message())
         listener(self._proposals_message())
         listener(plan.background_message(self.workspace.background))
@@ -323,6 +331,9 @@ class Session:
             },
         }
 
+    def _question_message(self) -> dict[str, Any]:
+        return {"type": "question", **question_record(self.work.question, self._begun)}
+
     def _stock(self) -> plan.Stock:
         return plan.Stock(scene=self.setting.scene, models=self._models)
 
@@ -347,6 +358,9 @@ class Session:
                 self._go_to(self.history.redone())
             case plan.Revert(gesture=gesture):
                 self._go_to(self.history.reverted(gesture))
+            case plan.ChangeQuestion():
+                before = self.work.question if self._coming[1] is None else self._coming[0]
+                self._ask(change_question(before, message, self._begun))
             case plan.Ask():
                 if self._advice.is_busy:
                     got = Unquoted("another request")
@@ -410,6 +424,7 @@ class Session:
             self._proposals = []
             self._views.clear()
             self.send(self._scene_message())
+            self.send(self._question_message())
         self.history = history
         self.revision += 1
         self.send(self._state_message())
@@ -651,6 +666,49 @@ class Session:
         self._proposals = [each for each in self._proposals if each is not proposal]
         self._go_on(state)
         self.send(self._proposals_message())
+
+    # ---------- what is asked
+
+    def _ask(self, question: Question) -> None:
+        """Go on with another question when its runs are there; of several the newest counts."""
+        if self._coming[1] is not None:
+            self._coming[1].stop()
+        self._coming = question, None
+        self._do("setting", "")
+        if question == self.work.question:
+            self.send(self._question_message())
+            return
+        work = replace(self.work, question=question)
+        exact = self._make_worker(work)
+        self._coming = question, exact
+        self._spawn(self._ask_otherwise(work, exact))
+
+    async def _ask_otherwise(self, work: Work, exact: Worker) -> None:
+        """Judge by another question; the layout stays, and Undo leads back."""
+        before, problem = self.workspace, ""
+        self._do("setting", "start")
+        try:
+            setting = await exact.call("open_setting", on_progress=self._stages("setting"))
+            workspace, problem = await asyncio.to_thread(
+                build_workspace, work, setting, title=before.title, save=before.save
+            )
+        except Cancelled:
+            return
+        except TaskError as error:
+            problem, workspace = str(error), None
+        if self._coming[1] is not exact:  # something else is asked by now
+            exact.stop()
+            return
+        self._coming = work.question, None
+        self._do("setting", "")
+        self._notice(problem)
+        if workspace is None or self.work.question.scene != work.question.scene:
+            exact.stop()
+            self.send(self._question_message())
+            return
+        workspace.background = self.workspace.background
+        state = replace(self.history.state, workspace=workspace)
+        self._go_to(self.history.went_on(state).of_newest(_MAX_WORKSPACES), exact)
 
     # ---------- answers to addresses
 

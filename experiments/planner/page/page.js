@@ -5,6 +5,7 @@ import { openDialogs } from "./dialogs.js";
 import { bearingOf, createCompass, createSideView, giveUpHandle } from "./handles.js";
 import { ask, openLine } from "./line.js";
 import { bandColour, createMap } from "./map.js";
+import { createQuestion } from "./question.js";
 import { createPlayed } from "./run.js";
 import { createSeen } from "./seen.js";
 import { element } from "./shared.js";
@@ -58,6 +59,7 @@ const onHandles = {
 const compass = createCompass(find("compass-holder"), onHandles), sideView = createSideView(find("side-holder"), onHandles);
 const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => { markPlayed(); seen.changed(); }, onFrame: () => seen.changed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? "avoided"); } });
 const seen = createSeen({ scene: () => scene, unitNow: () => state?.units.find((unit) => unit.id === selected), runNow: () => (played.run() ? { run: played.run(), frame: played.frame() } : null) });
+const question = createQuestion({ send: (message) => line.send(message) });
 const comparison = compareVariants({ map, state: () => state, cases: () => scene.cases });
 const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
 
@@ -71,8 +73,8 @@ window.addEventListener("beforeunload", (event) => {
 function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
-    coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
-    problem: (message) => { settle(); mounting = null; notice(message.text); }, notice: (message) => notice(message.text),
+    coverage: readCoverage, question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
+    problem: (message) => { settle(); question.refused(); mounting = null; notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
 }
@@ -115,12 +117,15 @@ function options(select, values, chosen) {
 function readScene(message) {
   const isOther = scene && scene.name !== message.name;
   scene = message;
+  const site_ = find("site").value;
   find("scene-name").textContent = `at ${scene.title}, ${scene.runs.length} runs`;
   find("scene-name").title = scene.name;
   document.title = `Plan at ${scene.title} - place-rsus`;
   map.showScene(scene);
   map.showShares(null);
-  if (isOther) { selected = undefined; mounting = null; played.close(); locked.clear(); }
+  if (isOther) { selected = undefined; mounting = null; locked.clear(); }
+  if (isOther || !scene.runs.some((run) => run.id === played.run())) played.close();
+  numbers = null;
   const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.kind})`, site.isForbidden]);
   options(find("site"), sites);
   options(find("why-site"), sites);
@@ -130,7 +135,8 @@ function readScene(message) {
   options(find("unit-sensor"), models);
   fillGrid();
   coverage = null;
-  chooseSite(find("site").value);
+  chooseSite(isOther || !scene.sites.some((site) => site.id === site_) ? find("site").value : site_);
+  seen.again();
 }
 
 function fillGrid() {
@@ -175,6 +181,18 @@ function readNumbers(message) {
   if (!state || numbers.revision !== state.revision) return;
   clearTimeout(timer);
   showNumbers();
+}
+
+// What each number means, one hover away.
+const OF_PART = () => `Share of the runs of this row that is avoided, with the same weights. ${question.meaning()}`;
+function tellMeanings() {
+  const meaning = question.meaning();
+  find("apr").title = `APR, the share of the runs that all mounted sensors together avoid. ${meaning}`;
+  find("beside").title = `Shares of the same runs with the same weights. ${meaning} The worst unit is the one whose failure leaves least.`;
+  find("source").title = "By the detection table: rays to points of each road user, at once. By the evaluator: every frame rendered, as place-rsus evaluate does it.";
+  for (const id of ["by-case", "by-approach", "by-road-user"]) find(id).title = OF_PART();
+  find("lost-text").title = "Numbers of runs, not their weights: each run counts once here.";
+  showUnits();
 }
 
 const within = (value, [low, high]) => Math.min(Math.max(value, low), high);
@@ -253,7 +271,7 @@ function fillShares(id, shares) {
     const title = scene.cases[name] ?? "";
     const named = element("th", { scope: "row", text: name, title }, row);
     if (title) element("span", { class: "unseen", text: `: ${title}` }, named);
-    element("td", { class: "number", text: share }, row);
+    element("td", { class: "number", text: share, title: OF_PART() }, row);
   }
 }
 
@@ -284,7 +302,7 @@ function showUnits() {
   state.units.forEach(({ id, title }, index) => {
     const [button, text] = [list.children[index].firstChild, `${id}${alone[id] ? ` ${alone[id]}` : ""}${locked.has(id) ? ", locked" : ""}`];
     if (button.textContent !== text) button.textContent = text;
-    button.title = title;
+    button.title = `${title}${alone[id] ? `; ${alone[id]}: what it avoids alone. ${question.meaning()}` : ""}`;
     button.setAttribute("aria-pressed", id === selected);
   });
   fillUnit();
@@ -548,7 +566,8 @@ find("cancel").addEventListener("click", () => line.send({ do: "cancel" }));
 
 function readDoing(message) {
   const text = message.stage ? `${message.who}: ${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}` : "";
-  if (message.who === "optimiser") {
+  if (message.who === "setting") question.doing(message.stage && `${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}`);
+  else if (message.who === "optimiser") {
     find("doing").textContent = text;
     find("cancel").hidden = !text;
     document.querySelectorAll("[data-ask]").forEach((button) => { button.disabled = Boolean(text); });
@@ -587,7 +606,8 @@ function readVariants(message) {
   const table = find("variants");
   table.tHead.replaceChildren();
   const head = element("tr", {}, table.tHead);
-  ["", "units", "cost", "APR", "one fails", ...cases].forEach((text) => element("th", { scope: "col", text, title: scene.cases[text] ?? "" }, head));
+  const meanings = ["", "mounted sensors", "sensors and poles, once", `share of the runs that is avoided. ${question.meaning()}`, "what is left of it when the unit fails that leaves least"];
+  ["", "units", "cost", "APR", "one fails", ...cases].forEach((text, column) => element("th", { scope: "col", text, title: meanings[column] ?? `${scene.cases[text] ?? ""}: ${OF_PART()}` }, head));
   const [body] = table.tBodies;
   const focused = document.activeElement?.dataset?.variant;
   body.replaceChildren();
@@ -597,7 +617,7 @@ function readVariants(message) {
     const button = element("button", { type: "button", text: row.name, "data-variant": index, "aria-current": index === state?.current }, name);
     button.addEventListener("click", () => line.send({ do: "select-variant", index }));
     const apr = { none: row.units ? row.problem || "computing \u2026" : "", table: `${row.apr} (table)`, evaluator: row.apr }[row.source];
-    [row.units, row.cost, apr, row.oneFails, ...cases.map((name_) => row.byCase[name_] ?? "")].forEach((text) => element("td", { text }, line_));
+    [row.units, row.cost, apr, row.oneFails, ...cases.map((name_) => row.byCase[name_] ?? "")].forEach((text, column) => element("td", { text, title: meanings[column + 1] ?? OF_PART() }, line_));
   });
   if (focused !== undefined) body.querySelector(`[data-variant="${focused}"]`)?.focus();
   comparison.variantsChanged(rows);

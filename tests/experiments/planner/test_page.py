@@ -1168,3 +1168,42 @@ def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(browse
         page.locator("#unit-sensor").select_option(label="ouster-os1-128")
         expect(text).to_have_text("A LiDAR takes no picture.", timeout=PATIENCE_MS)
         assert page.locator("#seen-frame").is_hidden()
+
+
+# ---------- what is driven and seen
+
+
+def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
+    browser, serve, small_setting
+):
+    units = load_carlancap_layout().units[6:8]
+    with opened(browser, serve(units)) as page:
+        told(page)
+        assert page.locator("#apr").get_attribute("title").count("Mean over cases") == 1
+        cells = page.locator("td.number:not([title])")
+        expect(cells).to_have_count(0)
+        runs = page.locator("#scene-name").inner_text()
+        command = page.locator("#question-command")
+        page.locator("#question summary").click()
+        assert "--weather" not in command.inner_text()
+        page.locator('#ask-weather input[value="night"]').check()
+        expect(page.locator("#question-doing")).to_contain_text("laid anew", timeout=PATIENCE_MS)
+        expect(command).to_contain_text("--weather day,night", timeout=PATIENCE_MS)
+        expect(page.locator("#question-doing")).to_have_text("", timeout=PATIENCE_MS)
+        assert page.locator("#scene-name").inner_text() != runs
+        expect(page.locator("#units button")).to_have_count(2)
+        told(page)
+        page.locator("#ask-weights").select_option("run")
+        expect(command).to_contain_text("--weights run", timeout=PATIENCE_MS)
+        expect(page.locator("#apr")).to_have_attribute(
+            "title", re.compile("Share of all runs: each counts the same"), timeout=PATIENCE_MS
+        )
+        write(page.locator("#ask-cases"), "CPXX")
+        page.locator("#ask-cases").press("Tab")
+        expect(page.locator("#notice")).to_contain_text("cases: got 'CPXX'", timeout=PATIENCE_MS)
+        expect(page.locator("#ask-cases")).to_have_value("CPNC-50")
+        page.locator("#undo").click()
+        expect(page.locator("#ask-weights")).to_have_value("", timeout=PATIENCE_MS)
+        page.locator("#undo").click()
+        expect(page.locator("#scene-name")).to_have_text(runs, timeout=PATIENCE_MS)
+        assert "--weather" not in command.inner_text()

@@ -4,6 +4,7 @@ import asyncio
 import base64
 import io
 import json
+import shlex
 import shutil
 import threading
 import time
@@ -736,6 +737,61 @@ def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client,
 def unit_of_width(unit, width_px):
     height_px = round(unit.sensor.height_px * width_px / unit.sensor.width_px)
     return replace(unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px))
+
+
+def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
+    open_client, join, run, tmp_path
+):
+    units = load_carlancap_layout().units[6:8]
+    client = open_client(units)
+    line = join(client)
+    by_day = line.numbers("evaluator")
+    assert line.last["question"]["now"]["weather"] == "day"
+    line.send(do="question", weather="night", cars="see")
+    line.send(do="question", detector="response")  # before the runs of the first are laid
+    line.until(lambda message: message["type"] == "doing" and message["who"] == "setting")
+    line.until(lambda message: message["type"] == "question")
+    now = line.last["question"]["now"]
+    assert (now["weather"], now["cars"], now["detector"]) == ("night", "see", "response")
+    assert now["cases"] == "CPNC-50"
+    assert [unit["id"] for unit in line.state()["units"]] == [unit.id for unit in units]
+    by_night = line.numbers("evaluator")
+    assert by_night["record"] != by_day["record"]
+    layout = tmp_path / "layout.json"
+    layout.write_bytes(client.get(f"/{TOKEN}/layout.json").content)
+    words = shlex.split(line.last["question"]["command"])
+    assert words[:4] == ["place-rsus", "evaluate", "--layout", "layout.json"]
+    code, out, err = run("evaluate", "--layout", str(layout), *words[4:], "--json")
+    assert code == 0, err
+    assert json.loads(out)["evaluation"] == by_night["record"]
+    line.send(do="undo")
+    line.until(lambda message: message["type"] == "question")
+    assert line.last["question"]["now"]["weather"] == "day"
+    line.state()
+    assert line.numbers("evaluator")["record"] == by_day["record"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"weather": "snow"}, "weather: got 'snow'"),
+        ({"weather": ""}, "weather: got"),
+        ({"detector": "/etc/passwd.toml"}, "detector: got"),
+        ({"weights": "unfallatlas:/etc/passwd"}, "weights: got"),
+        ({"cases": "/etc/own.toml"}, "cases: got '/etc/own.toml'; expected sets and names"),
+        ({"cases": "CPXX"}, "cases: got 'CPXX'"),
+        ({"cars": "0.5"}, "cars: got '0.5'; expected blind or see"),
+        ({"vam_rate": 1.5}, "vam_rate: got 1.5"),
+    ],
+)
+def test_a_question_that_cannot_be_is_refused_at_once(open_client, join, changes, said):
+    line = join(open_client(load_carlancap_layout().units[:1]))
+    line.send(do="question", **changes)
+    problem = line.until(lambda message: message["type"] == "problem")
+    assert problem["text"].replace("question: ", "").startswith(said)
+    assert not any(
+        message["type"] == "doing" and message["who"] == "setting" for message in line.seen
+    )
 
 
 def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting):
