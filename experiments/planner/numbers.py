@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.catalogue import Sensor, sensor_kind
 from geometry.errors import InputError, check_one_of
-from geometry.scene import Scene
+from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
 from placement.detectors import DETECTOR_NAMES
@@ -60,15 +60,7 @@ def scene_record(
     return {
         "name": scene.name,
         "plan": plan_record(scene, np.zeros((0, 2))),
-        "sites": [
-            {
-                **{"id": site.id, "kind": site.kind, "place": centimetres(site.position_m[:2])},
-                **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
-                "capacity": site.capacity_units,
-                "isForbidden": site.use == "forbidden",
-            }
-            for site in scene.sites
-        ],
+        "sites": [_site_record(site) for site in scene.sites],
         "sensors": [
             {
                 **{"name": model.name, "kind": sensor_kind(model), "price": model.price_eur},
@@ -85,6 +77,16 @@ def scene_record(
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
         "private": [] if ground is None else _private_areas(ground),
+    }
+
+
+def _site_record(site: Site, *, is_own: bool = False) -> dict[str, Any]:
+    return {
+        **{"id": site.id, "kind": site.kind, "place": centimetres(site.position_m[:2])},
+        **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
+        "capacity": site.capacity_units,
+        "isForbidden": site.use == "forbidden",
+        "isOwn": is_own,
     }
 
 
@@ -182,6 +184,7 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
         "units": [record | own for record, own in zip(drawn, fields, strict=True)],
         "variants": [{"name": one.name, "units": len(one.units)} for one in state.variants],
         "current": state.current,
+        "poles": [_site_record(pole, is_own=True) for pole in state.poles],
         "canUndo": history.can_undo,
         "canRedo": history.can_redo,
         "cost": cost_record(units, scene),
@@ -226,7 +229,16 @@ def _sum(amounts: Sequence[float | None]) -> float | None:
 
 def layout_text(state: PlanState, scene: Scene) -> str:
     """The current variant as the layout file of ``--layout``; InputError: nothing is mounted."""
-    return to_json(state.variant.layout(scene))
+    return to_json_text(json.loads(to_json(state.variant.layout(scene))) | _pole_places(state))
+
+
+def _pole_places(state: PlanState) -> dict[str, Any]:
+    """Poles of one's own as files have them; nothing where there is none."""
+    places = [
+        {"id": pole.id, "x_m": float(pole.position_m[0]), "y_m": float(pole.position_m[1])}
+        for pole in state.poles
+    ]
+    return {"poles": places} if places else {}
 
 
 def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
@@ -237,7 +249,7 @@ def plan_text(state: PlanState, scene: Scene, background: Background | None = No
         else {"name": variant.name, "layout": []}
         for variant in state.variants
     ]
-    record: dict[str, Any] = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
+    record = {"schema": SCHEMA, "scene": scene.name, "variants": variants, **_pole_places(state)}
     if background is not None:
         record["background"] = msgspec.to_builtins(background)
     return to_json_text(record)

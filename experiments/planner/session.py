@@ -224,7 +224,9 @@ class Session:
         self.workspace = Workspace(work, setting, save=save)
         self._make_worker = make_worker
         self.workspace.background = begun.background if begun else None
-        self.history: History = plan.begin_history(begun.variants if begun else (), self.workspace)
+        first = plan.begin_history(begun.variants if begun else (), self.workspace).state
+        first = plan.lay_poles(first, begun.poles if begun else (), setting.scene)
+        self.history = History(states=(first,))
         self._saves = [save] if save else []
         self.revision = 0
         self.listeners: set[Listener] = set()
@@ -259,6 +261,11 @@ class Session:
     def setting(self) -> Setting:
         """Scene and runs."""
         return self.workspace.setting
+
+    @property
+    def scene(self) -> Scene:
+        """The scene with the poles of one's own."""
+        return plan.with_poles(self.setting.scene, self.history.state.poles)
 
     # ---------- life
 
@@ -335,10 +342,10 @@ class Session:
         return {"type": "question", **question_record(self.work.question, self._begun)}
 
     def _stock(self) -> plan.Stock:
-        return plan.Stock(scene=self.setting.scene, models=self._models)
+        return plan.Stock(scene=self.scene, models=self._models)
 
     def _state_message(self) -> dict[str, Any]:
-        record = state_record(self.history, self.setting.scene)
+        record = state_record(self.history, self.scene)
         return {"type": "state", "revision": self.revision, **record}
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
@@ -401,10 +408,13 @@ class Session:
         plan.check_plan(opened, self.setting.scene)
         state = self.history.state
         if len(state.variants) == 1 and not state.variant.units:
-            state = plan.begin_history(opened.variants, self.workspace).state
+            state = replace(
+                plan.begin_history(opened.variants, self.workspace).state, poles=state.poles
+            )
         else:
             for variant in opened.variants:
                 state = plan.add_variant(state, variant, source=source)
+        state = plan.lay_poles(state, opened.poles, self.setting.scene)
         if opened.background is not None:
             self.lay_background(opened.background)
         self._go_on(state)
@@ -544,7 +554,7 @@ class Session:
 
     async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
         key, workspace = key_of(units), self.workspace
-        layout = Layout(name="plan", units=units, scene_name=self.setting.scene.name)
+        layout = Variant(name="plan", units=units).layout(self.setting.scene)
         self._do("evaluator", "evaluate")
         try:
             stages = self._stages("evaluator")
@@ -585,7 +595,7 @@ class Session:
 
     def _summary(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
         key, workspace = key_of(units), self.workspace
-        cost = cost_record(units, self.setting.scene)
+        cost = cost_record(units, self.scene)
         source = "table" if key in workspace.by_table else "none"
         found = {"apr": workspace.by_table.get(key, ""), "byCase": {}, "oneFails": ""}
         if numbers := workspace.known.get(key):
@@ -622,7 +632,8 @@ class Session:
         words = [self._words[name] for name in self._chosen]
         tell("start", 0, 0)
         try:
-            await self._advice.call("choose_sensors", ",".join(words), on_progress=tell)
+            may = ",".join(words), self.history.state.poles
+            await self._advice.call("choose", *may, on_progress=tell)
             answers = await self._advice.call(
                 "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
             )
@@ -650,7 +661,7 @@ class Session:
         self._rests.set()
 
     def _proposals_message(self) -> dict[str, Any]:
-        scene = self.setting.scene
+        scene = self.scene
         records = [each.record(self._summary(each.units), scene) for each in self._proposals]
         return {"type": "proposals", "proposals": records}
 

@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import UNSET
 
 from geometry.errors import InputError, check_one_of
+from geometry.scene import Site
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
@@ -36,6 +37,7 @@ from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
 from .numbers import evaluated_numbers, key_of
+from .plan import with_poles
 
 _MAX_EVALUATIONS = 40
 _MAX_JUNCTIONS = 400
@@ -61,7 +63,8 @@ class Tasks:
         self._of_units = replace(self._compute, cache_folder=work.scratch / "views")
         self._evaluations: OrderedDict[tuple[object, ...], Evaluation] = OrderedDict()
         self._adviser: Adviser | None = None
-        self._sensors = work.question.sensors
+        self._poles: tuple[Site, ...] = ()
+        self._chosen: tuple[str, list[Any]] = work.question.sensors, []
 
     @cached_property
     def setting(self) -> Setting:
@@ -153,11 +156,12 @@ class Tasks:
             raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
         return to_jpeg(seen.rgb)
 
-    def choose_sensors(self, sensors: str) -> None:
-        """Models that advice may mount, with commas between; none: the grid's own."""
-        if sensors != self._sensors:
+    def choose(self, sensors: str, poles: tuple[Site, ...] = ()) -> None:
+        """Models that advice may mount, with commas between (none: the grid's), and own poles."""
+        chosen = sensors, [(pole.id, *pole.position_m) for pole in poles]
+        if chosen != self._chosen:
             own_models(sensors)  # names are checked now
-            self._sensors, self._adviser = sensors, None
+            self._chosen, self._poles, self._adviser = chosen, poles, None
 
     def advise(
         self, units: Sequence[CandidatePose], request: str, *, n_units: int = 0, site: str = ""
@@ -185,10 +189,10 @@ class Tasks:
         if self._adviser is None:
             nothing: dict[str, Any] = {"budget": None, "budget_cost": None, "target": ""}
             nothing |= {"survive": "0", "min_case_apr": 0.0}
-            question = replace(self._work.question, sensors=self._sensors, **nothing)
-            assembly = assemble(
-                question, setting=self.setting, counts_money=True, compute=self._compute
-            )
+            question = replace(self._work.question, sensors=self._chosen[0], **nothing)
+            scene = with_poles(self.setting.scene, self._poles)
+            setting = replace(self.setting, scene=scene)
+            assembly = assemble(question, setting=setting, counts_money=True, compute=self._compute)
             self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
 

@@ -39,6 +39,12 @@ const map = createMap(find("plan"), {
   snapped,
   refused,
   heightOf: (site) => Math.min(Math.max(8, site.low), site.high),
+  putPole,
+  poling: (isOn) => {
+    find("pole").setAttribute("aria-pressed", isOn);
+    if (isOn) find("own-poles").open = true;
+    find("ruler-text").textContent = isOn ? "Press where a pole is to stand; drag a square one to move it; Escape ends it." : "";
+  },
   measured: (metres) => { find("ruler-text").textContent = `${metres.toFixed(2)} m`; },
   measuring: (isOn) => {
     find("ruler").setAttribute("aria-pressed", isOn);
@@ -74,7 +80,7 @@ function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
     coverage: readCoverage, question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
-    problem: (message) => { settle(); question.refused(); mounting = null; notice(message.text); }, notice: (message) => notice(message.text),
+    problem: (message) => { settle(); question.refused(); mounting = null; awaitsPole = false; notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
 }
@@ -118,6 +124,8 @@ function readScene(message) {
   const isOther = scene && scene.name !== message.name;
   scene = message;
   const site_ = find("site").value;
+  fixedSites = scene.sites;
+  shownPoles = "[]";
   find("scene-name").textContent = `at ${scene.title}, ${scene.runs.length} runs`;
   find("scene-name").title = scene.name;
   document.title = `Plan at ${scene.title} - place-rsus`;
@@ -126,10 +134,7 @@ function readScene(message) {
   if (isOther) { selected = undefined; mounting = null; locked.clear(); }
   if (isOther || !scene.runs.some((run) => run.id === played.run())) played.close();
   numbers = null;
-  const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.kind})`, site.isForbidden]);
-  options(find("site"), sites);
-  options(find("why-site"), sites);
-  options(find("unit-site"), sites);
+  fillSites();
   const models = scene.sensors.map((model) => [model.name, model.name]);
   options(find("sensor"), models, scene.grid[0]);
   options(find("unit-sensor"), models);
@@ -138,6 +143,47 @@ function readScene(message) {
   chooseSite(isOther || !scene.sites.some((site) => site.id === site_) ? find("site").value : site_);
   seen.again();
 }
+
+// Poles of one's own come with the state: they are undone as all else is.
+let fixedSites = [], shownPoles = "[]", awaitsPole = false;
+function fillSites() {
+  const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.isOwn ? "your own " : ""}${site.kind})`, site.isForbidden]);
+  for (const id of ["site", "why-site", "unit-site"]) options(find(id), sites, scene.sites.some((site) => site.id === find(id).value) ? find(id).value : undefined);
+}
+
+function readPoles(poles) {
+  if (JSON.stringify(poles) === shownPoles) return;
+  const before = JSON.parse(shownPoles).map((pole) => pole.id);
+  shownPoles = JSON.stringify(poles);
+  map.showSites([...fixedSites, ...poles]);
+  fillSites();
+  const added = poles.find((pole) => !before.includes(pole.id));
+  if (added && awaitsPole) chooseUnit(null);
+  chooseSite(added && awaitsPole ? added.id : find("site").value);
+  awaitsPole = false;
+}
+
+function putPole([x, y], site = "") {
+  const held = state.units.find((unit) => unit.site === site && locked.has(unit.id));
+  if (site && held) { refused(held.id); return; }
+  awaitsPole = !site;
+  line.send({ do: "pole", east_m: x / 100, north_m: y / 100, site });
+}
+
+const ownPole = () => scene?.sites.find((site) => site.isOwn && site.id === find("site").value);
+function removePole() {
+  if (ownPole()) line.send({ do: "remove-pole", site: ownPole().id });
+}
+const typedPole = () => {
+  const place = ["pole-east", "pole-north"].map((id) => 100 * find(id).valueAsNumber);
+  if (place.every(Number.isFinite)) return place;
+  notice("Type both numbers, east and north of the origin in metres.");
+  return null;
+};
+find("pole").addEventListener("click", () => map.pole(!map.isPoling()));
+find("put-pole").addEventListener("click", () => { const place = typedPole(); if (place) putPole(place); });
+find("move-pole").addEventListener("click", () => { const place = typedPole(); if (place) putPole(place, ownPole().id); });
+find("remove-pole").addEventListener("click", removePole);
 
 function fillGrid() {
   find("grid").replaceChildren(...scene.sensors.map((model) => {
@@ -153,6 +199,7 @@ function fillGrid() {
 function readState(message) {
   keepLocks(message);
   state = message;
+  readPoles(message.poles);
   const last = state.units.at(-1)?.id ?? null;
   if (selected === undefined) selected = last;
   if (mounting !== null && state.units.length > mounting) { selected = last; mounting = null; } // the new one
@@ -483,6 +530,8 @@ function showSiteText() {
   const n = state ? state.units.filter((unit) => unit.site === site.id).length : 0;
   find("site-text").textContent = `${site.kind}, ${site.low} to ${site.high} m; ${n} of ${site.capacity} units are mounted there.`;
   find("hang").disabled = site.isForbidden || n >= site.capacity;
+  find("move-pole").disabled = find("remove-pole").disabled = !site.isOwn;
+  if (site.isOwn) ["east", "north"].forEach((name, axis) => { find(`pole-${name}`).value = (site.place[axis] / 100).toFixed(2); });
 }
 
 function hang(site, aim) {
@@ -705,8 +754,9 @@ document.addEventListener("keydown", (event) => {
     PageDown: () => turnBy((unit) => ({ height_m: within(unit.heightM - 0.25, unit.heightRange) }), key),
     "+": () => current()?.fovRange && turnBy((unit) => ({ fov_deg: within(unit.fovDeg - step, unit.fovRange) }), key),
     "-": () => current()?.fovRange && turnBy((unit) => ({ fov_deg: within(unit.fovDeg + step, unit.fovRange) }), key),
-    Delete: remove,
-    Backspace: remove,
+    Delete: () => (current() ? remove() : removePole()),
+    Backspace: () => (current() ? remove() : removePole()),
+    o: () => map.pole(!map.isPoling()),
     l: toggleLock,
     m: () => map.measure(!map.isMeasuring()),
     n: () => stepUnit(1),

@@ -1207,3 +1207,66 @@ def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
         page.locator("#undo").click()
         expect(page.locator("#scene-name")).to_have_text(runs, timeout=PATIENCE_MS)
         assert "--weather" not in command.inner_text()
+
+
+# ---------- poles of one's own
+
+
+def screen_of(page, scene, place_m):
+    """Where a place of the ground is on the screen, by two poles that are drawn there."""
+    one, other = (next(s for s in scene.sites if s.id == name) for name in ("corner-ne", "lamp-w2"))
+    at = [np.array(middle(page.locator(f'[data-site="{site.id}"]'))) for site in (one, other)]
+    flip = np.array([1.0, -1.0])
+    span_m = (other.position_m - one.position_m)[:2] * flip
+    px_per_m = float(np.dot(at[1] - at[0], span_m) / np.dot(span_m, span_m))
+    away_m = (np.asarray(place_m, dtype=float) - one.position_m[:2]) * flip
+    return tuple(at[0] + px_per_m * away_m)
+
+
+def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(browser, serve, small_setting, tmp_path):
+    scene = small_setting.scene
+    corner = next(site for site in scene.sites if site.id == "corner-nw").position_m[:2]
+    with opened(browser, serve(), may_complain=True) as page:
+        page.locator("#pole").click()
+        notice = page.locator("#notice")
+        page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
+        expect(notice).to_contain_text("a place on the carriageway", timeout=PATIENCE_MS)
+        page.mouse.click(*screen_of(page, scene, corner + [-8.0, 10.0]))
+        expect(notice).to_contain_text("a place inside building", timeout=PATIENCE_MS)
+        page.mouse.click(*screen_of(page, scene, corner + [-4.0, 0.0]))
+        own = page.locator('[data-site="own-1"]')
+        own.wait_for()
+        expect(page.locator("#site")).to_have_value("own-1")
+        page.locator("#hang").click()
+        expect(page.locator("#unit-site")).to_have_value("own-1", timeout=PATIENCE_MS)
+        told(page)
+        (before,) = saved(page, tmp_path).units
+        assert before.site_id == ""
+        assert before.pose.position_m[:2] == pytest.approx(corner + [-4.0, 0.0], abs=0.15)
+        drag(page, middle(own), screen_of(page, scene, corner + [-7.0, 0.0]))
+        page.mouse.up()
+        east = page.locator("#pole-east")
+        expect(east).to_have_value(re.compile(rf"^{corner[0] - 7.0:.0f}"), timeout=PATIENCE_MS)
+        shown = told(page)
+        after = saved(page, tmp_path)
+        (unit,) = after.units
+        moved_m = unit.pose.position_m - before.pose.position_m
+        assert moved_m == pytest.approx([-3.0, 0.0, 0.0], abs=0.3)
+        assert unit.pose.yaw_deg == before.pose.yaw_deg
+        evaluation = evaluate_layout(after, small_setting, compute=Compute(workers=2))
+        assert shown == percent(apr(evaluation.rsu_all, evaluation.axis))
+        page.keyboard.press("Escape")
+        assert page.locator("#pole").get_attribute("aria-pressed") == "false"
+        page.keyboard.press("Escape")  # no sensor is chosen
+        page.keyboard.press("Delete")
+        expect(notice).to_contain_text("which carries U1 of", timeout=PATIENCE_MS)
+        plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.locator('[data-chip="U1"]').click()
+        page.locator("#remove").click()
+        expect(page.locator("#units button")).to_have_count(0, timeout=PATIENCE_MS)
+        page.locator("#remove-pole").click()
+        own.wait_for(state="detached")
+        page.locator("#open-file").set_input_files(plan)  # all is there again
+        own.wait_for()
+        page.locator('[data-chip="U1"]').click()
+        expect(page.locator("#unit-site")).to_have_value("own-1", timeout=PATIENCE_MS)

@@ -771,6 +771,25 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     assert line.numbers("evaluator")["record"] == by_day["record"]
 
 
+def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setting):
+    lamp = next(site for site in small_setting.scene.sites if site.id == "lamp-n1")
+    line = join(open_client(load_carlancap_layout().units[6:7]))
+    east, north = float(lamp.position_m[0]), float(lamp.position_m[1]) + 2.0
+    line.send(do="pole", east_m=east, north_m=north)
+    (pole,) = line.state()["poles"]
+    assert (pole["id"], pole["isOwn"]) == ("own-1", True)
+    line.send(do="ask", request="why-not", site="own-1")
+    answer = line.until(lambda m: m["type"] == "proposals" and len(m["proposals"]) == 2)
+    one_more = answer["proposals"][0]
+    assert one_more["title"] == "One more unit at own-1"
+    line.send(do="take", number=one_more["number"])
+    assert [unit["site"] for unit in line.state()["units"]][1:] == ["own-1"]
+    assert line.numbers("evaluator")["apr"]  # what hangs there is judged
+    line.send(do="remove-pole", site="own-1")
+    problem = line.until(lambda message: message["type"] == "problem")
+    assert "own-1, which carries" in problem["text"]
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
