@@ -70,7 +70,11 @@ def scene_record(
         ],
         "grid": list(chosen),
         "runs": [
-            {"id": run.id, "title": describe_run(axis, index), "frames": len(run.time_s)}
+            {
+                **{"id": run.id, "title": describe_run(axis, index), "frames": len(run.time_s)},
+                "ends": centimetres(run.vru_position_m[-1]),
+                "weight": float(axis.weight[index] / axis.weight.sum()),
+            }
             for index, run in enumerate(setting.runs)
         ],
         "cases": {run.case.name: run.case.title for run in setting.runs},

@@ -1,5 +1,6 @@
 // The junction from above: poles, sensors and their views, arms by the share that is avoided.
 
+import { drawDanger } from "./danger.js";
 import { createRunDrawing } from "./run.js";
 import { addPatterns, drawGround, drawScale, element, MARKS } from "./shared.js";
 
@@ -98,7 +99,7 @@ export function createMap(holder, on) {
   addPatterns(svg);
   addHatching(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
-  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
+  const layers = Object.fromEntries(["still", "image", "coverage", "private", "danger", "ways", "views", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
   const marks = element("g", {}, svg);
   const marked = Object.fromEntries(["arms", "names", "other", "run", "sites", "units", "aim", "drag", "ruler", "scale"].map((name) => [name, element("g", {}, marks)]));
   marked.scale.setAttribute("font-size", 11);
@@ -547,7 +548,7 @@ export function createMap(holder, on) {
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showSeen, showCoverage, showImage, showUnits, showView, showOffered, showOther, showSite, showSites, turn, zoomBy, giveUp, measure, pole, run,
+    showScene, showShares, showSeen, showCoverage, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, turn, zoomBy, giveUp, measure, pole, run,
     isMeasuring: () => Boolean(ruler),
     isPoling: () => isPoling,
     select(id) { selected = id; showUnits(units); },

@@ -1,6 +1,7 @@
 // The planner's page: shows the messages of the session, and sends it what is done here.
 
 import { compareVariants } from "./compare.js";
+import { fillDangerKey } from "./danger.js";
 import { openDialogs } from "./dialogs.js";
 import { bearingOf, createCompass, createSideView, giveUpHandle } from "./handles.js";
 import { ask, openLine } from "./line.js";
@@ -269,6 +270,7 @@ function showNumbers() {
   showPrivate();
   showUnits();
   showLost();
+  showDanger();
   if (isExact) playAgain();
 }
 
@@ -695,6 +697,19 @@ find("coverage").addEventListener("change", (event) => {
   find("coverage-key").hidden = !event.target.checked;
   find("coverage-key").textContent = "computing \u2026";
 });
+
+// Until new numbers come, what is drawn stays, and the legend says that it is old.
+function showDanger() {
+  const isShown = find("danger").checked, isKnown = isCurrent() && numbers.source !== "none";
+  find("danger-key").hidden = !isShown;
+  find("danger-key").classList.toggle("old", !isKnown);
+  if (isShown && !isKnown && isCurrent()) { find("danger-key").textContent = "Nothing is mounted: every run is lost."; map.showDanger(scene.runs.map(({ ends, weight }) => [...ends, weight])); return; }
+  if (isShown && !isKnown) return;
+  const points = isShown ? numbers.lost.map(([index]) => [...scene.runs[index].ends, scene.runs[index].weight]).filter(([, , weight]) => weight > 0) : [];
+  map.showDanger(points);
+  if (isShown) fillDangerKey(find("danger-key"), points);
+}
+find("danger").addEventListener("change", showDanger);
 
 function readCoverage(message) {
   if (!find("coverage").checked) return;

@@ -25,9 +25,9 @@ from geometry.frames import to_geographic
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.evaluation import apr
+from placement.evaluation import apr, run_outcomes
 from placement.evaluator import evaluate_layout
-from placement.layout import load_carlancap_layout, load_layout
+from placement.layout import Layout, load_carlancap_layout, load_layout
 
 pytestmark = pytest.mark.system
 
@@ -1270,3 +1270,53 @@ def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(browser, serve, small
         own.wait_for()
         page.locator('[data-chip="U1"]').click()
         expect(page.locator("#unit-site")).to_have_value("own-1", timeout=PATIENCE_MS)
+
+
+# ---------- where it is still dangerous
+
+
+def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
+    browser, serve, small_setting
+):
+    units = load_carlancap_layout().units[6:7]
+    evaluation = evaluate_layout(
+        Layout(name="mine", units=units), small_setting, compute=Compute(workers=2)
+    )
+    axis = evaluation.axis
+    is_lost = [one != "avoided" for one in run_outcomes(evaluation.rsu_all, axis)]
+    ends_cm = np.array([run.vru_position_m[-1] for run in small_setting.runs])[is_lost] * 100.0
+    weight = axis.weight[is_lost] / axis.weight.sum()
+    assert 0 < len(weight) < axis.n_runs
+    least = [0.1, 0.05, 0.02, 0.01, 0.005, 0.0]
+    with opened(browser, serve(units)) as page:
+        told(page)
+        assert page.locator("#danger-key").is_hidden()
+        page.locator("#danger").check()
+        bands = page.locator("#plan [data-band]")
+        page.locator("#danger-key").filter(has_text=f"{len(weight)}, with").wait_for()
+        drawn = {}
+        for path in bands.all():
+            band = int(path.get_attribute("data-band"))
+            for x, y in re.findall(r"M(-?\d+) (-?\d+)h50v50h-50Z", path.get_attribute("d")):
+                drawn[int(x) + 25, int(y) + 25] = band
+        assert drawn
+        west, south = np.floor(ends_cm.min(axis=0) / 50.0).astype(int) * 50 - 250
+        east, north = ends_cm.max(axis=0) + 250.0
+        for x in range(west + 25, int(east), 50):
+            for y in range(south + 25, int(north), 50):
+                away_cm = np.hypot(*(np.rint(ends_cm) - (x, y)).T)
+                if (abs(away_cm - 200.0) < 1e-6).any():
+                    continue  # on the edge of a disc: either is right
+                expected = weight[away_cm < 200.0].sum()
+                band = drawn.get((x, y))
+                assert (band is None) == (expected == 0.0)
+                if band is not None and min(abs(expected - np.array(least))) > 1e-6:
+                    assert band == next(n for n, one in enumerate(least) if expected > one)
+        fills = page.locator("#danger-key rect").evaluate_all(
+            "all => all.map(one => one.getAttribute('fill'))"
+        )
+        parts = np.array([[int(fill[at : at + 2], 16) for at in (1, 3, 5)] for fill in fills])
+        grey = parts @ [0.2126, 0.7152, 0.0722]
+        assert (np.diff(grey) > 10.0).all()  # told apart in grey: the darker the more
+        page.locator("#danger").uncheck()
+        expect(bands).to_have_count(0)
