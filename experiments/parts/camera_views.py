@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from geometry.errors import InputError, check_one_of
+from geometry.errors import InputError
+from geometry.files import pick
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.evaluator.pictures import find_frame
-from placement.imaging import Backdrop, build_backdrop, draw_picture
+from placement.imaging import Picture as FramePicture
+from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
@@ -27,7 +29,6 @@ from .section import Picture
 
 _WIDTH_IN, _WIDTH_PX = 3.2, 512
 _JPEG_QUALITY = 85
-_MOST_BACKDROPS = 3
 _MOST_CAMERAS = 4  # of more, none is drawn: a first screen has no room for them
 
 
@@ -80,86 +81,65 @@ def draw_view(
 
     The road user is nearest to where the middle of the image meets the road.
     """
+    run, frame = _nearest_frame(unit, setting)
+    return _draw(unit, setting, run, frame, compute).rgb, run, float(run.time_s[frame])
+
+
+def _draw(
+    unit: CandidatePose, setting: Setting, run: Run, frame: int, compute: Compute
+) -> FramePicture:
     assert isinstance(unit.sensor, CameraModel)
-    index, frame = _nearest_frame(unit, setting)
-    run = setting.runs[index]
-    picture = draw_picture(
-        build_backdrop(setting.scene, run.obstruction),
-        run,
-        frame,
-        unit.pose,
-        unit.sensor,
+    return draw_picture(
+        *(build_backdrop(setting.scene, run.obstruction), run, frame, unit.pose, unit.sensor),
         weather=pick_weather(run.weather, "weather"),
         compute=compute,
     )
-    return picture.rgb, run, float(run.time_s[frame])
 
 
-def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[int, int]:
-    """Index of the run, and of its frame, in which a road user is nearest to a camera's aim."""
+def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
+    """The run, and its frame, in which a road user is nearest to a camera's aim."""
     yaw = math.radians(unit.pose.yaw_deg)
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
     reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)
     aim_m = unit.pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
     away_m = [np.hypot(*(run.vru_position_m - aim_m).T) for run in setting.runs]
     nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
-    return nearest, int(np.argmin(away_m[nearest]))
+    return setting.runs[nearest], int(np.argmin(away_m[nearest]))
 
 
-class LivePictures:
-    """Pictures of cameras that are being aimed: one at a time, of any width.
+def live_picture(
+    unit: CandidatePose,
+    setting: Setting,
+    *,
+    run_id: str,
+    frame: int,
+    width_px: int,
+    compute: Compute,
+) -> dict[str, Any]:
+    """What a camera sees in a frame of a run, for a page on which it is being aimed.
 
-    What stands still in the runs that were shown last is prepared once.
+    Without a run, it is one whose road user is near the camera's aim. "image" is a JPEG in base64,
+    "box" where the road user is seen: left, top, right, bottom as shares of the sides, or None.
+    Raises InputError: it is no camera, there is no such run or frame.
     """
-
-    def __init__(self, setting: Setting, *, compute: Compute) -> None:
-        self._setting, self._compute = setting, compute
-        self._backdrops: dict[tuple[object, ...], Backdrop] = {}
-
-    def draw(
-        self, unit: CandidatePose, *, run_id: str, frame: int, width_px: int
-    ) -> dict[str, Any]:
-        """A picture of a frame of a run; without a run, of a road user near the camera's aim.
-
-        "image" is a JPEG in base64, "box" where the road user is seen: left, top, right, bottom as
-        shares of the sides, or None. Raises InputError: it is no camera, there is no such frame.
-        """
-        setting = self._setting
-        if not isinstance(unit.sensor, CameraModel):
-            raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
-        if run_id:
-            check_one_of("run", run_id, setting.axis.run_ids)
-            index = setting.axis.run_ids.index(run_id)
-            frame = find_frame(setting.runs[index], frame)
-        else:
-            index, frame = _nearest_frame(unit, setting)
-        run, small = setting.runs[index], _with_width(unit, width_px)
-        assert isinstance(small.sensor, CameraModel)
-        picture = draw_picture(
-            *(self._backdrop(run), run, frame, small.pose, small.sensor),
-            weather=pick_weather(run.weather, "weather"),
-            compute=self._compute,
-        )
-        return {
-            **{"run": index, "frame": frame, "timeS": float(run.time_s[frame])},
-            "image": base64.b64encode(to_jpeg(picture.rgb)).decode(),
-            "size": [small.sensor.width_px, small.sensor.height_px],
-            "box": _box(picture.instance == picture.names.index("vru")),
-        }
-
-    def _backdrop(self, run: Run) -> Backdrop:
-        key = tuple(parked.key for parked in run.obstruction)
-        if key not in self._backdrops:
-            newest = [*self._backdrops.items()][1 - _MOST_BACKDROPS :]
-            self._backdrops = dict(newest)
-            self._backdrops[key] = build_backdrop(self._setting.scene, run.obstruction)
-        return self._backdrops[key]
-
-
-def _box(mask: NDArray[np.bool_]) -> list[float] | None:
-    """Left, top, right and bottom of what is True in an image (h, w), as shares; None: nothing."""
-    (rows, columns), (height, width) = np.nonzero(mask), mask.shape
-    if not len(rows):
-        return None
-    left, right = columns.min() / width, (columns.max() + 1) / width
-    return [float(edge) for edge in (left, rows.min() / height, right, (rows.max() + 1) / height)]
+    if not isinstance(unit.sensor, CameraModel):
+        raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
+    if run_id:
+        run = pick({run.id: run for run in setting.runs}, run_id, "run")
+        frame = find_frame(run, frame)
+    else:
+        run, frame = _nearest_frame(unit, setting)
+    picture = _draw(_with_width(unit, width_px), setting, run, frame, compute)
+    height_px, width_px, _ = picture.rgb.shape
+    rows, columns = np.nonzero(picture.instance == picture.names.index("vru"))
+    box = None
+    if len(rows):
+        low = columns.min() / width_px, rows.min() / height_px
+        high = (columns.max() + 1) / width_px, (rows.max() + 1) / height_px
+        box = [float(edge) for edge in (*low, *high)]
+    return {
+        **{"run": run.id, "frame": frame, "timeS": float(run.time_s[frame])},
+        "image": base64.b64encode(to_jpeg(picture.rgb)).decode(),
+        "size": [width_px, height_px],
+        "box": box,
+    }

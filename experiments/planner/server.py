@@ -241,6 +241,17 @@ class Pages:
     async def _background(self, request: Request) -> Response:
         """The image below the plan; by POST another one, or with an empty body none."""
         session = self._session
+        name = unquote(request.headers.get("x-file-name", ""))[:200]
+        if request.method == "POST" and name:  # it says itself, or a world file, where it lies
+            path = await self._received(request, _plain_name(name, Path(name).suffix))
+            place = (request.headers.get(f"x-{key}", "")[:500] for key in ("world", "crs"))
+            try:
+                session.lay_background(await session.call("lay_raster", str(path), *place))
+            except TaskError as error:
+                raise TaskError(str(error).replace(str(path), name)) from None
+            finally:
+                _remove(path)
+            return JSONResponse({})
         if request.method == "POST":
             content = await _body(request, MAX_IMAGE_BYTES)
             points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")

@@ -25,7 +25,7 @@ from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..parts.camera_views import LivePictures
+from ..parts.camera_views import live_picture
 from ..parts.player import svg_path, unit_records
 from . import plan
 from .numbers import (
@@ -82,7 +82,6 @@ class Workspace:
         self._sight_turn = threading.Lock()
         self.live = LiveTable(setting, compute=work.compute)
         self.views = GroundViews(setting)
-        self.pictures = LivePictures(setting, compute=work.compute)
         self.is_over = threading.Event()  # nobody waits for numbers any longer
         self.known: OrderedDict[Key, dict[str, Any]] = OrderedDict()  # by the evaluator
         self.failed: dict[Key, str] = {}
@@ -500,10 +499,8 @@ class Session:
         model = self._chosen[0] if self._chosen else load_candidate_grid().sensors[0].name
         return plan.first_units(self._stock(), model)
 
-    async def camera_picture(
-        self, unit_id: str, *, run_id: str, frame: int, width_px: int
-    ) -> dict[str, Any]:
-        """What a camera sees as the newest state has it; see `LivePictures.draw`.
+    async def camera_picture(self, unit_id: str, **shown: Any) -> dict[str, Any]:
+        """What a camera sees as the newest state has it; see `live_picture`.
 
         Of those that wait for their turn only the newest is drawn. InputError: there is no such
         unit, run or frame. Cancelled: another one was asked for meanwhile.
@@ -512,11 +509,8 @@ class Session:
         async with self._picture_turn:
             if asked is not self._newest_picture:
                 raise Cancelled
-            revision, unit = self.revision, self._unit(unit_id)
-            found = await asyncio.to_thread(
-                self.workspace.pictures.draw, unit, run_id=run_id, frame=frame, width_px=width_px
-            )
-            return {"revision": revision, **found}
+            unit, given = self._unit(unit_id), {"compute": self.work.compute, **shown}
+            return await asyncio.to_thread(live_picture, unit, self.setting, **given)
 
     def _unit(self, unit_id: str) -> CandidatePose:
         unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)

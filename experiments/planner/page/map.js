@@ -99,7 +99,8 @@ export function createMap(holder, on) {
   addPatterns(svg);
   addHatching(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
-  const layers = Object.fromEntries(["still", "image", "coverage", "private", "danger", "ways", "views", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
+  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "danger", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
+  layers.danger.setAttribute("pointer-events", "none");
   const marks = element("g", {}, svg);
   const marked = Object.fromEntries(["arms", "names", "other", "run", "sites", "units", "aim", "drag", "ruler", "scale"].map((name) => [name, element("g", {}, marks)]));
   marked.scale.setAttribute("font-size", 11);
@@ -229,6 +230,11 @@ export function createMap(holder, on) {
     element("image", { href: canvas.toDataURL(), x: 0, y: 0, width: 1, height: 1, opacity: 0.8, preserveAspectRatio: "none", "image-rendering": "pixelated", transform: `matrix(${east - west} 0 0 ${south - north} ${west} ${north})` }, layers.coverage);
   }
 
+  let opacity = 0.75;
+  function fade(next) {
+    opacity = next;
+    layers.image.firstChild?.setAttribute("opacity", opacity);
+  }
   function showImage(address, size, pairs) {
     layers.image.replaceChildren();
     if (!address) return;
@@ -240,7 +246,7 @@ export function createMap(holder, on) {
     const [cos, sin] = [(ux * vx + uy * vy) / square, (ux * vy - uy * vx) / square];
     const [x, y] = [p[0], -p[1]];
     const shift = [a[0] - (cos * x - sin * y), a[1] - (sin * x + cos * y)];
-    element("image", { href: address, width: size[0], height: size[1], opacity: 0.75, transform: `matrix(${cos} ${sin} ${sin} ${-cos} ${shift[0]} ${shift[1]})` }, layers.image);
+    element("image", { href: address, width: size[0], height: size[1], opacity, transform: `matrix(${cos} ${sin} ${sin} ${-cos} ${shift[0]} ${shift[1]})` }, layers.image);
   }
 
   // ---------- mounted sensors
@@ -548,7 +554,7 @@ export function createMap(holder, on) {
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showSeen, showCoverage, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, turn, zoomBy, giveUp, measure, pole, run,
+    showScene, showShares, showSeen, showCoverage, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, fade, turn, zoomBy, giveUp, measure, pole, run,
     isMeasuring: () => Boolean(ruler),
     isPoling: () => isPoling,
     select(id) { selected = id; showUnits(units); },

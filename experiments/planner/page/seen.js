@@ -60,7 +60,8 @@ export function createSeen({ unitNow, runNow, scene }) {
     shown = now;
     const [width, height] = found.size;
     image.src = `data:image/jpeg;base64,${found.image}`;
-    const run = scene().runs[found.run];
+    const run = scene().runs.find((one) => one.id === found.run);
+    if (!run) return; // of a question that is none any longer
     const what = `${run.title}, ${found.timeS === 0 ? "at the impact" : `${seconds(Math.abs(1000 * found.timeS), 1)} s before the impact`}`;
     image.alt = `What ${unit.id} sees: ${what}`;
     say(`${what}${runNow() ? "" : ", the road user nearest to where it looks; choose a run to see another"}.${found.box ? "" : " The road user is not in the picture."}`);

@@ -23,6 +23,7 @@ from experiments.planner.plan import Variant
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
 from geometry.poses import Pose
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import apr, run_outcomes
@@ -302,6 +303,32 @@ def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_pa
             await image.decode(); return [image.naturalWidth, image.naturalHeight]; }"""
         )
         assert fetched == [200, 100]
+
+
+def test_an_image_with_its_world_file_lies_at_its_place_and_fades(browser, serve, tmp_path):
+    from PIL import Image
+
+    pytest.importorskip("rasterio", reason="place-rsus[terrain] is not installed")
+    scene = load_study_scene()
+    east, north = scene.outline_m.mean(axis=0)
+    Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
+    numbers = (0.2, 0, 0, -0.2, east - 20.0 + 0.1, north + 10.0 - 0.1)  # in the scene's own frame
+    (tmp_path / "aerial.pgw").write_text("".join(f"{number}\n" for number in numbers))
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        assert page.locator("#opacity-row").is_hidden()
+        page.locator("#background").click()
+        page.locator("#image-crs").fill(scene.crs)
+        both = [tmp_path / "aerial.png", tmp_path / "aerial.pgw"]
+        page.locator("#image-file").set_input_files(both)
+        image = page.locator('#plan image[href^="background"]')
+        image.wait_for(state="attached")
+        page.locator("#image-dialog").wait_for(state="hidden")
+        words = image.get_attribute("transform").removeprefix("matrix(").rstrip(")").split()
+        lies = [20.0, 0.0, 0.0, -20.0, 100.0 * (east - 20.0), 100.0 * (north + 10.0)]
+        assert [float(word) for word in words] == pytest.approx(lies, abs=1e-3)
+        assert (image.get_attribute("width"), image.get_attribute("height")) == ("200", "100")
+        page.locator("#opacity").fill("30")
+        assert float(image.get_attribute("opacity")) == 0.3
 
 
 def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(

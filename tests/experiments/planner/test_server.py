@@ -706,7 +706,7 @@ def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client,
     for frame in (0, len(run.time_s) - 1):
         values = {"unit": unit.id, "run": run.id, "frame": frame, "width": 320}
         found = client.get(f"/{TOKEN}/seen", params=values).json()
-        assert (found["run"], found["frame"], found["size"]) == (0, frame, [320, 180])
+        assert (found["run"], found["frame"], found["size"]) == (run.id, frame, [320, 180])
         assert found["timeS"] == run.time_s[frame]
         image = Image.open(io.BytesIO(base64.b64decode(found["image"])))
         assert (image.format, image.size) == ("JPEG", (320, 180))
@@ -721,7 +721,7 @@ def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client,
             assert top - 0.01 < at[1] < bottom + 0.01
     nearest = client.get(f"/{TOKEN}/seen", params={"unit": unit.id, "width": 160}).json()
     _, expected, time_s = draw_view(unit_of_width(unit, 160), small_setting)
-    assert small_setting.runs[nearest["run"]].id == expected.id
+    assert nearest["run"] == expected.id
     assert nearest["timeS"] == time_s
     for values, said in (
         ({"unit": "nobody"}, "unit: got 'nobody'"),
@@ -813,12 +813,17 @@ def test_a_question_that_cannot_be_is_refused_at_once(open_client, join, changes
     )
 
 
-def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting):
+def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting, monkeypatch):
     unit = load_carlancap_layout().units[7]
     variants = [Variant(name="mine", units=(unit,))]
     session = small_session(tmp_path, small_setting, variants=variants)
     drawn = []
-    session.workspace.pictures.draw = lambda unit, **asked: drawn.append(asked["width_px"]) or {}
+
+    def draw(unit, setting, *, width_px, **asked):
+        drawn.append(width_px)
+        return {}
+
+    monkeypatch.setattr("experiments.planner.session.live_picture", draw)
 
     async def ask_at_once():
         asked = [
