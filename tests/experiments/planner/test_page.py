@@ -507,6 +507,11 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
             page.keyboard.press("Escape")
 
         has_no_fault()
+        for opens in ("#question summary", "#own-poles summary", "#danger", "#pole"):
+            page.locator(opens).click()
+        page.locator("#danger-key").filter(has_text="within 2 m").wait_for()
+        page.locator('#seen[data-width="640"]').wait_for()
+        has_no_fault()
         for opens in ("#show-help", "#background"):
             page.locator(opens).click()
             has_no_fault()
@@ -1233,7 +1238,7 @@ def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
         expect(page.locator("#ask-weights")).to_have_value("", timeout=PATIENCE_MS)
         page.locator("#undo").click()
         expect(page.locator("#scene-name")).to_have_text(runs, timeout=PATIENCE_MS)
-        assert "--weather" not in command.inner_text()
+        expect(command).not_to_contain_text("--weather", timeout=PATIENCE_MS)
 
 
 # ---------- poles of one's own
