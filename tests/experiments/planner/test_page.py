@@ -507,7 +507,7 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
             page.keyboard.press("Escape")
 
         has_no_fault()
-        for opens in ("#question summary", "#own-poles summary", "#danger", "#pole"):
+        for opens in ("[data-chip]", "#question summary", "#own-poles summary", "#danger", "#pole"):
             page.locator(opens).click()
         page.locator("#danger-key").filter(has_text="within 2 m").wait_for()
         page.locator('#seen[data-width="640"]').wait_for()
