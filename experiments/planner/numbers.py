@@ -22,6 +22,7 @@ from placement.question import BLIND, SEE, Question, question_fields, read_cars
 from placement.setting import Setting, check_question
 from scenarios.cases import load_case_sets
 from scenarios.runs import WEATHERS, Run
+from scenarios.scores import AVOIDED
 from scenarios.weights import WEIGHT_WORDS, default_weights
 
 from ..cli.options import JUDGED, option_of
@@ -151,6 +152,8 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
     names = msgspec.structs.fields(ChangeQuestion)
     weights = question.weights or default_weights(question.cases)
     meaning = _MEANINGS.get(weights, f"Runs count by the weights of {weights}")
+    if question.score != AVOIDED:
+        meaning += "; one that is not avoided counts by the speed that is left"
     return {
         "now": {field.name: getattr(question, field.name) for field in names},
         "choices": _choices(begun) | {"weather": WEATHERS, "cases": [*load_case_sets()]},

@@ -244,9 +244,11 @@ class Pages:
         name = unquote(request.headers.get("x-file-name", ""))[:200]
         if request.method == "POST" and name:  # it says itself, or a world file, where it lies
             path = await self._received(request, _plain_name(name, Path(name).suffix))
-            place = (request.headers.get(f"x-{key}", "")[:500] for key in ("world", "crs"))
+            world, crs = (request.headers.get(f"x-{key}", "")[:500] for key in ("world", "crs"))
+            if world:
+                path.with_suffix(".wld").write_text("\n".join(world.split()))
             try:
-                session.lay_background(await session.call("lay_raster", str(path), *place))
+                session.lay_background(await session.call("lay_raster", str(path), crs))
             except TaskError as error:
                 raise TaskError(str(error).replace(str(path), name)) from None
             finally:

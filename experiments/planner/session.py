@@ -690,7 +690,7 @@ class Session:
 
     async def _ask_otherwise(self, work: Work, exact: Worker) -> None:
         """Judge by another question; the layout stays, and Undo leads back."""
-        before, problem = self.workspace, ""
+        before, workspace, problem = self.workspace, None, ""
         self._do("setting", "start")
         try:
             setting = await exact.call("open_setting", on_progress=self._stages("setting"))
@@ -698,16 +698,16 @@ class Session:
                 build_workspace, work, setting, title=before.title, save=before.save
             )
         except Cancelled:
-            return
-        except TaskError as error:
-            problem, workspace = str(error), None
+            pass
+        except Exception as error:  # whatever it is, what was asked before goes on
+            problem = str(error)
         if self._coming[1] is not exact:  # something else is asked by now
             exact.stop()
             return
         self._coming = work.question, None
         self._do("setting", "")
         self._notice(problem)
-        if workspace is None or self.work.question.scene != work.question.scene:
+        if workspace is None or self.workspace is not before:  # another scene was opened
             exact.stop()
             self.send(self._question_message())
             return

@@ -7,7 +7,6 @@ import warnings
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing.connection import Connection
@@ -22,7 +21,6 @@ from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import reading
 from geometry.frames import parse_crs
 from geometry.maps.georeferences import transform
-from geometry.maps.relief import GDAL_ALONE
 from geometry.scene import Site
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose, build_grid, own_models
@@ -49,7 +47,6 @@ from .plan import Background, Lie, LiePoint, with_poles
 _MAX_EVALUATIONS = 40
 _MAX_JUNCTIONS = 400
 _AERIAL_M, _FINEST_M = 150.0, 0.1  # of an image: to each side of the junction, and a pixel
-_MAX_PIXELS = 50_000_000  # that are read as a whole
 _REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
 
 
@@ -165,72 +162,55 @@ class Tasks:
             raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
         return to_jpeg(seen.rgb)
 
-    def lay_raster(self, path: str, world: str, crs: str) -> Background:
+    def lay_raster(self, path: str, crs: str) -> Background:
         """The part of an aerial image that lies around the junction, north up.
 
-        `world` are the six numbers of a world file and `crs` is their reference system, where the
-        image itself does not say where it lies. Raises InputError: it lies elsewhere, or nowhere.
+        `crs` is the reference system of a world file next to it. Raises InputError: it does not say
+        where it lies, or lies elsewhere.
         """
         try:
             import rasterio
-            from rasterio.warp import reproject
+            from rasterio.vrt import WarpedVRT
         except ImportError:
             expected = "rasterio to read it: pip install place-rsus[terrain]"
             raise InputError(path, Unquoted("an image with a place"), expected) from None
-        scene = self.setting.scene
-        expected = "a GeoTIFF, or an image with a world file and its reference system"
-        if not scene.crs:
-            raise InputError(path, Unquoted("a scene at no known place"), "two points instead")
+        scene, file = self.setting.scene, Path(path)
+        expected = "an image of the junction in 8 bits per colour that says where it lies"
+        driver = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}.get(file.suffix.lower(), "GTiff")
+        unplaced = rasterio.errors.NotGeoreferencedWarning
         with (
-            reading(Path(path), expected, rasterio.errors.RasterioError, CRSError, ValueError),
-            rasterio.Env(**GDAL_ALONE),
-            warnings.catch_warnings(),
-            ExitStack() as files,
+            reading(file, expected, rasterio.errors.RasterioError, CRSError),
+            rasterio.Env(GDAL_PAM_ENABLED="NO"),
+            warnings.catch_warnings(action="ignore", category=unplaced),
+            rasterio.open(path, driver=driver) as raster,
         ):
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # said below
-            with Path(path).open("rb") as file:
-                start = file.read(2)
-            driver = {b"\x89P": "PNG", b"\xff\xd8": "JPEG"}.get(start, "GTiff")
-            raster = files.enter_context(rasterio.open(path, driver=driver))
-            grid, own = raster.transform, raster.crs and raster.crs.to_wkt()
-            if world:
-                a, d, b, e, x, y = map(float, world.split())  # of the first pixel's middle
-                middle = rasterio.Affine.translation(-0.5, -0.5)
-                grid, own = rasterio.Affine(a, b, x, d, e, y) @ middle, parse_crs(crs).to_wkt()
+            grid, own = raster.transform, raster.crs.to_wkt() if raster.crs else crs
             is_coloured = raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
-            if own is None or not is_coloured:
-                got = "no reference system" if own is None else "no 8 bits of each colour"
-                raise InputError(path, Unquoted(got), expected)
-            sides = (0, raster.width), (0, raster.height)
-            corners = [grid @ (column, row) for column in sides[0] for row in sides[1]]
-            corners_m = transform(corners, own, scene.crs)
+            if grid.is_identity or not (own and scene.crs and is_coloured):
+                raise InputError(path, Unquoted("another one, or a scene at no place"), expected)
+            edges = [(x, y) for x in (0, raster.width) for y in (0, raster.height)]
+            corners_m = transform([grid @ edge for edge in edges], own, scene.crs)
             low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
             step_m = max(float(high_m[0] - low_m[0]) / raster.width, _FINEST_M)
             centre_m = scene.outline_m.mean(axis=0)
             west, south = np.maximum(low_m, centre_m - _AERIAL_M).tolist()
             east, north = np.minimum(high_m, centre_m + _AERIAL_M).tolist()
             if not (west < east and south < north):
-                raise InputError(path, Unquoted("an image of elsewhere"), "one of the junction")
+                raise InputError(path, Unquoted("an image of elsewhere"), expected)
             width, height = (int(np.ceil(span / step_m)) for span in (east - west, north - south))
-            bands = [1, 2, 3] if raster.count >= 3 else [1, 1, 1]
-            if world and raster.width * raster.height > _MAX_PIXELS:
-                got = Unquoted(f"{raster.width} by {raster.height} pixels")
-                raise InputError(path, got, "fewer, or a GeoTIFF")
-            rgb = np.full((3, height, width), 255, dtype=np.uint8)
-            reproject(
-                raster.read(bands) if world else rasterio.band(raster, bands),
-                rgb,
-                **{"src_transform": grid, "src_crs": own},
-                dst_crs=parse_crs(scene.crs).to_wkt(),
-                dst_transform=rasterio.Affine(step_m, 0.0, west, 0.0, -step_m, north),
-                init_dest_nodata=False,
-            )
+            has_alpha = any(band.name == "alpha" for band in raster.colorinterp)
+            with WarpedVRT(
+                raster,
+                src_crs=parse_crs(own).to_wkt(),
+                crs=parse_crs(scene.crs).to_wkt(),
+                transform=rasterio.Affine(step_m, 0.0, west, 0.0, -step_m, north),
+                **{"width": width, "height": height, "add_alpha": not has_alpha},
+            ) as part:
+                rgb = part.read([1, 2, 3] if raster.count >= 3 else [1, 1, 1])
+                rgb[:, part.dataset_mask() == 0] = 255
         points = (
-            LiePoint(x_px=0.0, y_px=0.0, east_m=west, north_m=north),
-            LiePoint(
-                **{"x_px": float(width), "y_px": float(height)},
-                **{"east_m": west + width * step_m, "north_m": north - height * step_m},
-            ),
+            LiePoint(0.0, 0.0, west, north),
+            LiePoint(width, height, west + width * step_m, north - height * step_m),
         )
         lie = Lie(width_px=width, height_px=height, points=points)
         return Background(lie=lie, image=to_jpeg(np.moveaxis(rgb, 0, -1)))

@@ -28,8 +28,8 @@ _LIMITS_M = (-500.0, 9000.0)
 _MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
 _MAX_BLOCK_BYTES = 100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-GDAL_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
-"""GDAL would look at files of any of its formats next to a raster, such as a mask."""
+# GDAL would look at files of any of its formats next to the raster, such as a mask.
+_ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
 _EXPECTED = "a GeoTIFF of heights"
 
 
@@ -195,7 +195,7 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
         raise InputError("terrain", str(path), expected)
     with (
         reading(path, _EXPECTED, rasterio.errors.RasterioError, ProjError),
-        rasterio.Env(**GDAL_ALONE),
+        rasterio.Env(**_ALONE),
         rasterio.open(path, driver="GTiff") as raster,
     ):
         points = _read(raster, str(path), crs, middle_m, half_m)

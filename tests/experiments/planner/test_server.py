@@ -764,11 +764,17 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     code, out, err = run("evaluate", "--layout", str(layout), *words[4:], "--json")
     assert code == 0, err
     assert json.loads(out)["evaluation"] == by_night["record"]
-    line.send(do="undo")
+    line.send(do="question", weather="fog")
+    line.until(lambda message: message["type"] == "doing" and message["who"] == "setting")
+    line.send(do="undo")  # it is not waited for any longer
     line.until(lambda message: message["type"] == "question")
     assert line.last["question"]["now"]["weather"] == "day"
     line.state()
     assert line.numbers("evaluator")["record"] == by_day["record"]
+    told = [m["stage"] for m in line.seen if m["type"] == "doing" and m["who"] == "setting"]
+    if told[-1]:
+        line.until(lambda m: m["type"] == "doing" and m["who"] == "setting" and not m["stage"])
+    assert line.last["question"]["now"]["weather"] == "day"
 
 
 def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setting):

@@ -114,22 +114,27 @@ def tasks_of(folder):
 def test_an_aerial_image_lies_where_it_says(tmp_path, turn_deg):
     path = tmp_path / "aerial.tif"
     grid, _ = aerial(path, driver="GTiff", turn_deg=turn_deg)
-    with pytest.raises(InputError, match="no reference system"):
-        tasks_of(tmp_path).lay_raster(str(path), "", "")
+    with pytest.raises(InputError, match="that says where it lies"):
+        tasks_of(tmp_path).lay_raster(str(path), UTM)
     _, places = aerial(path, driver="GTiff", turn_deg=turn_deg, crs=UTM, transform=grid)
-    assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), "", ""), places)
+    assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), ""), places)
 
 
 def test_an_image_with_a_world_file_lies_where_that_says(tmp_path):
     path = tmp_path / "aerial.png"
     grid, places = aerial(path, driver="PNG")
     x, y = grid @ (0.5, 0.5)  # a world file has the middle of the first pixel
-    world = f"{grid.a} {grid.d} {grid.b} {grid.e} {x} {y}"
-    assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), world, UTM), places)
-    for given, said in (
-        ((world, "EPSG:0"), "expected a GeoTIFF, or an image with a world file"),
-        (("1 2 3", UTM), "expected a GeoTIFF, or an image with a world file"),
-        ((f"{grid.a} 0 0 {grid.e} {x + 5000} {y}", UTM), "an image of elsewhere"),
-    ):
+    world = [grid.a, grid.d, grid.b, grid.e, x, y]
+    beside = path.with_suffix(".wld")
+    beside.write_text("\n".join(map(str, world)))
+    assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), UTM), places)
+    for crs, said in (("EPSG:0", "systems that pyproj knows"), ("", "that says where it lies")):
         with pytest.raises(InputError, match=said):
-            tasks_of(tmp_path).lay_raster(str(path), *given)
+            tasks_of(tmp_path).lay_raster(str(path), crs)
+    world[4] += 5000.0
+    beside.write_text("\n".join(map(str, world)))
+    with pytest.raises(InputError, match="an image of elsewhere"):
+        tasks_of(tmp_path).lay_raster(str(path), UTM)
+    beside.write_text("1 2 3")
+    with pytest.raises(InputError, match="that says where it lies"):
+        tasks_of(tmp_path).lay_raster(str(path), UTM)
