@@ -1,15 +1,15 @@
-// The picture of the chosen camera: coarse while it is turned, fine when it stands.
+// The picture of the chosen camera: coarse while it is turned (where fine ones take too long), fine when it stands.
 
 import { ask } from "./line.js";
 import { element, seconds } from "./shared.js";
 
 const find = (id) => document.getElementById(id);
-const COARSE_PX = 320, FINE_PX = 640, STANDS_MS = 300, AGAIN_MS = 200;
+const COARSE_PX = 320, FINE_PX = 640, STANDS_MS = 300, AGAIN_MS = 200, QUICK_MS = 150;
 
 // `unitNow` is the chosen unit as the session has told it, `runNow` the run and frame that are played.
 export function createSeen({ unitNow, runNow, scene }) {
   const holder = find("seen"), image = find("seen-image"), frame = find("seen-frame");
-  let shown = { key: "", width: 0 }, wanted = "", changedAt = 0, isBusy = false, timer = 0;
+  let shown = { key: "", width: 0 }, wanted = "", changedAt = 0, fineMs = Infinity, isBusy = false, timer = 0;
 
   const keyOf = (unit, run) => JSON.stringify([unit.id, unit.place, unit.yawDeg, unit.pitchDeg, unit.heightM, unit.fovDeg, unit.sensor, run]);
 
@@ -36,7 +36,7 @@ export function createSeen({ unitNow, runNow, scene }) {
     const unit = unitNow();
     if (isBusy || !unit || unit.kind !== "camera" || !holder.open) return;
     const stoodMs = performance.now() - changedAt;
-    const width = stoodMs < STANDS_MS ? COARSE_PX : FINE_PX;
+    const width = stoodMs < STANDS_MS && fineMs > QUICK_MS ? COARSE_PX : FINE_PX;
     if (shown.key === wanted && shown.width >= width) {
       if (shown.width < FINE_PX) timer = setTimeout(next, STANDS_MS - stoodMs + 1);
       return;
@@ -44,8 +44,10 @@ export function createSeen({ unitNow, runNow, scene }) {
     const key = wanted, run = runNow();
     isBusy = true;
     let pauseMs = 0;
+    const askedAt = performance.now();
     try {
       const found = await ask("seen", { unit: unit.id, width, ...(run ?? {}) });
+      if (width === FINE_PX) fineMs = performance.now() - askedAt;
       if (unitNow()?.id === unit.id) show(unit, found, key === wanted, { key, width });
     } catch (error) {
       pauseMs = AGAIN_MS; // another page was first, the unit is gone, or the line is lost

@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -1153,7 +1154,15 @@ def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands
     browser, serve, small_setting, tmp_path
 ):
     unit = load_carlancap_layout().units[7]
-    with opened(browser, serve([unit])) as page:
+
+    def slowly(route):
+        time.sleep(0.2)  # where fine pictures take no longer than 150 ms, there are no coarse ones
+        route.continue_()
+
+    def before_it_opens(page):
+        page.route("**/seen?**", slowly)
+
+    with opened(browser, serve([unit]), before=before_it_opens) as page:
         fine = page.locator('#seen[data-width="640"][aria-busy="false"]')
         fine.wait_for()
         before = page.locator("#seen-image").get_attribute("src")
