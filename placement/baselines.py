@@ -14,7 +14,7 @@ from geometry.scene import Scene
 
 from .candidates import CandidatePose
 from .optimiser import Limits, PlacementProblem, apr, run_margins_s
-from .optimiser.limits import fitting, is_allowed
+from .optimiser.allowed_sets import fitting, is_allowed
 
 N_RANDOM = 100
 """Random layouts that are drawn to compare with."""

@@ -49,7 +49,7 @@ from geometry.files import float_of, read_bytes, write_atomically
 from .layout import relative_gap
 from .memory import check_fits
 from .optimiser.model import Answer, run_solver, solver_text
-from .optimiser.steering import COST_TOLERANCE_EUR, common_step, settle
+from .optimiser.timing import COST_TOLERANCE_EUR, common_step, settle
 
 
 # ---------- instances and solutions

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
-from scenarios.aeb import AebRule, is_in_time
+from scenarios.aeb import AebRule
+from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis
 from scenarios.scores import Levels
 

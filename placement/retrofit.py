@@ -32,10 +32,10 @@ from .optimiser import (
     run_margins_s,
     solve_placement,
 )
+from .optimiser.allowed_sets import are_allowed, costs_eur, fitting
 from .optimiser.bitsets import SetValues
-from .optimiser.limits import are_allowed, costs_eur, fitting
 from .optimiser.problem import VALUE_OBJECTIVES, Objective
-from .optimiser.steering import TOLERANCE
+from .optimiser.timing import TOLERANCE
 from .pipeline import Assembly
 from .wishes import Wishes
 

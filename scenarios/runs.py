@@ -15,8 +15,9 @@ from geometry.scene import Scene
 from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
 
-from .aeb import AebRule, confirmation_mask, held_frames, is_in_time, last_brake_time_s
+from .aeb import AebRule, last_brake_time_s
 from .cases import Case, at_vru_speed, worded_for
+from .confirmation import confirmation_mask, held_frames, is_in_time
 from .encounters import Encounter, RecordedEncounter
 from .obstructions import make_room
 from .paths import MPS_PER_KMH
@@ -166,7 +167,7 @@ def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: Aeb
 
     (..., n_frames) detections -> (..., n_runs); infinite where none is: the run is not avoided. The
     last moment is the last brake time less the rule's latency. No track reaches from one run into
-    the next; see :func:`scenarios.aeb.live_confirmation_time_s`.
+    the next; see :func:`scenarios.confirmation.live_confirmation_time_s`.
     """
     last_brake_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
     counts = np.asarray(is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s))
@@ -225,11 +226,8 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
         (known_s == onset_s.repeat(n_frames)) & (is_live | ~has_live.repeat(n_frames)),
         np.isfinite(known_s),
     )
-    return Onsets(
-        confirmation_s=_earliest(np.where(is_first, axis.time_s, np.inf), axis),
-        onset_s=onset_s,
-        is_in_time=has_live,
-    )
+    confirmation_s = _earliest(np.where(is_first, axis.time_s, np.inf), axis)
+    return Onsets(confirmation_s=confirmation_s, onset_s=onset_s, is_in_time=has_live)
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:

@@ -6,6 +6,7 @@ from io import BytesIO
 from zlib import crc32
 
 import msgspec
+import numpy as np
 import pytest
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -16,11 +17,15 @@ from PIL import Image
 
 from experiments.figures import plan
 from experiments.figures.axes import root_figure
-from experiments.parts import dangers, section
+from experiments.parts import camera_views, dangers, section
 from experiments.parts.result import KINDS, Result
 from experiments.parts.section import Bullets, Picture, Section, Table
 from experiments.report.page import page_environment
 from experiments.scene import pictures
+from geometry.poses import Pose
+from geometry.sensors import CameraModel
+from placement.imaging import Picture as RenderedPicture
+from scenarios.runs import Run
 
 
 def blank_png(drawn: Axes | Figure) -> bytes:
@@ -45,16 +50,31 @@ def _texts(artist: Artist) -> list[Text]:
     return list(artist.get_texts() if isinstance(artist, Legend) else artist.texts)
 
 
+def blank_view(
+    _backdrop: object, _run: Run, frame: int, _pose: Pose, camera: CameraModel, **_options: object
+) -> RenderedPicture:
+    """What a camera sees, of one grey that is told by the frame."""
+    shape = (camera.height_px, camera.width_px)
+    return RenderedPicture(
+        rgb=np.full((*shape, 3), frame % 256, dtype=np.uint8),
+        instance=np.full(shape, -1),
+        depth_m=np.full(shape, np.inf),
+        names=(),
+    )
+
+
 @contextmanager
 def blank_pictures() -> Iterator[None]:
     """Reports have blank pictures: drawing takes long, and most tests look at words.
 
-    Lanes and buildings, which have no words, are left out before that.
+    Lanes and buildings, which have no words, are left out before that; what cameras see is grey.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(section, "to_png", blank_png)
         for module in (dangers, pictures, plan):
             patch.setattr(module, "draw_scene", lambda axes, scene: None)
+        patch.setattr(camera_views, "build_backdrop", lambda scene, obstruction: None)
+        patch.setattr(camera_views, "draw_picture", blank_view)
         yield
 
 

@@ -93,6 +93,9 @@ Examples:
 @options.option(
     "--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons."
 )
+@options.option(
+    "--pictures", is_flag=True, needs="run_id", help="mcap: what each camera sees, frame by frame."
+)
 @options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @options.quiet_option
 @click.pass_obj
@@ -108,11 +111,14 @@ def export(
     release: str | None,
     vam_rate: float | None,
     views: bool,
+    pictures: bool,
     out: Path | None,
     quiet: bool,
 ) -> None:
     """Write a layout in a format that other programs read."""
     progress.start(quiet=quiet)
+    from placement.compute import Compute
+
     from ..export.calibration import lidar_ids
     from ..export.formats import load_format
     from ..export.watched import export_layout
@@ -129,9 +135,16 @@ def export(
     else:
         needs_layout = bool(layout_names) or chosen.has_units
         layout = load_one_layout(layout_names) if needs_layout else None
+        compute = Compute(progress=progress)
+        drawn = compute if pictures else None
         asked = {"release": release, "vam_rate": vam_rate, "views": views or None}
-        given = {name: value for name, value in asked.items() if value is not None}
-        content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, options=given)
+        content = export_layout(
+            *(layout, format_name),
+            scene_path=scene,
+            run_id=run_id,
+            compute=compute,
+            options={k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None},
+        )
         missing = [] if chosen.has_lidars or layout is None else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
@@ -144,15 +157,13 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
     """Cameras of a calibration in another format."""
     from geometry.calibrations import read_cameras
 
-    from ..export.calibration import of_calibrated
     from ..export.opencv import opencv_text
     from ..export.ros import ros_text
 
     if format_name not in ("opencv", "ros"):
         got = f"got {format_name} beside --calibration; expected opencv or ros"
         raise click.UsageError(f"--format: {got}")
-    cameras = read_cameras(path, size_px=size_px or None)
-    found = [of_calibrated(name, camera) for name, camera in cameras.items()]
+    found = read_cameras(path, size_px=size_px or None)
     return opencv_text(found, path.stem) if format_name == "opencv" else ros_text(found)
 
 

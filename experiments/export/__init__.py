@@ -1,6 +1,6 @@
-"""Layouts in the formats of other programs: one module per format, named after it.
+"""Layouts in the formats of other programs: one module per format, named after it; bytes share one.
 
-To add a format, write a module that has a ``FORMAT`` (see ``formats.py``) and list its name here.
+To add a format, write a module that has a ``FORMAT`` and list its name here: see ``formats.py``.
 """
 
 FORMAT_NAMES = (
@@ -24,4 +24,4 @@ FORMAT_NAMES = (
     "usd",
     "opendrive",
 )
-"""In the order of the help; each is the name of a module of this package, with _ for -."""
+"""In the order of the help."""

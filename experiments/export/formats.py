@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 
+_SHARED = {"cpm-uper": ("uper", "CPM"), "vam-uper": ("uper", "VAM")}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportFormat:
@@ -22,5 +24,6 @@ class ExportFormat:
 
 def load_format(name: str) -> ExportFormat:
     """A format by its name, one of ``FORMAT_NAMES``."""
-    found: ExportFormat = import_module(f".{name.replace('-', '_')}", __package__).FORMAT
+    module, attribute = _SHARED.get(name, (name.replace("-", "_"), "FORMAT"))
+    found: ExportFormat = getattr(import_module(f".{module}", __package__), attribute)
     return found

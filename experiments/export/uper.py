@@ -8,9 +8,19 @@ from importlib.resources import files
 from typing import Any
 
 from geometry.errors import MissingExtraError
+from geometry.scene import Scene
+from placement.layout import Layout
+from scenarios.runs import Run
 
-from .cpm import RELEASES
+from . import vam
+from .cpm import RELEASES, build_stations
+from .formats import ExportFormat
+from .watched import WatchedRun
 
+_MESSAGE = "CollectivePerceptionMessage"
+CONTAINERS = {
+    2: "OriginatingRsuContainer", 3: "SensorInformationContainer", 5: "PerceivedObjectContainer"
+}  # fmt: skip
 _TIME_BYTES, _SIZE_BYTES = 8, 4
 _STATION = slice(2, 6)  # bytes of a message: behind protocol version and message id
 _CHANNEL_MBPS = 6.0  # ITS-G5's default data rate: ETSI EN 302 663
@@ -86,3 +96,70 @@ def tell_load(content: bytes) -> str:
         f"station, together {100.0 * share:.2f} % of a channel of {_CHANNEL_MBPS:g} Mbit/s, "
         "without signatures and headers of the net."
     )
+
+
+def encode(message: dict[str, Any], release: str = RELEASES[0]) -> bytes:
+    """Bytes of a message of :func:`.cpm.build_stations`, unsigned, without headers of the net."""
+    payload = message["payload"]
+    containers = []
+    for container in payload["cpmContainers"]:
+        data = to_bytes(CONTAINERS[container["containerId"]], container["containerData"], release)
+        containers.append(container | {"containerData": data.hex()})
+    whole = message | {"payload": payload | {"cpmContainers": containers}}
+    return to_bytes(_MESSAGE, whole, release)
+
+
+def decode(content: bytes, release: str = RELEASES[0]) -> dict[str, Any]:
+    """Message of bytes, the inverse of :func:`encode`."""
+    message: dict[str, Any] = from_bytes(_MESSAGE, content, release)
+    for container in message["payload"]["cpmContainers"]:
+        data = bytes.fromhex(container["containerData"])
+        container["containerData"] = from_bytes(CONTAINERS[container["containerId"]], data, release)
+    return message
+
+
+def to_cpm_uper(
+    layout: Layout, scene: Scene, watched: WatchedRun | None = None, *, release: str = RELEASES[0]
+) -> bytes:
+    """Layout's messages by time, as records: see :func:`to_records`.
+
+    A message says which station it is from. Raises InputError as :func:`.cpm.build_stations`,
+    MissingExtraError if asn1tools is not installed.
+    """
+    return to_records(
+        (message["payload"]["managementContainer"]["referenceTime"], encode(message, release))
+        for station in build_stations(layout, scene, watched, release=release)
+        for message in station.messages
+    )
+
+
+CPM = ExportFormat(
+    write=to_cpm_uper,
+    content="the same messages as bytes (UPER); extra: v2x",
+    is_binary=True,
+    shows_runs=True,
+    options=("release",),
+    told=tell_load,
+)
+
+
+def to_vam_uper(
+    run: Run, scene: Scene, *, vam_rate: float | None = None, release: str = RELEASES[0]
+) -> bytes:
+    """Messages of :func:`.vam.build_messages` as records: see :func:`to_records`.
+
+    Raises MissingExtraError if asn1tools is not installed.
+    """
+    messages = vam.build_messages(run, scene, vam_rate=vam_rate, release=release)
+    return to_records((time_ms, to_bytes("VAM", one, release)) for time_ms, one in messages)
+
+
+VAM = ExportFormat(
+    write=to_vam_uper,
+    content="the same messages as bytes (UPER); extra: v2x",
+    is_binary=True,
+    drives_run=True,
+    has_units=False,
+    options=("release", "vam_rate"),
+    told=tell_load,
+)

@@ -34,7 +34,7 @@ from placement.pipeline import assemble
 from placement.question import Question
 from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
-from scenarios.aeb import is_in_time
+from scenarios.confirmation import is_in_time
 
 from ..parts.camera_views import to_jpeg
 from ..parts.player import interactive_part, party_records, run_record

@@ -217,8 +217,7 @@ def judge_messages(folder: Path) -> list[Judgement]:
     import asn1tools
 
     from ..export.cpm import RELEASES, build_stations
-    from ..export.cpm_uper import CONTAINERS, encode
-    from ..export.uper import to_bytes
+    from ..export.uper import CONTAINERS, encode, to_bytes
     from ..export.vam import build_messages
     from ..export.watched import find_run, watch_run
 

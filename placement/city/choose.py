@@ -18,7 +18,7 @@ from geometry.errors import InputError
 from ..layout import Certificate, Stage, relative_gap
 from ..optimiser.model import run_solver, solver_text
 from ..optimiser.problem import Objective
-from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE
+from ..optimiser.timing import COST_TOLERANCE_EUR, TOLERANCE
 from .fronts import Options
 
 # ---------- the multiple-choice knapsack

@@ -18,7 +18,7 @@ from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import ReducedProblem
 from ..optimiser.problem import Objective, PlacementValue
 from ..optimiser.proof import Search
-from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
+from ..optimiser.timing import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
 # ---------- one junction
 _WORTH = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s")

@@ -19,7 +19,7 @@ from ..layout import Layout
 from ..optimiser import Effort, PlacementProblem, Solution, presolve, run_margins_s, solve_placement
 from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
-from ..optimiser.steering import TOLERANCE
+from ..optimiser.timing import TOLERANCE
 
 STAGE = "other priorities"
 TIME_LIMIT_S = 10.0

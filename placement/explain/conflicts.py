@@ -19,7 +19,7 @@ from geometry.scene import Scene
 
 from ..candidates import CandidatePose
 from ..optimiser import Floor, Limits, PlacementProblem, floor_value, is_allowed
-from ..optimiser.steering import TOLERANCE
+from ..optimiser.timing import TOLERANCE
 from ..wishes import Wishes, build_limits
 from .feasible_sets import Answer, Oracle
 

@@ -29,8 +29,8 @@ from ..optimiser import (
     placement_value,
     run_margins_s,
 )
+from ..optimiser.allowed_sets import fitting
 from ..optimiser.bitsets import avoided_with_each
-from ..optimiser.limits import fitting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

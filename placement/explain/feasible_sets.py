@@ -10,13 +10,13 @@ from geometry.clock import now_s
 from geometry.errors import InputError
 
 from ..optimiser import Limits, PlacementProblem, ReducedProblem, cost_eur, is_allowed, presolve
+from ..optimiser.allowed_sets import fitting, price_step_eur
 from ..optimiser.bitsets import left_after_failures, set_values, union_margins_s, values_with_each
 from ..optimiser.greedy import forced_units, improve, to_full
-from ..optimiser.limits import fitting, price_step_eur
 from ..optimiser.problem import Measure, Objective, Requirement
 from ..optimiser.proof import Search
 from ..optimiser.solve import check_limits
-from ..optimiser.steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline
+from ..optimiser.timing import COST_TOLERANCE_EUR, TOLERANCE, Deadline
 from ..optimiser.walk import best_of_few
 
 # ---------- greedy choice

@@ -14,7 +14,7 @@ from geometry.files import says
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.terrain import on_ground
-from scenarios.aeb import confirmation_mask, is_in_time, live_confirmation_time_s
+from scenarios.confirmation import confirmation_mask, is_in_time, live_confirmation_time_s
 from scenarios.runs import Run
 
 from ..cache import cached_value
@@ -22,7 +22,7 @@ from ..candidates import CandidatePose, is_in_view
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..optimiser import PlacementProblem, run_margins_s
-from ..optimiser.limits import fitting
+from ..optimiser.allowed_sets import fitting
 from ..setting import Setting
 from ..visibility.build import N_POINTS, table_fingerprint
 from ..visibility.casting import Sight, World, build_world, cast_sight, find_obstructions

@@ -15,7 +15,7 @@ from geometry.arrays import FloatArray
 from geometry.raycast import FloatRays
 from geometry.scene import Lane, Scene
 
-from .mesh import Thing
+from .mesh import Thing, build_scene_mesh
 
 # ---------- lanes and markings
 _NEIGHBOUR_M = 0.4  # so far beyond a lane's edge lies its neighbour
@@ -203,35 +203,37 @@ class GroundMap:
 
 
 def build_ground_map(
-    scene: Scene, things: Sequence[Thing], marks: Mapping[str, float]
+    scene: Scene, parked: Sequence[Thing], marks: Mapping[str, float]
 ) -> GroundMap:
     """Draw the map of a scene, as large as its lanes and outline.
 
-    `things` stand still and take light from the sky; `marks` is ``[markings]`` of
+    The scene's things and those that park take light from the sky; `marks` is ``[markings]`` of
     ``data/materials.toml``.
     """
-    origin_m, layers = _road_and_paint(scene, tuple(marks.items()))
-    ground = GroundMap(
-        origin_m=origin_m,
-        layers=layers.copy(),
-        grain=_noise(0.0, sigma=1),
-        patches=_noise(1.1, sigma=0),
+    origin_m, layers = _scene_layers(scene, tuple(marks.items()))
+    layers = layers.copy()
+    _shade(origin_m, layers, parked)
+    return GroundMap(
+        origin_m=origin_m, layers=layers, grain=_noise(0.0, sigma=1), patches=_noise(1.1, sigma=0)
     )
+
+
+def _shade(origin_m: FloatArray, layers: FloatRays, things: Sequence[Thing]) -> None:
+    """Take the light from the sky that things keep from the ground around them."""
     for thing in things:
         if thing.class_name in _SHADERS:
             yaw = np.radians(thing.pose.yaw_deg)
             rectangle = np.array([*thing.pose.position_m[:2], yaw, *(0.5 * thing.size_m[:2])])
-            window, points = _window(origin_m, ground.layers, _corners(rectangle), _SHADE_REACH_M)
+            window, points = _window(origin_m, layers, _corners(rectangle), _SHADE_REACH_M)
             distance = rectangle_distance(points, rectangle)
-            ground.layers[*window, SKY] *= sky_left(distance, thing)
-    return ground
+            layers[*window, SKY] *= sky_left(distance, thing)
 
 
-@lru_cache(maxsize=1)  # pictures of a scene differ in what stands there
-def _road_and_paint(
+@lru_cache(maxsize=1)  # pictures of a scene differ in what parks there
+def _scene_layers(
     scene: Scene, marks: tuple[tuple[str, float], ...]
 ) -> tuple[FloatArray, FloatRays]:
-    """Origin and layers of a map on which nothing stands yet: not to be changed."""
+    """Origin and layers of a scene's map where nothing parks: not to be changed."""
     corners = np.concatenate([scene.outline_m, *(lane.centreline_m for lane in scene.lanes)])
     if not len(corners):
         corners = np.zeros((1, 2))
@@ -255,6 +257,7 @@ def _road_and_paint(
         keep_least(PAINT, rectangle, _PAINT_REACH_M)
     # Paint is on the road only.
     layers[..., PAINT] = np.maximum(layers[..., PAINT], layers[..., ROAD])
+    _shade(low, layers, build_scene_mesh(scene).things)
     layers.setflags(write=False)
     return low, layers
 

@@ -77,18 +77,23 @@ def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
 
     The things are the scene's instances in their order, then "parked-1" and so on.
     """
-    static = Mesh(
+    parked = [
+        _body_mesh(f"parked-{number}", placed.actor, placed.actor.shapes[0], placed.pose)
+        for number, placed in enumerate(obstruction, start=1)
+    ]
+    return _join([build_scene_mesh(scene), *parked])
+
+
+@lru_cache(maxsize=1)  # pictures of a scene differ in what parks there
+def build_scene_mesh(scene: Scene) -> Mesh:
+    """Triangles of a scene, whose things are its instances in their order."""
+    return Mesh(
         vertices_m=scene.vertices_m,
         triangles=scene.triangles,
         triangle_thing=scene.triangle_instance,
         normals=_flat_normals(scene.vertices_m, scene.triangles),
         things=tuple(_scene_thing(scene, index) for index in range(len(scene.instances))),
     )
-    parked = [
-        _body_mesh(f"parked-{number}", placed.actor, placed.actor.shapes[0], placed.pose)
-        for number, placed in enumerate(obstruction, start=1)
-    ]
-    return _join([static, *parked])
 
 
 def build_frame_mesh(

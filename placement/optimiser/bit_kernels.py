@@ -12,7 +12,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .problem import Chains, WordArray
-from .steering import COST_TOLERANCE_EUR
+from .timing import COST_TOLERANCE_EUR
 
 ByteArray = NDArray[np.uint8]
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from .limits import cost_eur, costs_eur
+from .allowed_sets import cost_eur, costs_eur
 from .presolve import ReducedProblem, unpack_words
 from .problem import Measure, Objective, WordArray
-from .steering import DECIMALS, FEW_PARTNERS, TOLERANCE, share_out
+from .timing import DECIMALS, FEW_PARTNERS, TOLERANCE, share_out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,9 +16,9 @@ from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted, check_one_of
 
 from ..layout import Certificate, Stage
+from .allowed_sets import CENTS, Limits, whole_cents
 from .bitsets import union_apr
 from .greedy import to_full
-from .limits import CENTS, Limits, whole_cents
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     VALUE_OBJECTIVES,
@@ -40,7 +40,7 @@ from .solve import (
     solve_placement,
     units_of,
 )
-from .steering import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
+from .timing import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 StageChoice = Literal["first", "all"]
 FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import says
 
-from . import steering
-from .limits import Limits
+from . import timing
+from .allowed_sets import Limits
 from .problem import (
     Chains,
     Goal,
@@ -36,7 +36,7 @@ from .problem import (
     tails_behind,
     timely_windows_end,
 )
-from .steering import COST_TOLERANCE_EUR, WORKERS, share_out
+from .timing import COST_TOLERANCE_EUR, WORKERS, share_out
 
 PackedArray = WordArray | NDArray[np.uint8]
 
@@ -439,7 +439,7 @@ def distinct_rows(
     def mix(begin: int, end: int) -> None:
         mix_rows(rows[begin:end], mask, mixed[begin:end])
 
-    share_out(mix, len(rows), workers=workers, few=steering.MANY_ROWS)
+    share_out(mix, len(rows), workers=workers, few=timing.MANY_ROWS)
     slots = np.full(1 << (2 * len(rows)).bit_length(), -1)
     n_distinct = number_rows(rows, mask, mixed, slots, number)
     return slots[:n_distinct].copy(), number

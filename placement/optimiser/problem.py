@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
-from scenarios.aeb import TIME_TOLERANCE_S, AebRule, is_in_time
+from scenarios.aeb import TIME_TOLERANCE_S, AebRule
+from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis, live_confirmation_times_s
 
 from ..detection_table import DetectionTable
-from .limits import Limits, cost_eur, is_allowed
-from .steering import COST_TOLERANCE_EUR, TOLERANCE, common_step
+from .allowed_sets import Limits, cost_eur, is_allowed
+from .timing import COST_TOLERANCE_EUR, TOLERANCE, common_step
 
 Goal = Literal["best", "fewest", "cheapest"]
 

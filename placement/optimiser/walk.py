@@ -26,7 +26,8 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from . import steering
+from . import timing
+from .allowed_sets import Limits, are_allowed, may_grow
 from .bitsets import (
     BestSet,
     left_after_failures,
@@ -37,10 +38,9 @@ from .bitsets import (
 )
 from .bounds import Root, rounded_down
 from .greedy import forced_units
-from .limits import Limits, are_allowed, may_grow
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import Objective
-from .steering import NEVER, TOLERANCE, Deadline, deadline_in
+from .timing import NEVER, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:
     from .walk_kernels import Classes, Walk
@@ -62,9 +62,7 @@ def can_walk(reduced: ReducedProblem) -> bool:
         and (not reduced.floors or least_apr(reduced) is not None)
         and not reduced.objectives[0].is_minimised
         and len(reduced.weight) > 0
-        and max(2, n_forced + 1)
-        <= limits.max_units
-        <= min(steering.MAX_WALK_UNITS, reduced.n_poses)
+        and max(2, n_forced + 1) <= limits.max_units <= min(timing.MAX_WALK_UNITS, reduced.n_poses)
         and not (n_forced and reduced.survive)
     )
 
@@ -92,10 +90,10 @@ def best_of_few(
     best, least = BestSet(), -np.inf
     is_by_apr = reduced.objectives[0] is Objective.APR and not reduced.floors
     for sets in sizes:
-        for begin in range(0, len(sets), steering.BLOCK_SETS):
+        for begin in range(0, len(sets), timing.BLOCK_SETS):
             if deadline.is_over:
                 return best.units, False
-            part = sets[begin : begin + steering.BLOCK_SETS]
+            part = sets[begin : begin + timing.BLOCK_SETS]
             if is_by_apr:  # all else takes longer, and matters for few
                 share = union_apr(reduced, unions_of(reduced, part))
                 least = max(least, float(share.max()) - TOLERANCE)
@@ -119,7 +117,7 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
             sizes.append(np.sort(sets, axis=1))
         if n_units == limits.max_units or not len(grown):
             break
-        most = max(steering.MANY_ROWS, min(steering.MAX_GROWN_SETS, 100 * max_sets))
+        most = max(timing.MANY_ROWS, min(timing.MAX_GROWN_SETS, 100 * max_sets))
         if len(grown) * len(poses) > most:
             return None
         # A later pose than the last one: every set comes up once.
@@ -182,7 +180,7 @@ class SetWalk:
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
         self.losses.may_lose[:] = [self.total - need, self.total - left]
-        self.losses.may_lose[:] += steering.ROUNDING * max(self.total, 1.0)
+        self.losses.may_lose[:] += timing.ROUNDING * max(self.total, 1.0)
 
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until the deadline.
@@ -221,11 +219,11 @@ class SetWalk:
         """The nodes near the root, one after the other; tasks that are done are taken again."""
         from .walk_kernels import AT_STOP, DONE, grow
 
-        stop = max(min(steering.STOP_DEPTH, self.n_units - 2), 1)
+        stop = max(min(timing.STOP_DEPTH, self.n_units - 2), 1)
         scout = _Task(self)
         while True:
             state = grow(
-                self.covers, scout.walk, self.n_failures, stop, steering.WALK_WORK, scout.out
+                self.covers, scout.walk, self.n_failures, stop, timing.WALK_WORK, scout.out
             )
             if state == DONE:
                 return
@@ -247,7 +245,7 @@ class _Task:
         self.waiting: list[IntArray] = []  # to be spelled out
         self.losses = owner.losses._replace(order=owner.losses.order.copy())
         n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
-        self.out = np.empty((steering.OUT_SETS, n_units), dtype=np.int64)
+        self.out = np.empty((timing.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
             where=np.array([0, 1, 0, 0, 0]),
             may_lose=owner.losses.may_lose,
@@ -283,14 +281,12 @@ class _Task:
 
         owner = self.owner
         found: list[IntArray] = []
-        stop = deadline_in(steering.SPELL_S)
+        stop = deadline_in(timing.SPELL_S)
         while self.waiting and not stop.is_over:
             found += self._spell_out(self.waiting.pop())
         if not self.waiting and not self.is_walked:
             self.walk.where[2] = 0
-            state = grow(
-                owner.covers, self.walk, owner.n_failures, -1, steering.WALK_WORK, self.out
-            )
+            state = grow(owner.covers, self.walk, owner.n_failures, -1, timing.WALK_WORK, self.out)
             self.is_walked = state == DONE
             self.waiting = [np.sort(classes) for classes in self.out[: self.walk.where[2]]]
         self.is_done = self.is_walked and not self.waiting
@@ -444,7 +440,7 @@ class TieSearch:
         It takes much less to prove that nothing is better by a step, where values are so far apart,
         or by a little, than to meet all ties.
         """
-        step = (1.0 - steering.SOLVER_TOLERANCE) * self.reduced.measure.step
+        step = (1.0 - timing.SOLVER_TOLERANCE) * self.reduced.measure.step
         is_near = self.ahead > 0.0
         ahead = self.ahead if is_near else step
         if deadline.is_over:
@@ -496,12 +492,12 @@ class TieSearch:
             if ahead or not self.has_all:
                 continue
             self.tied.append(block[value >= self.best - TOLERANCE])
-            self.has_all = sum(map(len, self.tied)) <= steering.MAX_TIED
+            self.has_all = sum(map(len, self.tied)) <= timing.MAX_TIED
             if not self.has_all:
                 if is_proven:
                     return False
-                step = (1.0 - steering.SOLVER_TOLERANCE) * self.reduced.measure.step
-                walk.raise_needs(*self._needs(self.best + max(step, steering.STEP_UP)))
+                step = (1.0 - timing.SOLVER_TOLERANCE) * self.reduced.measure.step
+                walk.raise_needs(*self._needs(self.best + max(step, timing.STEP_UP)))
         return walk.is_finished
 
     def _within(self, block: IntArray) -> tuple[FloatArray, IntArray]:
@@ -521,8 +517,8 @@ def best_of_tied(
     """
     best = BestSet()
     while len(sets) and sets.shape[1] > 0:
-        for start in range(0, len(sets), steering.BLOCK_SETS):
-            part = sets[start : start + steering.BLOCK_SETS]
+        for start in range(0, len(sets), timing.BLOCK_SETS):
+            part = sets[start : start + timing.BLOCK_SETS]
             part = part[are_allowed(reduced.limits, part)]
             best.offer(part, set_values(reduced, part))
         fewer = sets.shape[1] - 1

@@ -7,8 +7,8 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
+from .allowed_sets import Choice
 from .bit_kernels import ByteArray, count_bits, has_bit, has_entry, look_through, lowest_bit
-from .limits import Choice
 from .problem import Chains, WordArray
 
 # ---------- what is asked for, and who covers it
@@ -188,16 +188,16 @@ def tighten_prices(
     reward: FloatArray,
     price: FloatArray,
     n_steps: int,
-    steering: FloatArray,
+    timing: FloatArray,
     share: FloatArray,
 ) -> float:
     """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
 
-    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `steering` has the numbers
-    of :mod:`placement.optimiser.steering` that the first line unpacks. Returns the bound; `price`
+    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `timing` has the numbers
+    of :mod:`placement.optimiser.timing` that the first line unpacks. Returns the bound; `price`
     becomes what proves it, and `share` how often each pose was picked of late.
     """
-    length, cut, deflection, memory, patience = steering
+    length, cut, deflection, memory, patience = timing
     n_units, is_open = choice.n_units, choice.is_open
     n_rows, n_poses, best, idle = len(price), len(share), np.inf, 0
     best_price, slope, units = np.empty(n_rows), np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)

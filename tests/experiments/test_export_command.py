@@ -40,9 +40,9 @@ def call(*arguments):
 
 def test_every_format_is_described():
     modules = Path(experiments.export.__file__).parent.glob("*.py")
-    assert sorted(FORMAT_NAMES) == sorted(
-        module.stem.replace("_", "-") for module in modules if "\nFORMAT = " in module.read_text()
-    )
+    written = [module for module in modules if " = ExportFormat(" in module.read_text()]
+    names = [one.stem.replace("_", "-") for one in written if one.stem != "uper"]
+    assert sorted(FORMAT_NAMES) == sorted([*names, "cpm-uper", "vam-uper"])
     help_text = call("--help").output
     assert all(f"\n    {name} " in help_text for name in FORMAT_NAMES)
     assert [name for name in OF_LAYOUTS if load_format(name).is_binary] == BINARY

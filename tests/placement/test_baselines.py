@@ -26,7 +26,7 @@ from placement.candidates import CandidatePose, build_candidates
 from placement.detection_table import pack_table
 from placement.layout import load_carlancap_layout
 from placement.optimiser import Limits, PlacementProblem, apr
-from placement.optimiser.limits import is_allowed
+from placement.optimiser.allowed_sets import is_allowed
 from placement.wishes import Wishes, build_limits
 
 SCENE = load_study_scene()

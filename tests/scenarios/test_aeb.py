@@ -22,15 +22,17 @@ from geometry.actors import load_actors
 from geometry.errors import InputError
 from scenarios.aeb import (
     _separation_m,
-    confirmation_mask,
     find_contacts,
-    held_frames,
-    is_in_time,
     last_brake_time_s,
-    live_confirmation_time_s,
     load_aeb_rule,
     load_track_memory_s,
     standstill_time_s,
+)
+from scenarios.confirmation import (
+    confirmation_mask,
+    held_frames,
+    is_in_time,
+    live_confirmation_time_s,
 )
 from scenarios.courses import pick_turn
 from scenarios.encounters import Encounter, first_contact_s

@@ -8,12 +8,7 @@ from hypothesis import strategies as st
 from strategies import KMH, numbers
 
 from geometry.errors import InputError
-from scenarios.aeb import (
-    braking_distance_m,
-    braking_speed_mps,
-    load_aeb_rule,
-    standstill_time_s,
-)
+from scenarios.aeb import braking_distance_m, braking_speed_mps, load_aeb_rule, standstill_time_s
 
 RULE = load_aeb_rule()
 vut_speeds = numbers(10.0, 80.0).map(lambda kmh: kmh * KMH)

@@ -13,8 +13,8 @@ from strategies import frame_axes, numbers
 from geometry.errors import InputError
 from geometry.scene import Lane
 from geometry.study_scene import load_study_scene
-from scenarios.aeb import is_in_time, live_confirmation_time_s
 from scenarios.cases import load_cases, pick_cases
+from scenarios.confirmation import is_in_time, live_confirmation_time_s
 from scenarios.positions import build_positions
 from scenarios.runs import (
     FrameAxis,

@@ -50,7 +50,7 @@ export function openView(unit, reachM = FREE_REACH_M) {
   };
   const steps = Array.from({ length: 13 }, (_, step) => step / 6 - 1);
   if (unit.kind === "camera") {
-    const [wide, high] = [unit.fovDeg, unit.verticalFovDeg].map((angle) => Math.tan(radians(angle) / 2));
+    const [wide, high] = [unit.fovDeg, unit.verticalFovDeg].map((angle) => Math.tan(radians(Math.min(angle, 172)) / 2)); // nothing is seen farther out
     const ray = (left, up) => add(Math.cos(pitch) - up * high * Math.sin(pitch), left * wide, Math.sin(pitch) + up * high * Math.cos(pitch));
     steps.forEach((step) => ray(step, 1));
     steps.forEach((step) => ray(1, -step));

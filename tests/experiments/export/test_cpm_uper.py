@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from experiments.export.cpm import RELEASES, build_stations, to_cpm
-from experiments.export.cpm_uper import decode, encode, to_cpm_uper
-from experiments.export.uper import split, tell_load
+from experiments.export.uper import decode, encode, split, tell_load, to_cpm_uper
 from experiments.export.watched import WatchedRun, find_run, watch_run
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError

@@ -9,9 +9,8 @@ from export_layouts import map_scene, placeless_scene
 from pyproj import Geod
 
 from experiments.export.cpm import RELEASES
-from experiments.export.uper import from_bytes, split, tell_load, to_bytes
+from experiments.export.uper import from_bytes, split, tell_load, to_bytes, to_vam_uper
 from experiments.export.vam import RoadUser, build_message, build_messages, to_vam
-from experiments.export.vam_uper import to_vam_uper
 from experiments.export.watched import export_layout, find_run
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene

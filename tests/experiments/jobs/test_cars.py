@@ -1,20 +1,23 @@
 """Placements and comparisons with cars that see, from the question to the checked folder."""
 
 import json
+import shutil
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from small_results import build_small_baseline, lay_runs_of
+from small_results import build_small_baseline, build_small_grid, lay_runs_of
 
 from experiments.cli.options import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.jobs.verify import run_verification
+from experiments.parts import baselines
 from experiments.parts.added import MAX_UNITS, build_added
 from experiments.parts.added import words as added_words
 from experiments.progress import StageProgress
 from geometry.errors import InputError
+from placement import candidates as poses
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import apr_one_failed, headline_apr
@@ -50,12 +53,22 @@ def failed(folder):
     return [check.name for check in checks if not check.passed]
 
 
-@pytest.fixture
-def summaries(small_study, tmp_path):
-    return {cars: asked(tmp_path / cars, cars=cars) for cars in ("blind", "see", "0.3")}
+@pytest.fixture(scope="module")
+def answers(small_setting, tables, tmp_path_factory):
+    """Folder and summaries of blind cars, of those that see, and of some that do."""
+    folder = tmp_path_factory.mktemp("cars")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PLACE_RSUS_CACHE", str(tables))
+        lay_runs_of(patch, small_setting)
+        patch.setattr(poses, "load_candidate_grid", build_small_grid)
+        patch.setattr(baselines, "load_candidate_grid", build_small_grid)
+        patch.setattr(placement, "find_baseline", build_small_baseline)
+        patch.setattr(placement, "write_report", lambda *given, **options: None)
+        return folder, {cars: asked(folder / cars, cars=cars) for cars in ("blind", "see", "0.3")}
 
 
-def test_answers_are_judged_by_what_cars_see(summaries, tmp_path):
+def test_answers_are_judged_by_what_cars_see(answers):
+    folder, summaries = answers
     for cars, summary in summaries.items():
         share, evaluation = summary["cars"], summary["evaluation"]
         assert share == {"blind": 0.0, "see": 1.0, "0.3": 0.3}[cars]
@@ -66,15 +79,15 @@ def test_answers_are_judged_by_what_cars_see(summaries, tmp_path):
         assert summary["apr"] == pytest.approx(judged, abs=0.05)
         assert summary["greedy"]["evaluation"]["headline"] is None or cars != "blind"
         assert all(stage["gap"] == 0.0 for stage in summary["stages"])
-        assert failed(tmp_path / cars) == []
+        assert failed(folder / cars) == []
     assert summaries["see"]["apr"] >= summaries["0.3"]["apr"] >= summaries["blind"]["apr"]
     assert (
         summaries["see"]["apr_without_worst_unit"] >= summaries["see"]["evaluation"]["vut"]["all"]
     )
 
 
-@pytest.mark.usefixtures("summaries")
-def test_another_share_of_cars_is_found_out(tmp_path):
+def test_another_share_of_cars_is_found_out(answers, tmp_path):
+    shutil.copytree(answers[0], tmp_path, dirs_exist_ok=True)
     for cars, other in (("see", 0.5), ("0.3", 0.5), ("blind", 1.0)):
         path = tmp_path / cars / "summary.json"
         summary = json.loads(path.read_text())

@@ -227,6 +227,49 @@ def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
     assert again["record"] == told
 
 
+LENSES = {
+    "brown-conrady": ("k1 = -0.12, p1 = 0.001", 90.0, "fov_range_deg = [50.0, 100.0]"),
+    "fisheye": ("k1 = -0.02, k2 = 0.003", 190.0, "roll_deg = 3.0"),
+}
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_a_camera_with_a_lens_is_planned_seen_and_judged(
+    open_client, join, few_runs, tmp_path, model
+):
+    terms, fov_deg, more = LENSES[model]
+    path = tmp_path / "own.toml"
+    path.write_text(
+        f"[cameras.bent]\nwidth_px = 1280\nheight_px = 960\nhorizontal_fov_deg = {fov_deg}\n"
+        "frame_rate_hz = 10.0\nnear_m = 0.5\nprice_eur = 900.0\n"
+        f'lens = {{model = "{model}", {terms}}}\n{more}\n'
+    )
+    client = open_client(asked={"sensors": str(path)})
+    line = join(client)
+    line.send(do="add", site="corner-ne", sensor="bent")
+    (unit,) = line.state()["units"]
+    assert unit["fovDeg"] == fov_deg
+    line.send(do="change", unit="U1", yaw_deg=-140.0, pitch_deg=-20.0)
+    view = line.until(lambda told: told["type"] == "view" and told["reachM"] > 5.0)
+    assert view["view"].startswith("M")
+    exact = line.numbers("evaluator")
+    response = client.get(f"/{TOKEN}/layout.json")
+    (tmp_path / "mine.json").write_text(response.text)
+    result = run_evaluation(
+        Question(),
+        layout=load_layout(tmp_path / "mine.json"),
+        out=None,
+        compute=Compute(workers=2),
+        command="",
+        progress=StageProgress(),
+    )
+    assert exact["record"] == json.loads(to_json_text(result.evaluation))
+    run_id = few_runs.axis.run_ids[0]
+    picture = client.get(f"/{TOKEN}/picture", params={"run": run_id, "unit": "U1", "frame": "-5"})
+    assert picture.content[:2] == b"\xff\xd8"
+    assert client.get(f"/{TOKEN}/sheet.pdf").content.startswith(b"%PDF")
+
+
 def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(open_client, join):
     line = join(open_client())
     before = line.last["state"]["revision"]

@@ -22,7 +22,8 @@ from placement.evaluation import Evaluation, Verdict, apr
 from placement.layout import Layout, layout_records, load_carlancap_layout
 from placement.question import Question
 from placement.setting import build_setting
-from scenarios.aeb import is_in_time, live_confirmation_time_s, load_aeb_rule
+from scenarios.aeb import load_aeb_rule
+from scenarios.confirmation import is_in_time, live_confirmation_time_s
 from scenarios.runs import Refusal, build_frame_axis
 
 VOID = {"source", "meta", "img", "br", "hr", "link", "input"}

@@ -11,7 +11,7 @@ from experiments.results.tables import (
     runs_table,
 )
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_position
-from scenarios.aeb import is_in_time, live_confirmation_time_s
+from scenarios.confirmation import is_in_time, live_confirmation_time_s
 
 
 @pytest.fixture

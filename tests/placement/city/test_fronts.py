@@ -14,7 +14,7 @@ from placement.city.fronts import value_at
 from placement.city.junction import find_front
 from placement.detection_table import pack_table
 from placement.optimiser import Effort, Limits, PlacementProblem, apr, presolve
-from placement.optimiser.limits import cost_eur, is_allowed
+from placement.optimiser.allowed_sets import cost_eur, is_allowed
 from placement.optimiser.solve import of_pool
 
 TOLERANCE = 1.0e-9

@@ -16,7 +16,8 @@ from placement.evaluator.perceive import perceive_from_roadside
 from placement.evaluator.surroundings import build_surroundings
 from placement.layout import Layout
 from placement.setting import Radio
-from scenarios.aeb import is_in_time, load_aeb_rule
+from scenarios.aeb import load_aeb_rule
+from scenarios.confirmation import is_in_time
 from scenarios.runs import build_frame_axis
 
 RULE = load_aeb_rule()

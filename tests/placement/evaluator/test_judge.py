@@ -13,7 +13,8 @@ from placement.evaluation import run_outcomes, score
 from placement.evaluator import evaluate as judge_module
 from placement.evaluator.evaluate import Judge
 from placement.optimiser import Limits, PlacementProblem, apr
-from scenarios.aeb import find_contacts, is_in_time, load_aeb_rule
+from scenarios.aeb import find_contacts, load_aeb_rule
+from scenarios.confirmation import is_in_time
 from scenarios.runs import build_frame_axis, find_onsets, live_confirmation_times_s
 from scenarios.scores import build_levels
 from scenarios.weights import weight_per_run

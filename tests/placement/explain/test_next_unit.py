@@ -6,7 +6,7 @@ from problems import problems
 
 from placement.explain.contributions import find_next_unit
 from placement.optimiser import apr, presolve, solve_placement
-from placement.optimiser.limits import is_allowed
+from placement.optimiser.allowed_sets import is_allowed
 
 
 @given(problem=problems())

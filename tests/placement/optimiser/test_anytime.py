@@ -28,6 +28,7 @@ from placement.optimiser import (
     solve_sturdily,
     sturdy_problem,
 )
+from placement.optimiser.allowed_sets import are_allowed, is_allowed
 from placement.optimiser.bitsets import (
     left_after_failures,
     set_values,
@@ -38,12 +39,11 @@ from placement.optimiser.bitsets import (
 from placement.optimiser.bounds import failure_limit, find_root, relax, run_rows
 from placement.optimiser.front import cost_front, pareto_front
 from placement.optimiser.greedy import extend_greedily, forced_units, improve
-from placement.optimiser.limits import are_allowed, is_allowed
 from placement.optimiser.pairs import PairWalk
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.problem import Objective
 from placement.optimiser.proof import Search
-from placement.optimiser.steering import NEVER, Deadline, deadline_in
+from placement.optimiser.timing import NEVER, Deadline, deadline_in
 from placement.optimiser.walk import SetWalk, best_of_few, can_walk
 
 ANY_PROBLEM = st.from_type(PlacementProblem)

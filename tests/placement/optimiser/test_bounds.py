@@ -11,6 +11,7 @@ from problems import questions
 
 from geometry.arrays import FloatArray, IntArray
 from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser.allowed_sets import are_allowed, build_choice
 from placement.optimiser.bitsets import (
     left_after_failures,
     union_apr,
@@ -30,7 +31,6 @@ from placement.optimiser.bounds import (
     run_rows,
     tightened,
 )
-from placement.optimiser.limits import are_allowed, build_choice
 from placement.optimiser.presolve import ReducedProblem, unpack_words
 from placement.optimiser.problem import Objective
 

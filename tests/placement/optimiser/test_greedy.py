@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from problems import questions
 
 from placement.optimiser import PlacementProblem, presolve, solve_greedy
+from placement.optimiser.allowed_sets import is_allowed
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.greedy import (
     extend_greedily,
@@ -18,9 +19,8 @@ from placement.optimiser.greedy import (
     search_from_many_starts,
     to_full,
 )
-from placement.optimiser.limits import is_allowed
 from placement.optimiser.proof import Search
-from placement.optimiser.steering import Deadline
+from placement.optimiser.timing import Deadline
 
 
 @given(problem=questions())

@@ -14,7 +14,7 @@ from small_tables import avoiding_problem
 
 from geometry.errors import InputError
 from placement.optimiser import Floor, Limits, PlacementProblem, UnmetError, solve_placement
-from placement.optimiser.limits import (
+from placement.optimiser.allowed_sets import (
     are_allowed,
     build_choice,
     cost_eur,

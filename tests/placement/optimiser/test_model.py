@@ -12,6 +12,7 @@ from problems import questions
 
 from geometry.arrays import FloatArray, IntArray
 from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import (
     left_after_failures,
     set_values,
@@ -19,7 +20,6 @@ from placement.optimiser.bitsets import (
     unions_of,
 )
 from placement.optimiser.bounds import margin_rows, run_rows
-from placement.optimiser.limits import are_allowed
 from placement.optimiser.model import (
     Cut,
     entering_poses,

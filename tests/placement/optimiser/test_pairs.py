@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from placement.optimiser import PlacementProblem, presolve
+from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import union_apr, unions_of
-from placement.optimiser.limits import are_allowed
 from placement.optimiser.pairs import PairWalk, goes_by_pairs, walk_by_pairs
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.steering import NEVER, Deadline
+from placement.optimiser.timing import NEVER, Deadline
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 
@@ -49,8 +49,8 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.quantile(share, place, method="nearest"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.steering.CLASS_POSES", class_poses)
-        patch.setattr("placement.optimiser.steering.FEW_PAIRS", few)
+        patch.setattr("placement.optimiser.timing.CLASS_POSES", class_poses)
+        patch.setattr("placement.optimiser.timing.FEW_PAIRS", few)
         walk = PairWalk(reduced, need=need)
         met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
     assert walk.is_finished

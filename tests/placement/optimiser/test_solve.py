@@ -22,7 +22,7 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.steering import settle
+from placement.optimiser.timing import settle
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]

@@ -12,13 +12,13 @@ from problems import questions
 from geometry.arrays import IntArray
 from placement.detection_table import DetectionTable
 from placement.optimiser import Limits, PlacementProblem, presolve
+from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
 from placement.optimiser.bounds import failure_limit, find_root, run_rows
 from placement.optimiser.greedy import improve
-from placement.optimiser.limits import are_allowed
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.proof import Search
-from placement.optimiser.steering import NEVER, Deadline
+from placement.optimiser.timing import NEVER, Deadline
 from placement.optimiser.walk import SetWalk, TieSearch, best_of_tied, can_walk, widest_poses
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis

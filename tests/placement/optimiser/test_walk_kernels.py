@@ -22,8 +22,8 @@ from kernel_cases import (
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from placement.optimiser import walk_kernels as kernels
+from placement.optimiser.allowed_sets import Choice
 from placement.optimiser.bounds import byte_table, reward_of
-from placement.optimiser.limits import Choice
 from placement.optimiser.presolve import pack_words
 from placement.optimiser.problem import Chains
 

@@ -10,8 +10,7 @@ from scipy.stats import t as student
 from geometry.errors import InputError
 from placement.certify import certify, estimate_gap
 from placement.compute import Compute
-from placement.pipeline import Assembly, assemble
-from placement.question import Question
+from placement.pipeline import Assembly
 from placement.sampling.out_of_sample import out_of_sample_layouts
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import load_uncertainty
@@ -133,7 +132,7 @@ def test_what_cannot_be_certified_is_refused(assembly):
         certify(aims)
 
 
-def test_a_question_without_worlds_is_refused():
-    plan = assemble(Question(budget=1, within="carlancap-12"))
+def test_a_question_without_worlds_is_refused(assembly):
+    plan = replace(assembly, n_samples=0, uncertainty=None)
     with pytest.raises(InputError, match="samples: got 0"):
         certify(plan)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from geometry.clock import now_s
 from geometry.errors import InputError
-from placement.optimiser import PlacementProblem, presolve, solve_placement, steering
+from placement.optimiser import PlacementProblem, presolve, solve_placement, timing
 from placement.optimiser.front import pareto_front
-from placement.optimiser.steering import (
+from placement.optimiser.timing import (
     NEVER,
     TIME_SHARES,
     Deadline,
@@ -23,7 +23,7 @@ from placement.optimiser.steering import (
     share_out,
 )
 
-FOLDER = Path(steering.__file__).parent
+FOLDER = Path(timing.__file__).parent
 
 
 @pytest.mark.parametrize(
@@ -116,11 +116,11 @@ def test_only_the_table_has_numbers_that_steer() -> None:
     found = {
         path.name: of_module.findall(path.read_text(encoding="utf-8"))
         for path in FOLDER.glob("*.py")
-        if path.name != "steering.py"
+        if path.name != "timing.py"
     }
     mechanical = {
         "bit_kernels.py": ["_N_TOGETHER = 1"],  # words at a time, no search
-        "limits.py": ["CENTS, _MAX_CENTS = 1"],  # units of money
+        "allowed_sets.py": ["CENTS, _MAX_CENTS = 1"],  # units of money
         "walk_kernels.py": ["DONE, PAUSED, FULL, AT_STOP = 0"],  # names of states
         "front.py": [
             *("FIRST_STAGES = (", "DEFAULT_MAX_UNITS = 8"),  # what is asked
