@@ -290,7 +290,8 @@ def weight_by_accidents(
 
 
 # ---------- weights by a word
-_BY_WORD = ("run", "case", CRASH_TYPES, RATING)
+WEIGHT_WORDS = ("run", "case", CRASH_TYPES, RATING)
+"""Of :func:`weigh`, but for files."""
 
 
 def default_weights(cases: str) -> str:
@@ -341,7 +342,7 @@ def check_weights(how: str) -> None:
     """Check the word of a user as far as it goes without runs; raises as :func:`weigh`."""
     if how == RATING:
         load_points()
-    if how in _BY_WORD:
+    if how in WEIGHT_WORDS:
         return
     if source := split_source(how):
         read_accidents(*source)
@@ -353,7 +354,7 @@ def check_weights(how: str) -> None:
 
 def weight_files(how: str) -> tuple[Path, ...]:
     """Files that the weights by a word of a user are read from, see :func:`weigh`."""
-    if how in ("", *_BY_WORD):
+    if how in ("", *WEIGHT_WORDS):
         return ()
     source = split_source(how)
     return (Path(how),) if source is None else accident_files(*source)
@@ -362,7 +363,7 @@ def weight_files(how: str) -> tuple[Path, ...]:
 def _weights_file(how: str) -> Path:
     path = Path(how)
     if not how or not path.exists():
-        words = ", ".join([*_BY_WORD, *(f"{form}:FILE" for form in FORMATS)])
+        words = ", ".join([*WEIGHT_WORDS, *(f"{form}:FILE" for form in FORMATS)])
         raise InputError("weights", how, f"{words}, or a CSV file that exists")
     return path
 

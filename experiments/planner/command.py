@@ -133,6 +133,9 @@ def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") 
         check_layout(layout, scene)
         if key_of(layout.units) not in known:
             variants.append(Variant(name=layout.name, units=layout.units))
+        if name.endswith(".json"):
+            opened = read_plan(read_bytes(Path(name), max_bytes=MAX_PLAN_BYTES), name)
+            begun = replace(begun, poles=(*begun.poles, *opened.poles))
     return replace(begun, variants=tuple(variants))
 
 
