@@ -320,7 +320,7 @@ def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: b
 
 
 def _speak(context: click.Context, _param: click.Parameter, code: str | None) -> None:
-    """Speak the language from here to the end of the command; that of the group, if none is said."""
+    """Speak a language until the command ends; that of the group, where none is said."""
     if code is not None:
         context.with_resource(speaking(code))
 
