@@ -19,7 +19,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
 from ..figures.plan import draw_scene
-from ..language import tr, trn
+from ..language import said, tr, trn
 from ..results.numbers import joined, percent
 from ..results.record import says
 from ..results.tables import RunGroup, groups_by
@@ -221,7 +221,7 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
         caption=tr("Where along the arms {name} avoids how much", name=name),
         columns=[
             *(tr("where"), tr("APR"), tr("runs avoided")),
-            *(tr("from the {arm}", arm=tr(arm)) for arm, _ in approaches),
+            *(tr("from the {arm}", arm=said(arm)) for arm, _ in approaches),
         ],
         rows=rows,
         numeric=range(1, 3 + len(approaches)),

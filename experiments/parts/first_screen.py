@@ -13,7 +13,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
-from ..language import mark, tr
+from ..language import mark, said, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
@@ -83,7 +83,7 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
         return ()
     found = []
     for unit, record in zip(units, result.layout, strict=True):
-        names = (record.kind and tr(record.kind), record.site)
+        names = (record.kind and said(record.kind), record.site)
         where = " ".join(filter(None, names)) or tr("a mount of its own")
         height_m = float(above_ground(unit, scene).pose.position_m[2])
         height = tr("{height} m high", height=number(height_m, 1))
