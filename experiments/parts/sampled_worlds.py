@@ -14,6 +14,7 @@ from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, re
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
+from ..language import said, tr, trn
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -227,37 +228,77 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """Sentences on layouts in sampled worlds; the first layout is the subject."""
     subject, planned = found.layouts[0], found.layouts[0].planned
-    sentences = [
-        f"In {found.samples} fresh sampled {_worlds(found.samples)} ({what_is_uncertain(found)}), "
-        f"{subject.name} avoids {percent(subject.mean)} of the accidents on average "
-        f"({subject.method}: {percent(subject.low)} to {percent(subject.high)})"
-        + ("" if planned is None else f"; as planned {percent(planned)}")
-    ]
+    shown = {
+        "drawn": what_is_uncertain(found),
+        "layout": subject.name,
+        "mean": percent(subject.mean),
+        "method": said(subject.method),
+        "low": percent(subject.low),
+        "high": percent(subject.high),
+    }
+    if planned is None:
+        first = trn(
+            "In {n} fresh sampled world ({drawn}), {layout} avoids {mean} of the accidents on "
+            "average ({method}: {low} to {high})",
+            "In {n} fresh sampled worlds ({drawn}), {layout} avoids {mean} of the accidents on "
+            "average ({method}: {low} to {high})",
+            found.samples,
+            **shown,
+        )
+    else:
+        first = trn(
+            "In {n} fresh sampled world ({drawn}), {layout} avoids {mean} of the accidents on "
+            "average ({method}: {low} to {high}); as planned {planned}",
+            "In {n} fresh sampled worlds ({drawn}), {layout} avoids {mean} of the accidents on "
+            "average ({method}: {low} to {high}); as planned {planned}",
+            found.samples,
+            **shown,
+            planned=percent(planned),
+        )
+    sentences = [first]
     if subject.of_all is not None:
         sentences.append(
-            f"With V2X in {percent(found.uncertainty.v2x_share)} of the cars, these are "
-            f"{percent(subject.of_all)} of the accidents of all cars"
+            tr(
+                "With V2X in {share} of the cars, these are {apr} of the accidents of all cars",
+                share=percent(found.uncertainty.v2x_share),
+                apr=percent(subject.of_all),
+            )
         )
     chosen = subject.in_sample
-    if chosen is not None:
-        better = ": a choice looks better where it was made"
+    if chosen is not None and chosen > or_nan(subject.mean):
         sentences.append(
-            f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
-            f"{better if chosen > or_nan(subject.mean) else ''}"
+            tr(
+                "In the worlds that it was chosen in, it avoids {apr}: a choice looks better where "
+                "it was made",
+                apr=percent(chosen),
+            )
+        )
+    elif chosen is not None:
+        sentences.append(
+            tr("In the worlds that it was chosen in, it avoids {apr}", apr=percent(chosen))
         )
     n_worst = found.tail * (found.chosen_in or 0)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         sentences.append(
-            f"The worst {percent(found.tail)} of the {found.chosen_in} worlds that it was chosen "
-            f"in {'is' if n_worst <= 1.0 else 'are'} {max(n_worst, 1.0):g}: too few to choose by; "
-            "ask for more with --samples, or for the mean"
+            trn(
+                "The worst {tail} of the {n_all} worlds that it was chosen in is {n_worst:g}: too "
+                "few to choose by; ask for more with --samples, or for the mean",
+                "The worst {tail} of the {n_all} worlds that it was chosen in are {n_worst:g}: too "
+                "few to choose by; ask for more with --samples, or for the mean",
+                1 if n_worst <= 1.0 else 2,
+                tail=percent(found.tail),
+                n_all=found.chosen_in,
+                n_worst=max(n_worst, 1.0),
+            )
         )
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
     if unsure:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
-        sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
+        sentences.append(
+            tr("Least sure, with the share of worlds that avoid them: {runs}", runs=listed)
+        )
     return [f"{sentence}." for sentence in sentences]
 
 
@@ -275,17 +316,34 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
         return []
     _, gain, other = min(ahead, key=lambda entry: entry[0])
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
-    worst = (
-        f"; in the worst {percent(found.tail)} of them {percent(other.cvar)}, not "
-        f"{percent(subject.cvar)}"
-    ) * of_tail
-    few = f"the {found.chosen_in} {_worlds(found.chosen_in)} that {subject.name} was chosen in"
-    are = "is" if found.chosen_in == 1 else "are"
-    return [
-        f"{other.name} does better in {found.samples} fresh {_worlds(found.samples)}: {points:.1f} "
-        f"points of APR more than {subject.name} (95 % interval {low:.1f} to {high:.1f}){worst}; "
-        f"{few} {are} too few: ask for more with --samples, or take {other.name}."
-    ]
+    better = trn(
+        "{other} does better in {n} fresh world: {points:.1f} points of APR more than {layout} "
+        "(95 % interval {low:.1f} to {high:.1f})",
+        "{other} does better in {n} fresh worlds: {points:.1f} points of APR more than {layout} "
+        "(95 % interval {low:.1f} to {high:.1f})",
+        found.samples,
+        other=other.name,
+        layout=subject.name,
+        points=points,
+        low=low,
+        high=high,
+    )
+    worst = tr(
+        "in the worst {tail} of them {apr}, not {layout_apr}",
+        tail=percent(found.tail),
+        apr=percent(other.cvar),
+        layout_apr=percent(subject.cvar),
+    )
+    few = trn(
+        "the {n} world that {layout} was chosen in is too few: ask for more with --samples, or "
+        "take {other}.",
+        "the {n} worlds that {layout} was chosen in are too few: ask for more with --samples, or "
+        "take {other}.",
+        found.chosen_in,
+        layout=subject.name,
+        other=other.name,
+    )
+    return ["; ".join([better, *[worst] * of_tail, few])]
 
 
 def what_is_uncertain(found: SampledRecord) -> str:
@@ -294,43 +352,74 @@ def what_is_uncertain(found: SampledRecord) -> str:
     mounting, latency, traffic = record.mounting, record.latency, record.traffic
     outages, blinding, low_sun = record.outages, record.blinding, record.blinding.low_sun_share
     lasting = record.person_share + record.unit_person_share
-    degree, mean_ms = "\N{DEGREE SIGN}", 1000.0 * float(latency.get("mean_s", 0.0))
-    bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
-    bursts *= record.burst_frames > 1.0
-    for_a_run = f" ({percent(lasting)} of the noise for a whole run)" if lasting else ""
+    mean_ms = 1000.0 * float(latency.get("mean_s", 0.0))
+    lost, taken = percent(record.packet_loss), percent(traffic["taken_share"])
+    has_bursts = record.burst_frames > 1.0
     parts = (
         (
             any(astuple(mounting)),
-            f"units off by {mounting.yaw_sd_deg:g}{degree} in yaw, {mounting.pitch_sd_deg:g}"
-            f"{degree} in pitch and {100.0 * mounting.height_sd_m:g} cm in height",
+            tr(
+                "units off by {yaw:g}° in yaw, {pitch:g}° in pitch and {height_cm:g} cm in height",
+                yaw=mounting.yaw_sd_deg,
+                pitch=mounting.pitch_sd_deg,
+                height_cm=100.0 * mounting.height_sd_m,
+            ),
         ),
-        ("budget" in latency, f"latency drawn from the budget {latency.get('budget')}"),
-        (mean_ms, f"messages {mean_ms:g} ms later on average"),
-        (record.packet_loss > 0.0, f"{percent(record.packet_loss)} of the messages lost{bursts}"),
         (
-            record.draws_detections,
-            f"detections drawn where the detector gives a probability{for_a_run}",
+            "budget" in latency,
+            tr("latency drawn from the budget {name}", name=latency.get("budget")),
+        ),
+        (mean_ms, tr("messages {mean_ms:g} ms later on average", mean_ms=mean_ms)),
+        (
+            record.packet_loss > 0.0 and not has_bursts,
+            tr("{share} of the messages lost", share=lost),
+        ),
+        (
+            record.packet_loss > 0.0 and has_bursts,
+            tr(
+                "{share} of the messages lost in bursts (drawn anew after {n:g} frames)",
+                share=lost,
+                n=record.burst_frames,
+            ),
+        ),
+        (
+            record.draws_detections and not lasting,
+            tr("detections drawn where the detector gives a probability"),
+        ),
+        (
+            record.draws_detections and lasting,
+            tr(
+                "detections drawn where the detector gives a probability ({share} of the noise for "
+                "a whole run)",
+                share=percent(lasting),
+            ),
         ),
         (
             outages != Outages(),
-            f"units out of order in {percent(outages.unit_share)} and poles in "
-            f"{percent(outages.pole_share)} of the runs",
+            tr(
+                "units out of order in {units} and poles in {poles} of the runs",
+                units=percent(outages.unit_share),
+                poles=percent(outages.pole_share),
+            ),
         ),
-        (blinding.dirty_share, f"{percent(blinding.dirty_share)} of the cameras dirty"),
-        (low_sun, f"low sun in {percent(low_sun)} of the runs by day"),
-        (traffic["taken_share"], f"{percent(traffic['taken_share'])} of the parking places taken"),
+        (
+            blinding.dirty_share,
+            tr("{share} of the cameras dirty", share=percent(blinding.dirty_share)),
+        ),
+        (low_sun, tr("low sun in {share} of the runs by day", share=percent(low_sun))),
+        (traffic["taken_share"], tr("{share} of the parking places taken", share=taken)),
         (
             traffic["waiting_share"],
-            f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes",
+            tr("vehicles waiting in {share} of the lanes", share=percent(traffic["waiting_share"])),
         ),
-        (record.road_users.measured, "people as fast as they were measured"),
+        (record.road_users.measured, tr("people as fast as they were measured")),
         (
             replace(record.road_users, measured={}) != RoadUsers(),
-            "road users faster or slower, from nearer starts",
+            tr("road users faster or slower, from nearer starts"),
         ),
-        (found.moving, f"vehicles that drive by ({found.traffic_source})"),
+        (found.moving, tr("vehicles that drive by ({source})", source=found.traffic_source)),
     )
-    return ", ".join(words for holds, words in parts if holds) or "nothing is uncertain"
+    return ", ".join(words for holds, words in parts if holds) or tr("nothing is uncertain")
 
 
 def moving_sentence(found: SampledRecord) -> str:
@@ -338,16 +427,24 @@ def moving_sentence(found: SampledRecord) -> str:
     moving = found.moving
     if not moving or not moving.n_runs:
         return ""
-    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else "none"
-    text = (
-        f"{moving.n_vehicles / moving.n_runs:.0f} vehicles drive by in a run "
-        f"({found.traffic_source}); {moving.n_left_out} of {moving.n_vehicles} ({share}) are left "
-        "out of theirs, for they would come into the way of car or road user"
+    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else tr("none")
+    text = tr(
+        "{per_run:.0f} vehicles drive by in a run ({source}); {n_left_out} of {n} ({share}) are "
+        "left out of theirs, for they would come into the way of car or road user",
+        per_run=moving.n_vehicles / moving.n_runs,
+        source=found.traffic_source,
+        n_left_out=moving.n_left_out,
+        n=moving.n_vehicles,
+        share=share,
     )
-    if moving.n_waiting:
-        wanted = moving.n_departed + moving.n_waiting
-        text += f"; SUMO found no room for {moving.n_waiting} of {wanted} vehicles"
-    return text
+    if not moving.n_waiting:
+        return text
+    no_room = tr(
+        "SUMO found no room for {n} of {n_all} vehicles",
+        n=moving.n_waiting,
+        n_all=moving.n_departed + moving.n_waiting,
+    )
+    return f"{text}; {no_room}"
 
 
 def is_open(difference: SampledPairRecord) -> bool:
@@ -355,24 +452,24 @@ def is_open(difference: SampledPairRecord) -> bool:
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
 
 
-def _worlds(count: int) -> str:
-    return "world" if count == 1 else "worlds"
-
-
 def table(found: SampledRecord) -> Table:
     """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
-    tail = f"worst {100.0 * found.tail:g} %"
+    tail = tr("worst {tail:g} %", tail=100.0 * found.tail)
     columns: dict[str, Callable[[SampledLayoutRecord], str]] = {
-        "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
-        "planned": lambda one: percent(one.planned),
-        "mean": lambda one: percent(one.mean),
-        "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
-        tail: lambda one: f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})",
-        "worst": lambda one: percent(one.worst),
+        tr("layout"): lambda one: shortened(one.name, _MAX_NAME_LENGTH),
+        tr("planned"): lambda one: percent(one.planned),
+        tr("mean"): lambda one: percent(one.mean),
+        tr("95 % interval"): lambda one: f"{percent(one.low)} .. {percent(one.high)}",
+        tail: lambda one: tr(
+            "{apr} (\N{PLUS-MINUS SIGN}{error:.1f})",
+            apr=percent(one.cvar),
+            error=_points(one.cvar_error),
+        ),
+        tr("worst"): lambda one: percent(one.worst),
     }
     if found.tail == 1.0:  # the mean of all is there already
         del columns[tail]
-    return tabulate("APR in sampled worlds", found.layouts, columns, numeric=range(1, 6))
+    return tabulate(tr("APR in sampled worlds"), found.layouts, columns, numeric=range(1, 6))
 
 
 def _points(share: float | None) -> float:
@@ -383,16 +480,18 @@ def sampled_picture(found: SampledRecord) -> Picture:
     """Picture of the layouts' APR."""
     return build_picture(
         plot_sampled_apr(found),
-        title="APR in sampled worlds",
-        caption="Worlds that were not used for the choice. Drawn at random: "
-        f"{what_is_uncertain(found)}.",
-        alt=f"Intervals. {' '.join(uncertainty_sentences(found))}",
+        title=tr("APR in sampled worlds"),
+        caption=tr(
+            "Worlds that were not used for the choice. Drawn at random: {drawn}.",
+            drawn=what_is_uncertain(found),
+        ),
+        alt=tr("Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))),
     )
 
 
 def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     """The layouts in sampled worlds."""
-    return Section("sampled", "If the world is not as planned", [picture, table(found)])
+    return Section("sampled", tr("If the world is not as planned"), [picture, table(found)])
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:
@@ -408,9 +507,9 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
     axes.set_yticks(range(len(layouts)), [_name(one.name) for one in layouts], fontsize=8)
     axes.set_ylim(len(layouts) - 0.5, -0.5)
-    words = (
-        "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: "
-        "from the worst to the best world"
+    words = tr(
+        "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: from the "
+        "worst to the best world"
     )
     finish_axes(axes, x=words, grid="x")
     return axes
@@ -422,16 +521,20 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     for row, pair in enumerate(pairs):
         _whisker(axes, row, pair, is_hollow=is_open(pair))
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
-    names = [f"{_name(pair.first)}\nminus {_name(pair.second)}" for pair in pairs]
+    names = [
+        tr("{first}\nminus {second}", first=_name(pair.first), second=_name(pair.second))
+        for pair in pairs
+    ]
     axes.set_yticks(range(len(pairs)), names, fontsize=8)
     axes.set_ylim(len(pairs) - 0.5, -0.5)
     low, high = axes.get_xlim()
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
     axes.set_xlim(middle - half, middle + half)
-    words = (
+    words = tr(
         "difference of the APR in the same worlds (points)\nwith its 95 % interval; open: may be "
+        "zero"
     )
-    finish_axes(axes, x=f"{words}zero", grid="x")
+    finish_axes(axes, x=words, grid="x")
     return axes
 
 
