@@ -187,30 +187,25 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
         return []
     first = found.layouts[0]
     best = next(one for one in found.layouts if one.name == found.recommended)
-    shares = {
-        "apr": percent(best.apr),
-        "other_apr": percent(first.apr),
-        "left": percent(best.apr_one_failed),
-        "other_left": percent(first.apr_one_failed),
-    }
-    if found.decided_by == "apr" and len(first.layout) == 1:
-        why = tr("APR {apr} against {other_apr}", **shares)
-    elif found.decided_by == "apr":
-        why = tr(
-            "APR {apr} against {other_apr}, and {left} against {other_left} if any one unit fails",
-            **shares,
-        )
+    values = {"apr": percent(best.apr), "other_apr": percent(first.apr)}
+    values |= {"left": percent(best.apr_one_failed), "other_left": percent(first.apr_one_failed)}
+    if found.decided_by == "apr":
+        why = mark("APR {apr} against {other_apr}")
+        if len(first.layout) > 1:
+            why = mark(
+                "APR {apr} against {other_apr}, and {left} against {other_left} if any one unit "
+                "fails"
+            )
     elif found.decided_by == "apr_one_failed":
-        why = tr(
-            "the same APR, {other_apr}, and {left} against {other_left} if any one unit fails",
-            **shares,
+        why = mark(
+            "the same APR, {other_apr}, and {left} against {other_left} if any one unit fails"
         )
     else:
         worst = [percent(one.mounting.worst.apr) for one in (best, first) if one.mounting]
-        why = tr(
-            "the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}",
-            leaves=tr(" against ").join(worst),
-        )
+        values["leaves"] = tr(" against ").join(worst)
+        why = mark("the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}")
+    values = {"why": tr(why, **values), "file": RECOMMENDED_FILE}
+    values |= {"best": best.name, "first": first.name}
     proven = mark(
         "Recommended: {best}, in {file}. The evaluator prefers it to {first}: {why}. All else "
         "here is about {first}, which is proven best on the detection table."
@@ -219,15 +214,7 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
         "Recommended: {best}, in {file}. The evaluator prefers it to {first}: {why}. All else "
         "here is about {first}, which is the best found."
     )
-    return [
-        tr(
-            proven if is_proven else not_proven,
-            best=best.name,
-            first=first.name,
-            why=why,
-            file=RECOMMENDED_FILE,
-        )
-    ]
+    return [tr(proven if is_proven else not_proven, **values)]
 
 
 def doubt_sentences(
@@ -267,12 +254,8 @@ def _by_runs(found: ByRuns, n_runs: int) -> str:
             "If every run counted the same (--weights run), another layout would be better: it "
             "avoids {avoided} of {runs}, this one {avoided_here} (on the detection table)."
         )
-        return tr(
-            best if found.is_proven else better,
-            avoided=found.runs_avoided,
-            avoided_here=found.runs_avoided_here,
-            runs=count_runs(n_runs),
-        )
+        values = {"avoided": found.runs_avoided, "avoided_here": found.runs_avoided_here}
+        return tr(best if found.is_proven else better, runs=count_runs(n_runs), **values)
     if found.is_proven:
         return tr("If every run counted the same, no layout would be better than this one.")
     return tr(
@@ -282,46 +265,32 @@ def _by_runs(found: ByRuns, n_runs: int) -> str:
 
 
 def _mounting(found: Standing) -> str:
-    aim = {"aim_deg": found.aim_deg}
-    if not found.aim_deg and found.height_m:
-        text = tr(
+    aim = trn("{deg:g} degree", "{deg:g} degrees", int(found.aim_deg != 1.0) + 1, deg=found.aim_deg)
+    text = {
+        (True, True): mark(
+            "A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost."
+        ),
+        (True, False): mark(
+            "A unit may be {aim} off its aim and no run is lost; 5 cm too high or low already "
+            "loses one."
+        ),
+        (False, True): mark(
             "Mount exactly: half a degree off the aim of a unit already loses a run; 5 cm too high "
             "or low loses none."
-        )
-    elif not found.aim_deg:
-        text = tr(
+        ),
+        (False, False): mark(
             "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or low, already "
             "loses a run."
-        )
-    elif found.height_m:
-        text = trn(
-            "A unit may be {aim_deg:g} degree off its aim or 5 cm too high or low, and no run is "
-            "lost.",
-            "A unit may be {aim_deg:g} degrees off its aim or 5 cm too high or low, and no run is "
-            "lost.",
-            1 if found.aim_deg == 1.0 else 2,
-            **aim,
-        )
-    else:
-        text = trn(
-            "A unit may be {aim_deg:g} degree off its aim and no run is lost; 5 cm too high or low "
-            "already loses one.",
-            "A unit may be {aim_deg:g} degrees off its aim and no run is lost; 5 cm too high or "
-            "low already loses one.",
-            1 if found.aim_deg == 1.0 else 2,
-            **aim,
-        )
+        ),
+    }[bool(found.aim_deg), bool(found.height_m)]
+    text = tr(text, aim=aim)
     worst = found.worst
     if not worst.lost_run_ids:
         return text
-    at_worst = trn(
-        "At worst, 1 degree or 5 cm cost {n} run: with {unit} {off} the APR is {apr}.",
-        "At worst, 1 degree or 5 cm cost {n} runs: with {unit} {off} the APR is {apr}.",
-        len(worst.lost_run_ids),
-        unit=worst.unit_id,
-        off=tr(_OFF[worst.kind, worst.step > 0.0], step=abs(worst.step)),
-        apr=percent(worst.apr),
-    )
+    runs, apr = count_runs(len(worst.lost_run_ids)), percent(worst.apr)
+    off = tr(_OFF[worst.kind, worst.step > 0.0], step=abs(worst.step))
+    at_worst = mark("At worst, 1 degree or 5 cm cost {runs}: with {unit} {off} the APR is {apr}.")
+    at_worst = tr(at_worst, runs=runs, unit=worst.unit_id, off=off, apr=apr)
     return f"{text} {at_worst}"
 
 
@@ -356,45 +325,31 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
             "time to spare is then {time}.",
             time=milliseconds(least_s),
         )
-    text = trn(
-        "If {unit} fails, the others still prevent {apr}; {n} run is lost. No single failure "
-        "leaves less.",
-        "If {unit} fails, the others still prevent {apr}; {n} runs are lost. No single failure "
-        "leaves less.",
-        len(worst.lost_run_ids),
-        unit=_names(worst, labels),
-        apr=percent(worst.apr),
+    values = {"unit": _names(worst, labels), "apr": percent(worst.apr), "lost": _runs_lost(worst)}
+    text = tr(
+        "If {unit} fails, the others still prevent {apr}; {lost}. No single failure leaves less.",
+        **values,
     )
-    if not n_harmless:
-        return text
-    harmless = tr(
-        "{n} of the {n_units} units can fail by themselves and no run is lost.",
-        n=n_harmless,
-        n_units=n_units,
-    )
-    return f"{text} {harmless}"
+    harmless = mark("{n} of the {n_units} units can fail by themselves and no run is lost.")
+    return f"{text} {tr(harmless, n=n_harmless, n_units=n_units)}" if n_harmless else text
 
 
 def _if_two_fail(failures: Failures, labels: Mapping[str, str]) -> str:
     n_units, pairs = len(failures.one_failed), failures.two_failed
     n_harmless = sum(not item.lost_run_ids for item in pairs)
     if not pairs:
-        return tr(
-            "Pairs are looked at for up to {most} units; there are {n}.",
-            most=MAX_PAIR_UNITS,
-            n=n_units,
-        )
+        pairs_up_to = mark("Pairs are looked at for up to {most} units; there are {n}.")
+        return tr(pairs_up_to, most=MAX_PAIR_UNITS, n=n_units)
     if n_units == 2:
         return tr("If both fail, only the car itself is left.")
     if n_harmless == len(pairs):
         return tr("Any two may fail at once, and no run is lost.")
+    values = {"units": _names(pairs[0], labels), "apr": percent(pairs[0].apr), "n": n_harmless}
     return tr(
         "Of two that fail at once, {units} matter most: {apr} are left. {n} of the {n_pairs} pairs "
         "can fail and no run is lost.",
-        units=_names(pairs[0], labels),
-        apr=percent(pairs[0].apr),
-        n=n_harmless,
         n_pairs=len(pairs),
+        **values,
     )
 
 
@@ -406,14 +361,11 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
         return tr(
             "A pole fails with all its units (power, a crash). Whichever one does, no run is lost."
         )
-    return trn(
+    values = {"units": _names(worst, labels), "apr": percent(worst.apr), "lost": _runs_lost(worst)}
+    return tr(
         "A pole fails with all its units (power, a crash). If that of {units} does, {apr} are left "
-        "and {n} run is lost; no other pole leaves less.",
-        "A pole fails with all its units (power, a crash). If that of {units} does, {apr} are left "
-        "and {n} runs are lost; no other pole leaves less.",
-        len(worst.lost_run_ids),
-        units=_names(worst, labels),
-        apr=percent(worst.apr),
+        "and {lost}; no other pole leaves less.",
+        **values,
     )
 
 
@@ -421,32 +373,21 @@ def failure_table(
     failures: Sequence[Failure], labels: Mapping[str, str], *, of: Literal["unit", "pair", "pole"]
 ) -> Table:
     """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
-    all_shown, worst_shown, head = {
-        "unit": (
-            tr("If one unit fails"),
-            mark("If one unit fails: the {n} worst of {n_all} units"),
-            tr("fails"),
-        ),
-        "pair": (
-            tr("If two units fail"),
-            mark("If two units fail: the {n} worst of {n_all} pairs"),
-            tr("fail"),
-        ),
-        "pole": (
-            tr("If one pole fails"),
-            mark("If one pole fails: the {n} worst of {n_all}"),
-            tr("its units"),
-        ),
+    all_shown, worst_shown = {
+        "unit": (tr("If one unit fails"), mark("{if_fails}: the {n} worst of {n_all} units")),
+        "pair": (tr("If two units fail"), mark("{if_fails}: the {n} worst of {n_all} pairs")),
+        "pole": (tr("If one pole fails"), mark("{if_fails}: the {n} worst of {n_all}")),
     }[of]
     is_cut = len(failures) > MAX_ROWS
-    caption = tr(worst_shown, n=MAX_ROWS, n_all=len(failures)) if is_cut else all_shown
+    counts = {"n": MAX_ROWS, "n_all": len(failures)}
+    caption = tr(worst_shown, if_fails=all_shown, **counts) if is_cut else all_shown
+    head = {"unit": tr("fails"), "pair": tr("fail"), "pole": tr("its units")}[of]
+    least = tr("smallest margin of the rest (ms)")
     pole: dict[str, Callable[[Failure], str]] = {tr("pole"): lambda item: item.site_id}
     columns: dict[str, Callable[[Failure], str]] = (pole if of == "pole" else {}) | {
         head: lambda item: _names(item, labels),
         tr("APR of the rest"): lambda item: percent(item.apr),
-        tr("smallest margin of the rest (ms)"): lambda item: number(
-            1000.0 * item.smallest_margin_s, 0
-        ),
+        least: lambda item: number(1000.0 * item.smallest_margin_s, 0),
         tr("runs lost"): lambda item: str(len(item.lost_run_ids)),
         tr("which"): lambda item: first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
     }
@@ -462,17 +403,14 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
         tables.append(failure_table(failures.two_failed, labels, of="pair"))
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
         tables.append(failure_table(failures.site_failed, labels, of="pole"))
-    whose = (
-        tr(
-            "What the evaluator sees with each unit, and with the car's own sensors, which never "
-            "fail."
-        )
-        if evaluation.cars == 1.0
-        else tr(
-            "Roadside units only, from what the evaluator sees with each; what the car sees by "
-            "itself comes on top."
-        )
+    seeing = mark(
+        "What the evaluator sees with each unit, and with the car's own sensors, which never fail."
     )
+    blind = mark(
+        "Roadside units only, from what the evaluator sees with each; what the car sees by itself "
+        "comes on top."
+    )
+    whose = tr(seeing if evaluation.cars == 1.0 else blind)
     lost = tr(
         "A run is lost if all units together avoid it and those that are left do not; the fastest "
         "ones are named first."
@@ -484,3 +422,7 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
 
 def _names(failure: Failure, labels: Mapping[str, str]) -> str:
     return tr(" and ").join(labels.get(unit_id, unit_id) for unit_id in failure.unit_ids)
+
+
+def _runs_lost(failure: Failure) -> str:
+    return trn("{n} run is lost", "{n} runs are lost", len(failure.lost_run_ids))

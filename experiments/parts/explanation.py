@@ -18,7 +18,7 @@ from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
 from ..language import mark, said, tr, trn
-from ..results.numbers import NOTHING, joined, number, percent, points
+from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
 from .section import Block, Section, Table, tabulate
 
@@ -30,6 +30,11 @@ OUTCOMES = {
     "too late": mark("confirmed too late"),
 }
 """Messages for the outcome of a run that is not avoided."""
+_CONTRIBUTION_COLUMNS = (
+    *(mark("unit"), mark("runs that only it saves"), mark("APR it adds"), mark("APR without it")),
+    *(mark("smallest time to spare without it (s)"), mark("mean time to spare without it (s)")),
+    *(mark("later without it, mean (s)"), mark("later, at most (s)")),
+)
 _CAUSES = {
     "out of view": mark("out of view"),
     "cut off": mark("cut off by the edge of the view"),
@@ -127,13 +132,8 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     if len(parts) == 1:
         if parts[0].without.apr == 0.0:
             return [tr("Everything that is avoided depends on this one unit.")]
-        return [
-            trn(
-                "This one unit saves {n} run that the car does not save by itself.",
-                "This one unit saves {n} runs that the car does not save by itself.",
-                len(parts[0].only_runs),
-            )
-        ]
+        saved = mark("This one unit saves {runs} that the car does not save by itself.")
+        return [tr(saved, runs=count_runs(len(parts[0].only_runs)))]
     if not needed:
         return [
             trn(
@@ -162,8 +162,8 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
     counts = Counter(entry.outcome for entry in missed)
     outcomes = ", ".join(f"{count} {tr(OUTCOMES[name])}" for name, count in counts.most_common())
     if len(counts) == 1:
-        outcomes = tr(OUTCOMES[missed[0].outcome])
-        outcomes = tr("all {outcome}", outcome=outcomes) if len(missed) > 1 else outcomes
+        only = "{outcome}" if len(missed) == 1 else mark("all {outcome}")
+        outcomes = tr(only, outcome=tr(OUTCOMES[missed[0].outcome]))
     if missed:
         sentences = [
             trn(
@@ -178,10 +178,8 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
     else:
         sentences = [tr("On the detection table, every run is avoided.")]
     if n_without:
-        left_out = trn(
-            "Left out: {n} run of weight 0.", "Left out: {n} runs of weight 0.", n_without
-        )
-        sentences.append(left_out)
+        left_out = mark("Left out: {runs} of weight 0.")
+        sentences.append(tr(left_out, runs=count_runs(n_without)))
     return [*sentences, *causes_and_remedies(missed)]
 
 
@@ -194,34 +192,22 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
         if len(missed) == 1:
             sentences.append(tr("The main cause: {cause}.", cause=words))
         elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
-            sentences.append(
-                trn(
-                    "The most frequent cause: {cause}, in {n} run.",
-                    "The most frequent cause: {cause}, in {n} runs.",
-                    n_runs,
-                    cause=words,
-                )
-            )
+            most = mark("The most frequent cause: {cause}, in {runs}.")
+            sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
-    if not n_saved:
-        return sentences
     if n_saved == len(missed):
-        return [
-            *sentences,
-            trn(
-                "It could be saved by a further unit.",
-                "Each of them could be saved by a further unit.",
-                n_saved,
-            ),
-        ]
-    return [
-        *sentences,
-        trn(
+        saved = trn(
+            "It could be saved by a further unit.",
+            "Each of them could be saved by a further unit.",
+            n_saved,
+        )
+    else:
+        saved = trn(
             "{n} run could be saved by a further unit.",
             "{n} runs could each be saved by a further unit.",
             n_saved,
-        ),
-    ]
+        )
+    return [*sentences, *([saved] if n_saved else [])]
 
 
 def cause(reason: Reason) -> str:
@@ -246,16 +232,7 @@ def contribution_table(
         rows.append([name, n_saved, *shares, *shown])
     return Table(
         caption=tr("What each unit is there for, on the detection table"),
-        columns=[
-            tr("unit"),
-            tr("runs that only it saves"),
-            tr("APR it adds"),
-            tr("APR without it"),
-            tr("smallest time to spare without it (s)"),
-            tr("mean time to spare without it (s)"),
-            tr("later without it, mean (s)"),
-            tr("later, at most (s)"),
-        ],
+        columns=[*map(tr, _CONTRIBUTION_COLUMNS)],
         rows=rows,
         numeric=range(1, 8),
     )
@@ -289,13 +266,9 @@ def missed_table(explained: ExplainedRecord) -> Table:
 def _why(entry: Unavoided) -> str:
     if entry.outcome == "hopeless":
         return tr("the road user is there too late for any confirmation in time")
+    seen = mark("{cause} in {n} of {n_frames} frames")
     reasons = "; ".join(
-        tr(
-            "{cause} in {n} of {n_frames} frames",
-            cause=cause(reason),
-            n=reason.frames,
-            n_frames=entry.frames_in_time,
-        )
+        tr(seen, cause=cause(reason), n=reason.frames, n_frames=entry.frames_in_time)
         for reason in entry.reasons[:_MAX_REASONS]
     )
     if not reasons:
@@ -307,15 +280,11 @@ def _rescue(entry: Unavoided) -> str:
     rescue = entry.rescue
     if rescue is None:
         return NOTHING
-    spare = number(rescue.margin_s)
+    spare, away = number(rescue.margin_s), number(rescue.distance_m, 1)
+    where = mark("{unit}, {away} m away, {spare} s to spare")
     if rescue.distance_m == 0.0:
-        return tr("{unit}, at the same mount, {spare} s to spare", unit=rescue.unit, spare=spare)
-    return tr(
-        "{unit}, {away} m away, {spare} s to spare",
-        unit=rescue.unit,
-        away=number(rescue.distance_m, 1),
-        spare=spare,
-    )
+        where = mark("{unit}, at the same mount, {spare} s to spare")
+    return tr(where, unit=rescue.unit, away=away, spare=spare)
 
 
 def explanation_sections(
@@ -397,23 +366,16 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
     """Sentences on the changes by refinement and their proof."""
     n_tried, n_grid = found.poses_tried, found.grid_candidates
     if not found.is_improved:
-        return [
-            tr(
-                "Refinement tried {n} poses between the {n_grid} candidates of the grid and found "
-                "nothing better.",
-                n=n_tried,
-                n_grid=n_grid,
-            )
-        ]
-    if found.grid_is_proven:
-        proven = tr(
-            "No choice among the {n} candidates of the grid is as good: that is proven.", n=n_grid
+        nothing = mark(
+            "Refinement tried {n} poses between the {n_grid} candidates of the grid and found "
+            "nothing better."
         )
-    else:
-        proven = tr(
-            "It is better than the best choice among the {n} candidates of the grid that was "
-            "found in the time given.",
-            n=n_grid,
+        return [tr(nothing, n=n_tried, n_grid=n_grid)]
+    proven = mark("No choice among the {n} candidates of the grid is as good: that is proven.")
+    if not found.grid_is_proven:
+        proven = mark(
+            "It is better than the best choice among the {n} candidates of the grid that was found "
+            "in the time given."
         )
     deeds = joined([_deed(move) for move in found.moves])
     bounds = tr(
@@ -423,7 +385,7 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
     )
     return [
         tr("Refinement {deeds}: {changes}.", deeds=deeds, changes=_changes(found)),
-        f"{proven} {bounds}",
+        f"{tr(proven, n=n_grid)} {bounds}",
     ]
 
 
@@ -434,22 +396,18 @@ def _deed(move: MoveRecord) -> str:
     if move.was is None:
         return tr("added {unit}", unit=move.is_)
     lift_m = move.lift_m or 0.0
-    amounts = {
-        "turned": move.turn_deg,
-        "tilted": move.tilt_deg,
-        "raised" if lift_m > 0.0 else "lowered": abs(lift_m),
-        "zoomed": move.zoom_deg,
-    }
+    amounts = {"turned": move.turn_deg, "tilted": move.tilt_deg}
+    amounts |= {"raised" if lift_m > 0.0 else "lowered": abs(lift_m), "zoomed": move.zoom_deg}
     name = move.is_
     if move.is_ != move.was:
         name = tr("{was} (now {now})", was=move.was, now=move.is_)
     done = [
-        (_DEEDS[verb], {"unit": name, "amount": number(amount)})
+        (*_DEEDS[verb], {"unit": name, "amount": number(amount)})
         for verb, amount in amounts.items()
         if amount
     ]
-    ((first, _), values), *others = done
-    return joined([tr(first, **values), *(tr(again, **by) for (_, again), by in others)])
+    (first, _, values), *others = done
+    return joined([tr(first, **values), *(tr(again, **by) for _, again, by in others)])
 
 
 def _changes(found: RefinementRecord) -> str:
@@ -485,13 +443,12 @@ def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
             "One more unit among the candidates would avoid nothing more (on the detection table, "
             "by greedy choice)"
         )
+    values = {"points": points(unit.gain), "measure": measure, "apr": percent(unit.apr)}
     return tr(
         "One more unit would add {points} of {measure}: {apr} with {pose} (on the detection table, "
         "by greedy choice)",
-        points=points(unit.gain),
-        measure=measure,
-        apr=percent(unit.apr),
         pose=unit.pose,
+        **values,
     )
 
 

@@ -160,9 +160,9 @@ def words(front: FrontRecord) -> list[str]:
     """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
     n_points, n_proven = len(front.points), sum(point.is_proven for point in front.points)
     is_all, by_units = front.optimised == "all", front.by == "units"
-    better = tr("better, in APR, then in what is left when the most needed unit fails")
+    better = mark("better, in APR, then in what is left when the most needed unit fails")
     if is_all:
-        better = tr(
+        better = mark(
             "better, in APR, then in what is left when the most needed unit fails, then in time to "
             "spare and cost"
         )
@@ -180,7 +180,7 @@ def words(front: FrontRecord) -> list[str]:
         "says what is open."
     )
     is_proven = n_proven == n_points
-    sentences = [tr(proven if is_proven else some, n=n_proven, n_all=n_points, better=better)]
+    sentences = [tr(proven if is_proven else some, n=n_proven, n_all=n_points, better=tr(better))]
     if front.settled is not None:
         where = tr("Beyond {price}", price=euros(front.settled))
         if by_units:

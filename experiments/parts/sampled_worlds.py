@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,7 @@ from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, re
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
-from ..language import said, tr, trn
+from ..language import localized, mark, said, tr, trn
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -227,78 +227,53 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """Sentences on layouts in sampled worlds; the first layout is the subject."""
-    subject, planned = found.layouts[0], found.layouts[0].planned
-    shown = {
-        "drawn": what_is_uncertain(found),
-        "layout": subject.name,
-        "mean": percent(subject.mean),
-        "method": said(subject.method),
-        "low": percent(subject.low),
-        "high": percent(subject.high),
-    }
-    if planned is None:
-        first = trn(
+    subject, chosen = found.layouts[0], found.layouts[0].in_sample
+    n_worst, n_all = found.tail * (found.chosen_in or 0), found.chosen_in
+    shares = {"mean": subject.mean, "low": subject.low, "high": subject.high, "chosen": chosen}
+    shares |= {"planned": subject.planned, "of_all": subject.of_all, "tail": found.tail}
+    values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
+    values |= {"drawn": what_is_uncertain(found), "layout": subject.name}
+    values |= {"method": said(subject.method), "v2x": percent(found.uncertainty.v2x_share)}
+    sentences = [
+        trn(
             "In {n} fresh sampled world ({drawn}), {layout} avoids {mean} of the accidents on "
             "average ({method}: {low} to {high})",
             "In {n} fresh sampled worlds ({drawn}), {layout} avoids {mean} of the accidents on "
             "average ({method}: {low} to {high})",
             found.samples,
-            **shown,
+            **values,
         )
-    else:
-        first = trn(
-            "In {n} fresh sampled world ({drawn}), {layout} avoids {mean} of the accidents on "
-            "average ({method}: {low} to {high}); as planned {planned}",
-            "In {n} fresh sampled worlds ({drawn}), {layout} avoids {mean} of the accidents on "
-            "average ({method}: {low} to {high}); as planned {planned}",
-            found.samples,
-            **shown,
-            planned=percent(planned),
-        )
-    sentences = [first]
+    ]
+    if subject.planned is not None:
+        sentences[0] += tr("; as planned {planned}", **values)
     if subject.of_all is not None:
-        sentences.append(
-            tr(
-                "With V2X in {share} of the cars, these are {apr} of the accidents of all cars",
-                share=percent(found.uncertainty.v2x_share),
-                apr=percent(subject.of_all),
-            )
-        )
-    chosen = subject.in_sample
-    if chosen is not None and chosen > or_nan(subject.mean):
-        sentences.append(
-            tr(
-                "In the worlds that it was chosen in, it avoids {apr}: a choice looks better where "
-                "it was made",
-                apr=percent(chosen),
-            )
-        )
-    elif chosen is not None:
-        sentences.append(
-            tr("In the worlds that it was chosen in, it avoids {apr}", apr=percent(chosen))
-        )
-    n_worst = found.tail * (found.chosen_in or 0)
+        v2x = mark("With V2X in {v2x} of the cars, these are {of_all} of the accidents of all cars")
+        sentences.append(tr(v2x, **values))
+    better = mark(
+        "In the worlds that it was chosen in, it avoids {chosen}: a choice looks better where it "
+        "was made"
+    )
+    if chosen is not None:
+        other = mark("In the worlds that it was chosen in, it avoids {chosen}")
+        sentences.append(tr(better if chosen > or_nan(subject.mean) else other, **values))
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
-        sentences.append(
-            trn(
-                "The worst {tail} of the {n_all} worlds that it was chosen in is {n_worst:g}: too "
-                "few to choose by; ask for more with --samples, or for the mean",
-                "The worst {tail} of the {n_all} worlds that it was chosen in are {n_worst:g}: too "
-                "few to choose by; ask for more with --samples, or for the mean",
-                1 if n_worst <= 1.0 else 2,
-                tail=percent(found.tail),
-                n_all=found.chosen_in,
-                n_worst=max(n_worst, 1.0),
-            )
+        one = mark(
+            "The worst {tail} of the {n_all} worlds that it was chosen in is {n:g}: too few to "
+            "choose by; ask for more with --samples, or for the mean"
         )
+        few = mark(
+            "The worst {tail} of the {n_all} worlds that it was chosen in are {n:g}: too few to "
+            "choose by; ask for more with --samples, or for the mean"
+        )
+        text = one if n_worst <= 1.0 else few
+        sentences.append(tr(text, n=max(n_worst, 1.0), n_all=n_all, **values))
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
     if unsure:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
-        sentences.append(
-            tr("Least sure, with the share of worlds that avoid them: {runs}", runs=listed)
-        )
+        least = mark("Least sure, with the share of worlds that avoid them: {runs}")
+        sentences.append(tr(least, runs=listed))
     return [f"{sentence}." for sentence in sentences]
 
 
@@ -316,32 +291,25 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
         return []
     _, gain, other = min(ahead, key=lambda entry: entry[0])
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
+    values: dict[str, Any] = {"points": points, "low": low, "high": high, "other": other.name}
+    values |= {"tail": percent(found.tail), "apr": percent(other.cvar), "layout": subject.name}
     better = trn(
         "{other} does better in {n} fresh world: {points:.1f} points of APR more than {layout} "
         "(95 % interval {low:.1f} to {high:.1f})",
         "{other} does better in {n} fresh worlds: {points:.1f} points of APR more than {layout} "
         "(95 % interval {low:.1f} to {high:.1f})",
         found.samples,
-        other=other.name,
-        layout=subject.name,
-        points=points,
-        low=low,
-        high=high,
+        **values,
     )
-    worst = tr(
-        "in the worst {tail} of them {apr}, not {layout_apr}",
-        tail=percent(found.tail),
-        apr=percent(other.cvar),
-        layout_apr=percent(subject.cvar),
-    )
+    worst = mark("in the worst {tail} of them {apr}, not {layout_apr}")
+    worst = tr(worst, layout_apr=percent(subject.cvar), **values)
     few = trn(
         "the {n} world that {layout} was chosen in is too few: ask for more with --samples, or "
         "take {other}.",
         "the {n} worlds that {layout} was chosen in are too few: ask for more with --samples, or "
         "take {other}.",
         found.chosen_in,
-        layout=subject.name,
-        other=other.name,
+        **values,
     )
     return ["; ".join([better, *[worst] * of_tail, few])]
 
@@ -350,76 +318,59 @@ def what_is_uncertain(found: SampledRecord) -> str:
     """Words for what is drawn in the sampled worlds."""
     record = found.uncertainty
     mounting, latency, traffic = record.mounting, record.latency, record.traffic
-    outages, blinding, low_sun = record.outages, record.blinding, record.blinding.low_sun_share
+    outages, blinding, is_lost = record.outages, record.blinding, record.packet_loss > 0.0
     lasting = record.person_share + record.unit_person_share
-    mean_ms = 1000.0 * float(latency.get("mean_s", 0.0))
-    lost, taken = percent(record.packet_loss), percent(traffic["taken_share"])
-    has_bursts = record.burst_frames > 1.0
+    mean_ms, has_bursts = 1000.0 * float(latency.get("mean_s", 0.0)), record.burst_frames > 1.0
+    shares = {"lost": record.packet_loss, "lasting": lasting, "dirty": blinding.dirty_share}
+    shares |= {"units": outages.unit_share, "poles": outages.pole_share}
+    shares |= {"taken": traffic["taken_share"], "waiting": traffic["waiting_share"]}
+    shares |= {"low_sun": blinding.low_sun_share}
+    values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
+    values |= {"yaw": mounting.yaw_sd_deg, "pitch": mounting.pitch_sd_deg, "mean_ms": mean_ms}
+    values |= {"budget": latency.get("budget"), "source": found.traffic_source}
+    values |= {"height_cm": 100.0 * mounting.height_sd_m, "n_frames": record.burst_frames}
     parts = (
         (
             any(astuple(mounting)),
-            tr(
-                "units off by {yaw:g}° in yaw, {pitch:g}° in pitch and {height_cm:g} cm in height",
-                yaw=mounting.yaw_sd_deg,
-                pitch=mounting.pitch_sd_deg,
-                height_cm=100.0 * mounting.height_sd_m,
+            mark(
+                "units off by {yaw:g}° in yaw, {pitch:g}° in pitch and {height_cm:g} cm in height"
             ),
         ),
+        ("budget" in latency, mark("latency drawn from the budget {budget}")),
+        (mean_ms, mark("messages {mean_ms:g} ms later on average")),
+        (is_lost and not has_bursts, mark("{lost} of the messages lost")),
         (
-            "budget" in latency,
-            tr("latency drawn from the budget {name}", name=latency.get("budget")),
-        ),
-        (mean_ms, tr("messages {mean_ms:g} ms later on average", mean_ms=mean_ms)),
-        (
-            record.packet_loss > 0.0 and not has_bursts,
-            tr("{share} of the messages lost", share=lost),
-        ),
-        (
-            record.packet_loss > 0.0 and has_bursts,
-            tr(
-                "{share} of the messages lost in bursts (drawn anew after {n:g} frames)",
-                share=lost,
-                n=record.burst_frames,
-            ),
+            is_lost and has_bursts,
+            mark("{lost} of the messages lost in bursts (drawn anew after {n_frames:g} frames)"),
         ),
         (
             record.draws_detections and not lasting,
-            tr("detections drawn where the detector gives a probability"),
+            mark("detections drawn where the detector gives a probability"),
         ),
         (
             record.draws_detections and lasting,
-            tr(
-                "detections drawn where the detector gives a probability ({share} of the noise for "
-                "a whole run)",
-                share=percent(lasting),
+            mark(
+                "detections drawn where the detector gives a probability ({lasting} of the noise "
+                "for a whole run)"
             ),
         ),
         (
             outages != Outages(),
-            tr(
-                "units out of order in {units} and poles in {poles} of the runs",
-                units=percent(outages.unit_share),
-                poles=percent(outages.pole_share),
-            ),
+            mark("units out of order in {units} and poles in {poles} of the runs"),
         ),
-        (
-            blinding.dirty_share,
-            tr("{share} of the cameras dirty", share=percent(blinding.dirty_share)),
-        ),
-        (low_sun, tr("low sun in {share} of the runs by day", share=percent(low_sun))),
-        (traffic["taken_share"], tr("{share} of the parking places taken", share=taken)),
-        (
-            traffic["waiting_share"],
-            tr("vehicles waiting in {share} of the lanes", share=percent(traffic["waiting_share"])),
-        ),
-        (record.road_users.measured, tr("people as fast as they were measured")),
+        (blinding.dirty_share, mark("{dirty} of the cameras dirty")),
+        (blinding.low_sun_share, mark("low sun in {low_sun} of the runs by day")),
+        (traffic["taken_share"], mark("{taken} of the parking places taken")),
+        (traffic["waiting_share"], mark("vehicles waiting in {waiting} of the lanes")),
+        (record.road_users.measured, mark("people as fast as they were measured")),
         (
             replace(record.road_users, measured={}) != RoadUsers(),
-            tr("road users faster or slower, from nearer starts"),
+            mark("road users faster or slower, from nearer starts"),
         ),
-        (found.moving, tr("vehicles that drive by ({source})", source=found.traffic_source)),
+        (found.moving, mark("vehicles that drive by ({source})")),
     )
-    return ", ".join(words for holds, words in parts if holds) or tr("nothing is uncertain")
+    drawn = [tr(words, **values) for holds, words in parts if holds]
+    return ", ".join(drawn) or tr("nothing is uncertain")
 
 
 def moving_sentence(found: SampledRecord) -> str:
@@ -428,23 +379,18 @@ def moving_sentence(found: SampledRecord) -> str:
     if not moving or not moving.n_runs:
         return ""
     share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else tr("none")
+    per_run, n_waiting = moving.n_vehicles / moving.n_runs, moving.n_waiting
+    values: dict[str, Any] = {"n": moving.n_vehicles, "n_left_out": moving.n_left_out}
+    values |= {"per_run": per_run, "source": found.traffic_source, "share": share}
     text = tr(
         "{per_run:.0f} vehicles drive by in a run ({source}); {n_left_out} of {n} ({share}) are "
         "left out of theirs, for they would come into the way of car or road user",
-        per_run=moving.n_vehicles / moving.n_runs,
-        source=found.traffic_source,
-        n_left_out=moving.n_left_out,
-        n=moving.n_vehicles,
-        share=share,
+        **values,
     )
-    if not moving.n_waiting:
+    if not n_waiting:
         return text
-    no_room = tr(
-        "SUMO found no room for {n} of {n_all} vehicles",
-        n=moving.n_waiting,
-        n_all=moving.n_departed + moving.n_waiting,
-    )
-    return f"{text}; {no_room}"
+    no_room = mark("; SUMO found no room for {n} of {n_all} vehicles")
+    return text + tr(no_room, n=n_waiting, n_all=moving.n_departed + n_waiting)
 
 
 def is_open(difference: SampledPairRecord) -> bool:
@@ -460,10 +406,8 @@ def table(found: SampledRecord) -> Table:
         tr("planned"): lambda one: percent(one.planned),
         tr("mean"): lambda one: percent(one.mean),
         tr("95 % interval"): lambda one: f"{percent(one.low)} .. {percent(one.high)}",
-        tail: lambda one: tr(
-            "{apr} (\N{PLUS-MINUS SIGN}{error:.1f})",
-            apr=percent(one.cvar),
-            error=_points(one.cvar_error),
+        tail: lambda one: (
+            percent(one.cvar) + localized(f" (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})")
         ),
         tr("worst"): lambda one: percent(one.worst),
     }
@@ -521,10 +465,8 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     for row, pair in enumerate(pairs):
         _whisker(axes, row, pair, is_hollow=is_open(pair))
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
-    names = [
-        tr("{first}\nminus {second}", first=_name(pair.first), second=_name(pair.second))
-        for pair in pairs
-    ]
+    minus = mark("{first}\nminus {second}")
+    names = [tr(minus, first=_name(pair.first), second=_name(pair.second)) for pair in pairs]
     axes.set_yticks(range(len(pairs)), names, fontsize=8)
     axes.set_ylim(len(pairs) - 0.5, -0.5)
     low, high = axes.get_xlim()
