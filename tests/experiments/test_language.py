@@ -18,6 +18,7 @@ from experiments.language import (
     tr,
     trn,
 )
+from geometry.files import load_data
 
 ROOT = Path(experiments.__file__).parent
 CATALOGUES = sorted((ROOT / "languages" / "de").glob("*.po"))
@@ -41,6 +42,8 @@ def messages_of_code():
             options = {"extensions": "jinja2.ext.do", "silent": "false"}
             for line, message, *_ in extract_from_file(method, path, KEYWORDS, options=options):
                 found.setdefault(message, []).append(f"{path.relative_to(ROOT)}:{line}")
+    for message in load_data("experiments", "said_below.toml")["messages"]:
+        found.setdefault(message, []).append("data/said_below.toml")
     return found
 
 
