@@ -142,7 +142,7 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
     return {
         "id": run.id,
         "title": describe_run(subject.axis, index),
-        "case": tr(run.case.title) if run.case.title else "",
+        "case": said(run.case.title),
         "user": run.case.vru.class_name,
         "time": _milliseconds(run.time_s),
         "last": _milliseconds(run.last_brake_time_s),
