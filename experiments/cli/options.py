@@ -336,8 +336,9 @@ _SHARED = table_options(
 )
 json_option = _SHARED["as_json"]
 layout_option = _SHARED["layout_names"]
-quiet_option = combined(*(_SHARED[name] for name in ("quiet", "verbose", "language", "debug")))
-"""Options ``--quiet``, which the command gets, ``--verbose``, ``--language`` and ``--debug``."""
+quiet_option = combined(_SHARED["quiet"], _SHARED["verbose"], _SHARED["debug"])
+"""Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
+language_option = _SHARED["language"]
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:
@@ -401,7 +402,7 @@ def asking(
             return command(job, **values)
 
         asked = question_options(*names, defaults=defaults)
-        return combined(asked, job_options(has_cache=has_cache))(with_job)
+        return combined(asked, language_option, job_options(has_cache=has_cache))(with_job)
 
     return decorate
 
