@@ -25,6 +25,7 @@ from placement.question import (
     save_question,
 )
 
+from ..language import LANGUAGES, speaking
 from .running import Call, Job, cache_folder, check_address_space
 
 _TABLES = load_data("experiments", "options.toml")
@@ -318,18 +319,25 @@ def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: b
         context.obj.shows_tracebacks = True
 
 
+def _speak(context: click.Context, _param: click.Parameter, code: str | None) -> None:
+    """Speak a language until the command ends; that of the group, where none is said."""
+    if code is not None:
+        context.with_resource(speaking(code))
+
+
 _SHARED = table_options(
     "shared",
     verbose={"callback": lambda context, _, is_given: is_given and context.obj.tell_more()},
     debug={"callback": _show_traceback},
+    language={"type": LANGUAGES, "callback": _speak},
     workers={"default": os.cpu_count() or 1},
     rays={"type": RAYS, "default": RAYS[0]},
     question={"callback": _read_question},
 )
 json_option = _SHARED["as_json"]
 layout_option = _SHARED["layout_names"]
-quiet_option = combined(_SHARED["quiet"], _SHARED["verbose"], _SHARED["debug"])
-"""Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
+quiet_option = combined(*(_SHARED[name] for name in ("quiet", "verbose", "language", "debug")))
+"""Options ``--quiet``, which the command gets, ``--verbose``, ``--language`` and ``--debug``."""
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
 from typing import TYPE_CHECKING
 
+from ..language import trn
 from ..parts import Part
-from ..results.numbers import several
 
 if TYPE_CHECKING:
     from ..parts.section import Table
@@ -18,7 +18,8 @@ _GAP = 2
 _MOST_REASONS = 5
 _HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
 _NUMBER_AND_UNIT = re.compile(
-    r"(?<=\d) (?=(?:%|m|cm|s|ms|km/h|m/s|EUR|deg|degrees|px|Hz|runs?|points?|units?)(?![\w/]))"
+    r"(?<=\d) (?=(?:%|m|cm|s|ms|km/h|m/s|EUR|deg|degrees|px|Hz|runs?|points?|units?"
+    r"|Grad|Läufen?|Lauf|Prozentpunkten?|Sensor(?:en)?)(?![\w/]))"
 )
 
 
@@ -95,8 +96,17 @@ def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> l
     lines += sentences(*driven[1 : 1 + _MOST_REASONS], indent=2, hanging=2)
     n_left = len(driven) - 1 - _MOST_REASONS
     if n_left > 0:
-        lines.append(f"  and {several(n_left, 'more reason', 'more reasons')} in the report's list")
+        lines.append(f"  {more_reasons(n_left)}")
     return lines + sentences(*without_effect)
+
+
+def more_reasons(n_left: int) -> str:
+    """How many reasons are not printed."""
+    return trn(
+        "and {n} more reason in the report's list",
+        "and {n} more reasons in the report's list",
+        n_left,
+    )
 
 
 def table(
