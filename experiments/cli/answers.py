@@ -368,7 +368,7 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
         bearing = compass_bearing_deg(unit.yaw_deg)
         looks = [localized(f"{unit.z_m:.2f}"), localized(f"{bearing:.1f}"), tilt]
         stands = [localized(f"{unit.x_m:.2f}"), localized(f"{unit.y_m:.2f}")]
-        place = ", ".join(filter(None, (site, unit.place)))
+        place = ", ".join(filter(None, (site, said(unit.place or ""))))
         rows.append([unit.id, said(unit.kind or "-"), *looks, *stands, place])
     heads = [
         *(tr("unit"), tr("kind"), tr("height m"), tr("bearing"), tr("tilt"), tr("east m")),

@@ -228,7 +228,7 @@ _USER_M = 0.6  # radius of the mark of who is met
 
 def case_title(case: Case) -> str:
     """What happens in a case, for who knows no codes."""
-    return capital(said(case.title).replace("VUT", tr("car")) if case.title else case.name)
+    return capital(said(case.title).replace("VUT", tr("car")) or case.name)
 
 
 def sketch_case(run: Run) -> Sketch:
@@ -311,7 +311,7 @@ def case_table(setting: Setting) -> Table:
         rows.append(
             [
                 name,
-                said(case.title) if case.title else "",
+                said(case.title),
                 met,
                 speeds,
                 arms,

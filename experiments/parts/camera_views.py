@@ -19,6 +19,7 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..figures.axes import unit_labels
+from ..language import tr
 from .accidents import case_title
 from .section import Picture
 
@@ -43,13 +44,17 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
     rgb, run, time_s = draw_view(small, setting)
     buffer = io.BytesIO()
     Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
-    title = f"{label}: what it will see"
-    when = f"{abs(time_s):.1f} s before the collision"
-    what = case_title(run.case)
+    title = tr("{unit}: what it will see", unit=label)
+    values = {"what": case_title(run.case), "time": abs(time_s), "unit": label}
     return Picture(
         title=title,
-        caption=f"Rendered from the map. {what}, {when}.",
-        alt=f"Rendered picture of camera {label} at {unit.site_id or 'its mount'}: {what}, {when}.",
+        caption=tr("Rendered from the map. {what}, {time:.1f} s before the collision.", **values),
+        alt=tr(
+            "Rendered picture of camera {unit} at {site}: {what}, {time:.1f} s before the "
+            "collision.",
+            site=unit.site_id or tr("its mount"),
+            **values,
+        ),
         image=base64.b64encode(buffer.getvalue()).decode(),
         format="jpeg",
         width_px=_WIDTH_PX,

@@ -87,7 +87,7 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
         where = " ".join(filter(None, names)) or tr("a mount of its own")
         height_m = float(above_ground(unit, scene).pose.position_m[2])
         height = tr("{height} m high", height=number(height_m, 1))
-        parts = (where, record.place, height, looking_words(unit))
+        parts = (where, said(record.place or ""), height, looking_words(unit))
         found.append(f"{labels[unit.id]}: {', '.join(filter(None, parts))}.")
     return tuple(found)
 

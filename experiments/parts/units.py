@@ -67,7 +67,7 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
             record.id,
             tr("{site} (assumed)", site=record.site) if record.assumed else record.site or NOTHING,
             said(record.kind or NOTHING),
-            record.place or NOTHING,
+            said(record.place or NOTHING),
             *(number(value) for value in above_ground(unit, scene).pose.position_m.tolist()),
             number(compass_bearing_deg(record.yaw_deg), 1),
             number(-record.pitch_deg, 1),
