@@ -129,7 +129,7 @@ function createPlan(holder, data) {
     parked.replaceChildren();
     run.parked.forEach((body) => {
       const box = element("polygon", { points: points(body.corners), fill: "url(#parked-fill)", stroke: "#666", ...thin }, parked);
-      element("title", { text: say("parked: {name}", { name: body.name }) }, box);
+      element("title", { text: say("parked: {name}", { name: say(body.name) }) }, box);
     });
   }
 

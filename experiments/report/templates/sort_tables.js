@@ -50,9 +50,11 @@ function isMissing(text) {
 function leadingNumber(text) {
   const points = hasCommas ? text.replace(/\.(?=\d{3}(\D|$))/g, "").replace(/(\d),(?=\d)/g, "$1.") : text;
   const plain = points.replace(/\u2212/g, "-").replace(/(\d)[\u00a0\u2009\u202f, ](?=\d{3}(\D|$))/g, "$1");
-  if (/^hit, not/i.test(plain)) return -Infinity;
-  const sign = /^hit\b/i.test(plain) ? -1 : 1; // too late is less than nothing to spare
-  const found = /^(?:[<>\u2264\u2265\u2248\u20ac$#] ?|EUR |avoided, |hit, )?([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)/i.exec(plain);
+  if ([say("HIT, not confirmed"), say("HIT, lost again")].includes(text)) return -Infinity;
+  const [late, spare] = ["HIT, {time} s late", "avoided, {time} s"].map((message) => say(message, { time: "\0" }).split("\0")[0]);
+  const sign = text.startsWith(late) ? -1 : 1; // too late is less than nothing to spare
+  const value = [late, spare].reduce((rest, words) => (rest.startsWith(words) ? rest.slice(words.length) : rest), plain);
+  const found = /^(?:[<>\u2264\u2265\u2248\u20ac$#] ?|EUR )?([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)/i.exec(value);
   if (found) return sign * Number(found[1]);
   if (/^[+]?\u221e/.test(plain)) return Infinity;
   if (/^-\u221e/.test(plain)) return -Infinity;
