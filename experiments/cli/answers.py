@@ -78,7 +78,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
                 n=n_units,
                 poses=result.candidates,
                 runs=result.runs,
-                fusion=result.fusion,
+                fusion=said(result.fusion),
                 cars=cars_words(result.cars),
             ),
             table=_units_table(result.layout),

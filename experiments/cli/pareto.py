@@ -58,7 +58,7 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     values = {
         "poses": summary.candidates,
         "runs": summary.runs,
-        "fusion": summary.fusion,
+        "fusion": said(summary.fusion),
         "cars": cars_words(summary.cars),
     }
     title = tr(
@@ -144,7 +144,7 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
                 len(summary.layout),
                 name=summary.name,
                 runs=summary.runs,
-                fusion=summary.fusion,
+                fusion=said(summary.fusion),
                 cars=cars_words(summary.cars),
             ),
             table=retrofit.table(summary),

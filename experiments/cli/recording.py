@@ -68,7 +68,7 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
             n=len(summary.layout),
             all=summary.candidates,
             drives=summary.runs,
-            fusion=summary.fusion,
+            fusion=said(summary.fusion),
             chosen=chosen,
         )
         best = Part(words=[words], table=stage_table(summary.stages))
