@@ -122,6 +122,24 @@ def trn(one: str, many: str, n: int, /, **values: Any) -> str:
     return _filled(_Current.messages.find_plural(one, many, n), {"n": n, **values})
 
 
+def say(key: str, n: int | None = None, /, **values: Any) -> str:
+    """A longer text, of ``data/texts.toml``: as ``tr`` says it, or with a number as ``trn``.
+
+    Examples
+    --------
+    >>> say("terminal.more_reasons", 2)
+    "and 2 more reasons in the report's list"
+    """
+    part, _, name = key.partition(".")
+    text = _texts()[part][name]
+    return tr(text, **values) if n is None else trn(text[0], text[1], n, **values)
+
+
+@cache
+def _texts() -> dict[str, Any]:
+    return load_data("experiments", "texts.toml")
+
+
 def mark(message: str) -> str:
     """A message that is translated where it is used, by ``tr(MESSAGE)``: for constants."""
     return message

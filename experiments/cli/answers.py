@@ -13,7 +13,7 @@ from placement.explain.agreement import Disagreement
 from placement.explain.unavoided import Unavoided
 from scenarios.scores import AVOIDED
 
-from ..language import localized, mark, said, tr, trn
+from ..language import localized, mark, said, say, tr
 from ..parts import (
     Part,
     added,
@@ -73,8 +73,8 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     return [
         *_head(result),
         Part(
-            title=tr(
-                "Best {n} of {poses} poses on {runs} runs (fusion {fusion}{cars}):",
+            title=say(
+                "terminal.best",
                 n=n_units,
                 poses=result.candidates,
                 runs=result.runs,
@@ -105,12 +105,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         _without_optimiser(result.baselines, n_units=n_units),
         _study_part(result.study_cases),
         Part(
-            words=[
-                tr(
-                    "Table and evaluator disagree on {share} of the runs.",
-                    share=percent(result.surrogate_disagreement),
-                )
-            ],
+            words=[say("terminal.disagree", share=percent(result.surrogate_disagreement))],
             notes=_disagreements(result.disagreements),
         ),
         _last(out),
@@ -293,13 +288,7 @@ def assumption_parts(result: Result) -> list[Part]:
         return []
     n_left = len(assumed) - _MOST_ASSUMED
     return [
-        _said(
-            trn(
-                "{n} thing is assumed of the map.",
-                "{n} things are assumed of the map.",
-                len(assumed),
-            )
-        ),
+        _said(say("terminal.assumed", len(assumed))),
         Part(
             title=tr("Assumed, for the map does not say it:"),
             words=assumed[:_MOST_ASSUMED],
@@ -391,30 +380,13 @@ def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
 def _cost(result: Result) -> str:
     """Cost of the sensors, and of making their sites ready as far as it is known."""
     if result.sites_eur is None:
-        return tr(
-            "sensors {sensors:,.0f} EUR by the catalogue, without poles or mounting",
-            sensors=result.cost_eur,
-        )
+        return say("terminal.cost_of_sensors", sensors=result.cost_eur)
     n_sites = len({unit.site for unit in result.layout})
     values = {"sensors": result.cost_eur, "sites": result.sites_eur}
     values["total"] = result.cost_eur + result.sites_eur
     if result.assumed_prices:
-        return trn(
-            "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the catalogue, {n} site "
-            "{sites:,.0f} EUR by prices assumed for their kinds",
-            "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the catalogue, {n} sites "
-            "{sites:,.0f} EUR by prices assumed for their kinds",
-            n_sites,
-            **values,
-        )
-    return trn(
-        "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the catalogue, {n} site "
-        "{sites:,.0f} EUR by their own prices",
-        "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the catalogue, {n} sites "
-        "{sites:,.0f} EUR by their own prices",
-        n_sites,
-        **values,
-    )
+        return say("terminal.cost_assumed", n_sites, **values)
+    return say("terminal.cost", n_sites, **values)
 
 
 def _summary_table(
@@ -483,10 +455,7 @@ def _together(result: Result) -> str:
         return tr("fused: in each frame, any of the units may detect")
     if result.cars == 1.0:
         return tr("fused: in each frame, any of the units may detect, and the VUT")
-    return tr(
-        "fused: in each frame, any of the units may detect, and the VUT in {share} of the cars",
-        share=percent(result.cars),
-    )
+    return say("terminal.fused_with_some_cars", share=percent(result.cars))
 
 
 def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
@@ -518,12 +487,7 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
     share = evaluation.apr_without_worst_site
     if share is None:
         return []
-    return [
-        tr(
-            "if the worst pole fails with all its units, the others have {share}.",
-            share=percent(share),
-        )
-    ]
+    return [say("terminal.worst_pole", share=percent(share))]
 
 
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:
@@ -591,10 +555,7 @@ def _missed_in_short(group: Sequence[Unavoided]) -> str:
         "rescue": first.rescue.unit if first.rescue else "",
     }
     if first.reasons and first.rescue:
-        return tr(
-            "{runs}: {outcome}; for {unit} {cause}; would be saved by {rescue}",
-            **values,
-        )
+        return say("terminal.missed", **values)
     if first.reasons:
         return tr("{runs}: {outcome}; for {unit} {cause}", **values)
     if first.rescue:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import said, tr, trn
+from ..language import said, say, tr
 from ..parts import Part
 from ..results.numbers import cars_words, joined
 from . import options
@@ -61,17 +61,9 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
         "fusion": said(summary.fusion),
         "cars": cars_words(summary.cars),
     }
-    title = tr(
-        "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and what more units "
-        "buy:",
-        **values,
-    )
+    title = say("pareto.more_units", **values)
     if summary.by == "cost":
-        title = tr(
-            "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and what more money "
-            "buys:",
-            **values,
-        )
+        title = say("pareto.more_money", **values)
     parts = [
         Part(
             title=title,
@@ -136,11 +128,8 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
     labour = summary.labour
     parts = [
         Part(
-            title=trn(
-                "What to change about {name} ({n} unit) on {runs} runs, on the detection table "
-                "(fusion {fusion}{cars}):",
-                "What to change about {name} ({n} units) on {runs} runs, on the detection table "
-                "(fusion {fusion}{cars}):",
+            title=say(
+                "pareto.what_to_change",
                 len(summary.layout),
                 name=summary.name,
                 runs=summary.runs,
@@ -148,14 +137,7 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
                 cars=cars_words(summary.cars),
             ),
             table=retrofit.table(summary),
-            notes=[
-                tr(
-                    "One fails: APR that is left when the most needed unit fails; proven: nothing "
-                    "of its kind is better. A visit costs {cost:,.0f} EUR: {source}.",
-                    cost=labour.re_aim_eur,
-                    source=said(labour.source),
-                )
-            ],
+            notes=[say("pareto.columns", cost=labour.re_aim_eur, source=said(labour.source))],
         ),
         Part(words=summary.sentences),
     ]

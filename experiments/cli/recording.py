@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import mark, said, tr
+from ..language import mark, said, say, tr
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
@@ -63,8 +63,8 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
     parties = _parties_text(summary.evaluation, summary.detected_share, summary.cases)
     if summary.stages is not None and summary.baseline is not None:
         chosen = ", ".join(unit.id for unit in summary.layout)
-        words = tr(
-            "Best {n} of {all} recorded units on {drives} drives (fusion {fusion}): {chosen}",
+        words = say(
+            "recording.best",
             n=len(summary.layout),
             all=summary.candidates,
             drives=summary.runs,
@@ -73,8 +73,8 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
         )
         best = Part(words=[words], table=stage_table(summary.stages))
         lines = [answer_text([best], is_verbose=True), ""]
-        all_units = tr(
-            "{fused} of all {n} recorded units: {share} of the accidents prevented.",
+        all_units = say(
+            "recording.all_units",
             fused=ALL_UNITS,
             n=summary.candidates,
             share=percent(summary.baseline.rsu_all.all),
@@ -108,20 +108,15 @@ def _parties_text(
 def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
     """Lines on what was read, and what was left out and why."""
     frames = summary.frames
-    read = tr(
-        "Read: {recorded} frames; {drives} drives with {frames} frames, {missing} of them missing "
-        "and so not detected.",
+    read = say(
+        "recording.read",
         recorded=frames.recorded,
         drives=summary.runs,
         frames=frames.in_drives,
         missing=frames.missing_in_drives,
     )
     if frames.several_vrus_in_view:
-        read += " " + tr(
-            "In {n} frames a roadside unit has several VRUs of the drive's class in view: they "
-            "count only if each of them is detected.",
-            n=frames.several_vrus_in_view,
-        )
+        read += " " + say("recording.several_in_view", n=frames.several_vrus_in_view)
     reasons = "; ".join(f"{number} {said(reason)}" for reason, number in summary.skipped.items())
     skipped = tr("Skipped: {reasons}.", reasons=reasons) if reasons else tr("Skipped: nothing.")
     lines = ["", *sentences(read, skipped, tr(_NOTE))]

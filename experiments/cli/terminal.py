@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
 from typing import TYPE_CHECKING
 
-from ..language import trn
+from ..language import say
 from ..parts import Part
 
 if TYPE_CHECKING:
@@ -102,11 +102,7 @@ def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> l
 
 def more_reasons(n_left: int) -> str:
     """How many reasons are not printed."""
-    return trn(
-        "and {n} more reason in the report's list",
-        "and {n} more reasons in the report's list",
-        n_left,
-    )
+    return say("terminal.more_reasons", n_left)
 
 
 def table(

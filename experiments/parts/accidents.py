@@ -18,7 +18,7 @@ from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis, Run
 
 from ..figures.axes import unit_labels
-from ..language import localized, mark, said, tr, trn
+from ..language import localized, mark, said, say, tr, trn
 from ..results.drives import describe_left_out, describe_limits, describe_places, lacking_room
 from ..results.numbers import capital, joined, number, percent
 from ..results.tables import groups_by, margin_s
@@ -47,24 +47,12 @@ def count_sensors(layout: Layout) -> str:
 def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
     """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
-    meaning = tr(
-        "The accident prevention ratio (APR) is the share of the runs in which the car brakes "
-        "early enough not to touch the pedestrian or cyclist."
-    )
+    meaning = say("accidents.meaning")
     if is_weighted(axis):
-        meaning = tr(
-            "The accident prevention ratio (APR) is the share of the runs, by weight, in which the "
-            "car brakes early enough not to touch the pedestrian or cyclist."
-        )
-    source = tr(
-        "The numbers below come from the evaluator, which renders every camera's image and every "
-        "LiDAR's scan frame by frame."
-    )
+        meaning = say("accidents.meaning_by_weight")
+    source = say("accidents.source")
     if is_optimised:
-        source = tr(
-            "The numbers below come from the evaluator, which renders every camera's image and "
-            "every LiDAR's scan frame by frame; it does not use the detection table."
-        )
+        source = say("accidents.source_of_optimised")
     text = f"{meaning} {source}"
     blocks: list[Block] = [text, apr_table(evaluations), *apr_group_tables(evaluations)]
     return Section("accidents", tr("Accidents prevented"), blocks)
@@ -104,10 +92,7 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
             groups_by(axis, "direction"),
         ),
         (
-            tr(
-                "Accident prevention ratio by place along the arms, in metres before (-) or behind "
-                "(+) the junction"
-            ),
+            say("accidents.by_place"),
             tr("at"),
             along,
         ),
@@ -200,19 +185,13 @@ def _apr_rows(verdicts: Sequence[Verdict], axis: FrameAxis) -> list[list[str]]:
 def cases_section(setting: Setting) -> Section:
     """Cases that are driven, and those that cannot be."""
     note = [
-        tr(
-            "Last moment: the latest time at which braking still avoids the impact, which would be "
-            "at 0; of each case's runs the earliest and the latest."
-        ),
+        say("accidents.last_moment"),
         *describe_hopeless(setting),
     ]
     blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
     sketches = [sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()]
     blocks += [
-        tr(
-            "From above: the car drives upwards and hits where its line ends. "
-            "Dashed: whom it meets."
-        ),
+        say("accidents.sketches"),
         Box("beside sketches", sketches),
     ]
     refusals = describe_refusals(setting)
@@ -282,11 +261,7 @@ def _path(places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = F
 
 def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
     """How every run ends."""
-    note = tr(
-        "Avoided, with the time to spare between the onset of braking and the last moment; or hit, "
-        "with the time by which braking comes too late. Lost again: confirmed early enough, but "
-        "not known any more at the last moment."
-    )
+    note = say("accidents.how_runs_end")
     return Section("runs", tr("Every run"), [note, run_table(evaluations)])
 
 
@@ -349,15 +324,7 @@ def describe_hopeless(setting: Setting) -> list[str]:
     hopeless = [run for run in setting.runs if not math.isfinite(run.last_brake_time_s)]
     n_runs = Counter(run.case.name for run in hopeless)
     names = [name for name in runs_by_case(setting) if n_runs[name]]
-    return [
-        trn(
-            "In {n} run of {case} no braking avoids the impact.",
-            "In {n} runs of {case} no braking avoids the impact.",
-            n_runs[name],
-            case=name,
-        )
-        for name in names
-    ]
+    return [say("accidents.hopeless", n_runs[name], case=name) for name in names]
 
 
 def describe_refusals(setting: Setting) -> list[str]:
@@ -410,11 +377,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     n_hit = int((~subject.headline.is_avoided).sum())
     summary = tr("{n} runs: those with the least time to spare first", n=len(rows))
     if n_hit:
-        summary = tr(
-            "{n} runs, {hit} of them hit: those with the least time to spare first",
-            n=len(rows),
-            hit=n_hit,
-        )
+        summary = say("accidents.runs_with_hits", n=len(rows), hit=n_hit)
     caption = tr("Runs: case / from / speed in km/h")
     if has_weathers:
         caption = tr("Runs: case / from / speed in km/h / weather")

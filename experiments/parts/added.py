@@ -12,7 +12,7 @@ from scenarios.cases import ROAD_USER_GROUPS
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
-from ..language import said, tr
+from ..language import said, say, tr
 from ..results.numbers import number, percent
 from ..results.record import says
 from ..results.tables import groups_by
@@ -126,11 +126,7 @@ def words(record: Added | None) -> list[str]:
         told.append(tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=_points(rest)))
     gain, by_unit = _points(everything.gain), ", ".join(told)
     if len(units) > 1:
-        text = tr(
-            "To a car that sees, these units add {gain} points ({by_unit}).",
-            gain=gain,
-            by_unit=by_unit,
-        )
+        text = say("added.by_unit", gain=gain, by_unit=by_unit)
     else:
         text = tr("To a car that sees, these units add {gain} points.", gain=gain)
     return [text]

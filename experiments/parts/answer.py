@@ -9,7 +9,7 @@ from placement.evaluation import Evaluation, headline_apr
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
-from ..language import mark, tr, trn
+from ..language import mark, say, tr, trn
 from ..results.numbers import capital, joined, percent
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
@@ -59,25 +59,8 @@ def lead(result: Result) -> str:
         "own": percent(found.vut.all),
     }
     if result.cars == 1.0:
-        return trn(
-            "{mounted} together with cars that see for themselves prevents {share} of the "
-            "simulated collisions, by telling cars when to brake{best}. The cars' own sensors "
-            "alone prevent {own}.",
-            "{mounted} together with cars that see for themselves prevent {share} of the "
-            "simulated collisions, by telling cars when to brake{best}. The cars' own sensors "
-            "alone prevent {own}.",
-            len(layout),
-            **values,
-        )
-    return trn(
-        "{mounted} prevents {share} of the simulated collisions, by telling cars when to "
-        "brake{best}. The cars' own sensors alone prevent {own}, both together {both}.",
-        "{mounted} prevent {share} of the simulated collisions, by telling cars when to "
-        "brake{best}. The cars' own sensors alone prevent {own}, both together {both}.",
-        len(layout),
-        both=percent(found.vut_and_rsus.all),
-        **values,
-    )
+        return say("answer.lead_of_seeing_cars", len(layout), **values)
+    return say("answer.lead", len(layout), both=percent(found.vut_and_rsus.all), **values)
 
 
 def _mounted(result: Result) -> str:
@@ -106,16 +89,8 @@ def _best(result: PlacementResult) -> str:
         "others_left": percent(other.apr_without_worst_unit),
     }
     if highest.stages[0].gap == 0.0:
-        return tr(
-            ", and {left} if one of them fails; the most that any choice prevents is {most}, but "
-            "then {others_left} if one fails",
-            **values,
-        )
-    return tr(
-        ", and {left} if one of them fails; the most that was found is {most}, but then "
-        "{others_left} if one fails",
-        **values,
-    )
+        return say("answer.most_of_any", **values)
+    return say("answer.most_found", **values)
 
 
 def is_proven(result: PlacementResult) -> bool:
@@ -160,13 +135,7 @@ def planned_only(result: Result) -> list[str]:
     """Warning that a layout was chosen as planned, where a detector finds people by chance."""
     if not isinstance(result, PlacementResult) or result.sampled or not is_drawn(result.detector):
         return []
-    return [
-        tr(
-            "This plan takes for seen whatever is seen with a probability of 0.5 or more, and "
-            "nothing is out of order in it: in fresh worlds such a choice can be behind a rule of "
-            "thumb. --samples 8 chooses for the mean of eight worlds."
-        )
-    ]
+    return [say("answer.planned_only")]
 
 
 def preferred(result: Result) -> list[str]:
@@ -217,19 +186,9 @@ def _of_placement(result: PlacementResult, subject: Evaluation) -> list[str]:
     }
     n_units = len(subject.units)
     if result.fusion == "single":
-        first = trn(
-            "{sensors}, each by itself, avoids {score}; {of_car}",
-            "{sensors}, each by itself, avoid {score}; {of_car}",
-            n_units,
-            **values,
-        )
+        first = say("answer.avoid_by_themselves", n_units, **values)
     else:
-        first = trn(
-            "{sensors} avoids {score}; {of_car}",
-            "{sensors} avoid {score}; {of_car}",
-            n_units,
-            **values,
-        )
+        first = say("answer.avoid", n_units, **values)
     further = next_unit_sentence(result.next_unit, proof.measure_of(result))
     last = (further, proof.words(result), *_failures(result, subject))
     return [first, ". ".join(part for part in last if part)]

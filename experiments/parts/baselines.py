@@ -19,7 +19,7 @@ from placement.setting import Setting
 from placement.wishes import Wishes
 from scenarios.runs import FrameAxis
 
-from ..language import said, tr
+from ..language import said, say, tr
 from ..results.numbers import percent
 from ..results.record import UnitRecord, build_unit_records, mixed, says
 
@@ -201,12 +201,8 @@ def words(found: Baselines | None, *, n_units: int) -> list[str]:
     sentences = []
     random, expert = found.random, found.expert
     if random is not None:
-        text = tr(
-            "Random: {n} layouts drawn within the same limits, on the detection table; 5 % of "
-            "them have an APR of at most {low}, 5 % of at least {high}.",
-            n=random.layouts,
-            low=percent(random.low),
-            high=percent(random.high),
+        text = say(
+            "baselines.random", n=random.layouts, low=percent(random.low), high=percent(random.high)
         )
         if random.in_worlds is not None:
             text += " " + tr(
@@ -218,13 +214,5 @@ def words(found: Baselines | None, *, n_units: int) -> list[str]:
         corners = corners or tr("no corner fits")
         if len(expert.layout) != n_units:
             corners = tr("{corners}, no unit for each of all", corners=corners)
-        sentences.append(
-            tr(
-                "Expert rule: at each corner of the junction the nearest site, there the pose that "
-                "looks at the middle the most directly; the corner whose camera prevents the most "
-                "comes first ({corners}); {share} on the detection table.",
-                corners=corners,
-                share=percent(expert.on_table),
-            )
-        )
+        sentences.append(say("baselines.expert", corners=corners, share=percent(expert.on_table)))
     return sentences

@@ -10,7 +10,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
-from ..language import localized, mark, said, tr, trn
+from ..language import localized, mark, said, say, tr, trn
 from ..results.numbers import joined
 from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
@@ -164,14 +164,7 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
     models = trn("{n} sensor model", "{n} sensor models", n_models)
     places = trn("{n} mounting place", "{n} mounting places", n_places)
     what = [words for n, words in ((n_models, models), (n_places, places)) if n]
-    return [
-        tr(
-            "At least {sum}: the sum of what is known. The price of {what} is unknown and comes on "
-            "top.",
-            sum=_euros(known),
-            what=joined(what),
-        )
-    ]
+    return [say("bill_of_materials.at_least", sum=_euros(known), what=joined(what))]
 
 
 def bill_tables(bill: BillOfMaterials) -> list[Table]:
@@ -207,11 +200,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
 
 def bill_section(bill: BillOfMaterials) -> Section:
     """The bill, and what is not in it."""
-    note = tr(
-        "Prices are those of the sensor catalogue, for one outdoor unit with its housing; what "
-        "comes with this program are orders of magnitude. “Unknown” is not zero."
-        " Not in the bill:"
-    )
+    note = say("bill_of_materials.prices")
     blocks: list[Block] = [
         " ".join([*bill_sentences(bill), *map(said, bill.assumed)]),
         *bill_tables(bill),

@@ -19,7 +19,7 @@ from placement.evaluation import (
 )
 from scenarios.aeb import AebRule
 
-from ..language import localized, mark, said, tr
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from ..results.record import (
     EvaluationRecord,
@@ -110,9 +110,8 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 def words(name: str, compared: Sequence[Compared]) -> list[str]:
     """How many runs the first layout avoids and each other one does not, and the other way."""
     return [
-        tr(
-            "{name} avoids {gained} that {other} does not, and {other} avoids {lost} that {name} "
-            "does not",
+        say(
+            "comparison.avoids_others",
             name=name,
             other=other.name,
             gained=len(other.runs_gained),
@@ -264,19 +263,11 @@ def section(
 
 def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
     """How speeds at contact, and the score, are to be read."""
-    text = tr(
-        "Mean speed at contact: of the VUT when it touches the road user although it brakes from "
-        "the confirmation on, over all runs by weight; a run that is avoided counts as 0."
-    )
+    text = say("comparison.speed")
     levels = next(iter(evaluations.values())).levels
     if levels is None:
         return text
-    return tr(
-        "{speed} Score ({score}): a run that is avoided counts in full, a slow impact in part, by "
-        "Euro NCAP's bands of the speed at contact; it is what the layout was chosen for.",
-        speed=text,
-        score=levels.score,
-    )
+    return say("comparison.speed_and_score", speed=text, score=levels.score)
 
 
 def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
@@ -290,10 +281,7 @@ def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
         picture = build_picture(
             plot_differences([_better_first(pair) for pair in sampled.pairs]),
             title=tr("Differences in sampled worlds"),
-            caption=tr(
-                "Right of zero: the first one of the pair avoids more. An open dot: the interval "
-                "holds zero."
-            ),
+            caption=say("comparison.differences"),
             alt=tr("Dots with whiskers. {rows}.", rows="; ".join(rows)),
         )
         blocks.append(picture)

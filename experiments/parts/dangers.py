@@ -19,7 +19,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
 from ..figures.plan import draw_scene
-from ..language import said, tr, trn
+from ..language import said, say, tr, trn
 from ..results.numbers import joined, percent
 from ..results.record import says
 from ..results.tables import RunGroup, groups_by
@@ -101,21 +101,9 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
         where = tr("{cases}. By place: {places}", cases=where, places=places)
     all_runs = trn("{n} run", "{n} runs", n_runs)
     if is_of_blind:
-        said = trn(
-            "{n} of {runs} is not avoided by cars that do not see: {where}.",
-            "{n} of {runs} are not avoided by cars that do not see: {where}.",
-            n_left,
-            runs=all_runs,
-            where=where,
-        )
+        said = say("dangers.not_avoided_by_blind", n_left, runs=all_runs, where=where)
     else:
-        said = trn(
-            "{n} of {runs} is not avoided: {where}.",
-            "{n} of {runs} are not avoided: {where}.",
-            n_left,
-            runs=all_runs,
-            where=where,
-        )
+        said = say("dangers.not_avoided", n_left, runs=all_runs, where=where)
     return [said]
 
 
@@ -177,28 +165,10 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
             caption=tr(
                 "Places with runs that are not avoided: {n} of {all}.", n=n_left, all=len(places)
             ),
-            alt=tr(
-                "The junction from above: {all} places, {n} of them with runs that are not "
-                "avoided. The tables below have the shares by position.",
-                n=n_left,
-                all=len(places),
-            ),
+            alt=say("dangers.alt", n=n_left, all=len(places)),
         )
         pictures.append(picture)
-    if is_weighted(setting.axis):
-        note = tr(
-            "Every mark is a place where runs end in an impact if nobody brakes: impacts at most "
-            "6 m apart are one place. The number is the share of its runs, by weight, that the "
-            "units avoid, in per cent; the darker, the more is left. At small white squares all "
-            "are avoided. Triangles are units, rings are sites that could carry some."
-        )
-    else:
-        note = tr(
-            "Every mark is a place where runs end in an impact if nobody brakes: impacts at most "
-            "6 m apart are one place. The number is the share of its runs that the units avoid, "
-            "in per cent; the darker, the more is left. At small white squares all are avoided. "
-            "Triangles are units, rings are sites that could carry some."
-        )
+    note = say("dangers.marks_by_weight") if is_weighted(setting.axis) else say("dangers.marks")
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by(setting.axis, "position")) > 1:
         blocks += [position_table(name, mask, setting.axis) for name, mask in avoided.items()]

@@ -13,7 +13,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
-from ..language import mark, said, tr
+from ..language import mark, said, say, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
@@ -97,12 +97,8 @@ def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
     n_avoided, n_runs = int(avoided.sum()), axis.n_runs
     words = tr("of the simulated collisions: {n} of {all}", n=n_avoided, all=n_runs)
     if is_weighted(axis):
-        words = tr(
-            "of the simulated collisions: {n} of {all}. Counted one by one that is {share}; shares "
-            "on this page are by weight, as kinds of collisions differ in number",
-            n=n_avoided,
-            all=n_runs,
-            share=percent(n_avoided / n_runs),
+        words = say(
+            "first_screen.by_weight", n=n_avoided, all=n_runs, share=percent(n_avoided / n_runs)
         )
     return Card(tr("Prevented"), percent(weight_share(avoided, axis.weight)), words)
 
@@ -123,10 +119,7 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
     counted = count_sensors(subject.layout)
     words = tr("to buy {sensors} and to make their poles ready", sensors=counted)
     if bill.assumed:
-        words = tr(
-            "to buy {sensors} and to make their poles ready; prices of poles are assumed",
-            sensors=counted,
-        )
+        words = say("first_screen.cost_assumed", sensors=counted)
     return Card(tr("Cost"), euros(total), words)
 
 
@@ -139,19 +132,13 @@ def _proof(result: Result) -> Card:
     if is_proven(result):
         words = tr(_BEST[result.goal], tried=tried)
         if result.highest is not None:
-            words = tr(
-                "of all choices that prevent nearly as much as can be (up to {points} less), none "
-                "keeps more when a sensor fails, {tried}",
-                points=points(result.highest.given_up),
-                tried=tried,
+            words = say(
+                "first_screen.keeps_most", points=points(result.highest.given_up), tried=tried
             )
         return Card(tr("Proof"), tr("proven best"), words)
     if result.bound is None:
         return Card(tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried))
-    words = tr(
-        "is the most that any choice could prevent {tried}; it is not proven to be reached",
-        tried=tried,
-    )
+    words = say("first_screen.not_proven", tried=tried)
     return Card(tr("Proof"), percent(result.bound), words)
 
 

@@ -15,7 +15,7 @@ from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
 from ..figures.axes import PALETTE, WIDTH_IN, Style, literal, new_figure, write_beside
-from ..language import mark, said, tr, trn
+from ..language import mark, said, say, tr, trn
 from ..results.numbers import NOTHING, number
 from ..results.tables import groups_by, margin_s
 from .section import Section, Table, build_picture
@@ -248,26 +248,13 @@ def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
         )
     n_hopeless = int((~np.isfinite(axis.last_brake_time_s) & (axis.weight > 0.0)).sum())
     if n_hopeless:
-        notes.append(
-            trn(
-                "In {n} run no braking avoids the impact: there is no last moment, and they count "
-                "as not avoided.",
-                "In {n} runs no braking avoids the impact: there is no last moment, and they count "
-                "as not avoided.",
-                n_hopeless,
-            )
-        )
+        notes.append(say("margins.hopeless", n_hopeless))
     is_lucky = any(
         (verdict.is_avoided & (margin_s(verdict, axis) < 0.0) & (axis.weight > 0.0)).any()
         for _, verdict in _parties(evaluations)
     )
     if is_lucky:
-        notes.append(
-            tr(
-                "A negative margin of an avoided run: braking came after the last moment, yet the "
-                "car and the road user just missed each other."
-            )
-        )
+        notes.append(say("margins.negative"))
     return notes
 
 
@@ -278,34 +265,18 @@ def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
     # The car has the last column, whatever does not fit.
     shown = [*parties[:-1][: MAX_COLUMNS - 1], parties[-1]]
     n_left = len(parties) - len(shown)
-    caption = tr(
-        "A mark for each run. Right of zero there is time to spare, left of it braking comes too "
-        "late, by how much; at the left edge it never comes, or none avoids. Filled: avoided. The "
-        "scale is logarithmic beyond 500 ms."
-    )
+    caption = say("margins.caption")
     if n_left:
         caption += " " + tr("{n} more layouts are in the tables.", n=n_left)
     picture = build_picture(
         plot_margins(shown, axis)[0],
         title=tr("Margins to the last moment"),
         caption=caption,
-        alt=tr(
-            "Strips of marks, one per run, in a row for each case. The tables below have the "
-            "numbers."
-        ),
+        alt=say("margins.alt"),
     )
-    meaning = tr(
-        "The margin is the time from the onset of braking to the last moment at which braking "
-        "still avoids the impact. In metres it is the way that the car covers in that time at its "
-        "speed: by so much farther from the collision, along its own path, it still is than it may "
-        "be when it begins to brake. It is not the gap that is left once the car stands."
-    )
+    meaning = say("margins.meaning")
     notes = [
-        tr(
-            "Smallest and median are those of the runs that are avoided; the smallest in "
-            "milliseconds and the smallest in metres may be of different runs. “Worst too late by” "
-            "is that of the runs in which the road user is confirmed, but too late."
-        ),
+        say("margins.columns"),
         *margin_notes(evaluations),
     ]
     return Section(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from placement.optimiser.problem import Objective
 from scenarios.scores import AVOIDED
 
-from ..language import localized, said, tr
+from ..language import localized, said, say, tr
 from ..results.numbers import NOTHING, number, or_nan, percent, points
 from ..results.record import StageRecord
 from .result import HighestRecord, PlacementResult
@@ -24,28 +24,12 @@ def words(result: PlacementResult) -> str:
     is_apr = result.score == AVOIDED
     if of_apr.gap == 0.0:
         if is_apr:
-            return tr(
-                "Proven on the detection table:{within} no choice among {n} candidate poses has a "
-                "higher APR",
-                **values,
-            )
-        return tr(
-            "Proven on the detection table:{within} no choice among {n} candidate poses has a "
-            "higher score",
-            **values,
-        )
+            return say("proof.proven_apr", **values)
+        return say("proof.proven_score", **values)
     values["bound"] = percent(of_apr.bound)
     if is_apr:
-        return tr(
-            "The best choice among {n} candidate poses found in the time given:{within} on the "
-            "detection table, no other can exceed an APR of {bound}",
-            **values,
-        )
-    return tr(
-        "The best choice among {n} candidate poses found in the time given:{within} on the "
-        "detection table, no other can exceed a score of {bound}",
-        **values,
-    )
+        return say("proof.open_apr", **values)
+    return say("proof.open_score", **values)
 
 
 def _within(first: StageRecord) -> str:
@@ -54,17 +38,11 @@ def _within(first: StageRecord) -> str:
     if first.name == "units" and first.gap == 0.0:
         return tr("With {found:,.0f} units for what was asked, the least:", **values)
     if first.name == "units":
-        return tr(
-            "With {found:,.0f} units for what was asked, no choice needs less than {least:,.0f}:",
-            **values,
-        )
+        return say("proof.units_open", **values)
     if first.name == "cost_eur" and first.gap == 0.0:
         return tr("With {found:,.0f} EUR for what was asked, the least:", **values)
     if first.name == "cost_eur":
-        return tr(
-            "With {found:,.0f} EUR for what was asked, no choice needs less than {least:,.0f}:",
-            **values,
-        )
+        return say("proof.cost_open", **values)
     return ""
 
 
@@ -86,29 +64,19 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
             "no choice among {n} candidate poses has a higher {measure} than {most}", **values
         )
     else:
-        first = tr(
-            "a choice among {n} candidate poses has an {measure} of {most}, and none exceeds "
-            "{bound}",
-            **values,
-        )
+        first = say("proof.highest_open", **values)
     if result.failing == "site" and kept.gap == 0.0:
         then = tr(
             "of those with at most {given_up} less, none keeps more when a pole fails", **values
         )
     elif result.failing == "site":
-        then = tr(
-            "of those with at most {given_up} less, none keeps more than {kept} when a pole fails",
-            **values,
-        )
+        then = say("proof.kept_open_pole", **values)
     elif kept.gap == 0.0:
         then = tr(
             "of those with at most {given_up} less, none keeps more when a unit fails", **values
         )
     else:
-        then = tr(
-            "of those with at most {given_up} less, none keeps more than {kept} when a unit fails",
-            **values,
-        )
+        then = say("proof.kept_open_unit", **values)
     return f"{begin} {first}; {then}"
 
 
@@ -124,11 +92,7 @@ def section(result: PlacementResult) -> Section:
     if is_open:
         names = ", ".join(is_open)
         proof = tr("Not in full: proven are all objectives but {names}.", names=names)
-    note = tr(
-        "Solver: {solver}. The proof holds for the detection table: for the candidate poses that "
-        "were tried, on the runs listed below. What is proven, no other choice among them exceeds.",
-        solver=result.solver or NOTHING,
-    )
+    note = say("proof.solver", solver=result.solver or NOTHING)
     return Section("proof", tr("How good is it, and is that proven?"), [proof, table(result), note])
 
 
@@ -193,11 +157,7 @@ def agreement_section(result: PlacementResult) -> Section:
     )
     if share == 0.0:
         both = tr("For this layout both say the same of every run.")
-    text = tr(
-        "The layout was chosen on a detection table, which looks at sample points on the road "
-        "user's surface. The evaluator renders every image instead. {both}",
-        both=both,
-    )
+    text = say("proof.two_models", both=both)
     runs = tabulate(
         tr("Runs that only one of them calls avoided, for each unit by itself and for all fused"),
         result.disagreements,

@@ -28,7 +28,7 @@ from placement.setting import Setting, build_setting
 
 from ..figures.axes import BLUE, VERMILION, Style, drawing_any_name, literal, unit_labels
 from ..figures.plan import blind_footprint, draw_scene, ground_footprint, ring_path
-from ..language import localized, mark, said, tr
+from ..language import localized, mark, said, say, tr
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record
@@ -135,16 +135,8 @@ def _direction(unit: CandidatePose) -> str:
         "yaw": float(yaw_deg),
     }
     if not is_ring(unit.sensor):
-        return tr(
-            "to the {point}: compass bearing {bearing:.1f}° (clockwise from north),\nyaw "
-            "{yaw:.1f}° (counter-clockwise from east)",
-            **values,
-        )
-    front = tr(
-        "its front to the {point}: compass bearing {bearing:.1f}° (clockwise from north),\nyaw "
-        "{yaw:.1f}° (counter-clockwise from east)",
-        **values,
-    )
+        return say("sheet.looks", **values)
+    front = say("sheet.front_looks", **values)
     turned = tr("all round")
     if is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
         turned = tr("all round: turned it sees the same, only its axes turn with it")
@@ -161,10 +153,8 @@ def _tilt(unit: CandidatePose) -> str:
         return tr(down if pitch_deg < 0.0 else up, angle=abs(pitch_deg))
     if pitch_deg >= 0.0:
         return tr("{angle:.1f}° above level", angle=pitch_deg)
-    return tr(
-        "{angle:.1f}° below level: the middle of the picture lies on the road {reach:.1f} m away",
-        angle=-pitch_deg,
-        reach=height_m / math.tan(math.radians(-pitch_deg)),
+    return say(
+        "sheet.below_level", angle=-pitch_deg, reach=height_m / math.tan(math.radians(-pitch_deg))
     )
 
 
@@ -182,15 +172,8 @@ def _tolerance_text(tolerance: Tolerance) -> str:
     lower, higher = (
         at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm") for value_m in tolerance.height_m
     )
-    return tr(
-        "{left} to the left, {right} to the right\n{up} up, {down} down\n{higher} higher, {lower} "
-        "lower\none thing at a time, the other units as planned; beyond, a run is lost",
-        left=left,
-        right=right,
-        up=up,
-        down=down,
-        higher=higher,
-        lower=lower,
+    return say(
+        "sheet.tolerances", left=left, right=right, up=up, down=down, higher=higher, lower=lower
     )
 
 
@@ -210,8 +193,8 @@ def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
         if 0.3 < distance_m <= _LANDMARK_WITHIN_M:
             bearing = math.degrees(math.atan2(nearest.y - here.y, nearest.x - here.x))
             point = COMPASS[round(bearing / 45.0) % 8]
-            words = tr(
-                "{distance:.2f} m to the {point}: {kind} {name}",
+            words = say(
+                "sheet.landmark",
                 distance=distance_m,
                 point=said(point),
                 kind=said(thing.class_name),
@@ -258,11 +241,7 @@ def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Co
         return
     rgb, run, time_s = draw_view(unit, setting, compute=compute)
     axes.imshow(rgb)
-    title = tr(
-        "What it will see, rendered: {run}, {time:.1f} s before the impact",
-        run=run.id,
-        time=abs(time_s),
-    )
+    title = say("sheet.picture", run=run.id, time=abs(time_s))
     axes.set_title(literal(title), fontsize=9, loc="left")
 
 

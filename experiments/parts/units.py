@@ -14,7 +14,7 @@ from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import compass_word, looking_words, plot_plan
-from ..language import localized, mark, said, tr, trn
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
 from .section import Block, Box, Picture, Section, Table, build_picture
@@ -37,20 +37,10 @@ def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene
     """Places and directions of the units of layouts, by display name, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     is_flat = terrain_of(scene) is None
-    where = tr(
-        "East, north and height are metres in the junction's own coordinates; the road is at "
-        "height 0."
-    )
+    where = say("units.heights")
     if not is_flat:
-        where = tr(
-            "East, north and height are metres in the junction's own coordinates; height is that "
-            "above the ground below."
-        )
-    directions = tr(
-        "The bearing is that of a compass, clockwise from north; yaw is counted counter-clockwise "
-        "from east; pitch is negative where the sensor looks down. An assumed site is one that the "
-        "map does not have, or not there."
-    )
+        where = say("units.heights_above_ground")
+    directions = say("units.angles")
     note = f"{where} {directions}"
     tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
     return Section(
@@ -101,12 +91,7 @@ def build_plans(
             draw(layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
             narrow=draw(layout, width_in=NARROW_IN) if are_few and not are_side_by_side else None,
             title=tr("Plan of {scene} with {name}", scene=setting.scene.name, name=name),
-            caption=tr(
-                "Coloured outlines: the ground in each sensor's field of view, up to {range:g} m; "
-                "they see farther. Walls and parked cars hide parts of it, which is taken into "
-                "account in the numbers but not drawn here.",
-                range=_PLAN_RANGE_M,
-            ),
+            caption=say("units.plan", range=_PLAN_RANGE_M),
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),
         )
         for name, layout in detailed.items()
@@ -118,8 +103,8 @@ def _units_in_words(layout: Layout) -> str:
         return tr("{n} units: where each is says the table above.", n=len(layout.units))
     labels = unit_labels(layout)
     return " ".join(
-        tr(
-            "{unit} at {east} m east, {north} m north, {looking}.",
+        say(
+            "units.place",
             unit=labels[unit.id],
             east=number(unit.pose.position_m[0], 1),
             north=number(unit.pose.position_m[1], 1),
@@ -166,11 +151,7 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
     ]
     n_areas = len(found.areas)
     if not seen:
-        return trn(
-            "No camera has the private area in its picture.",
-            "No camera has any of the {n} private areas in its picture.",
-            n_areas,
-        )
+        return say("units.nothing_private", n_areas)
     return tr("Of private ground, {views}.", views="; ".join(seen))
 
 
@@ -210,10 +191,7 @@ def private_ground_section(
         shares = (most_seen[area.name], *(units[unit_id][area.name] for unit_id in shown))
         rows.append([area.name, localized(f"{area.area_m2:.0f}"), *map(percent, shares)])
     table = Table(caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown)))
-    note = tr(
-        "Seen is what lies in a camera's picture with nothing in between, at the height of "
-        "people's eyes. LiDARs take no pictures."
-    )
+    note = say("units.seen")
     blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
     return Section("private-ground", tr("Private ground"), blocks)
 
@@ -225,9 +203,8 @@ def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) 
     if n_seen * n_seeing <= _MAX_NAMED:
         return private_ground_sentence(found)
     worst = max(most_seen, key=lambda name: most_seen[name])
-    return tr(
-        "{seeing} of {units} units see something of {seen} of {areas} private areas; the most is "
-        "{share} of {worst}.",
+    return say(
+        "units.private_in_short",
         seeing=n_seeing,
         units=len(found.units),
         seen=n_seen,

@@ -12,7 +12,7 @@ from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
 
-from ..language import said, tr, trn
+from ..language import said, say, tr
 from .numbers import capital, count_runs, finite_or_none, joined
 from .record import Record, Share, says
 
@@ -91,11 +91,8 @@ def _without_effect(setting: Setting) -> Iterator[str]:
         if name != "day" and contrast >= detector.min_contrast:
             alike.append(name)
     if alike:
-        yield trn(
-            "{weathers} changes nothing for cameras here: the {detector} detector knows no light. "
-            "--detector response does.",
-            "{weathers} change nothing for cameras here: the {detector} detector knows no light. "
-            "--detector response does.",
+        yield say(
+            "drives.no_light",
             len(alike),
             weathers=capital(joined([*map(said, alike)])),
             detector=detector.name,
@@ -131,11 +128,8 @@ def describe_limits(setting: Setting) -> list[str]:
         for limit, names in arms.items()
     ]
     return [
-        trn(
-            "Left out: {n} run of the protocol faster than the map's speed limits, {where} "
-            "(--speeds all drives them).",
-            "Left out: {n} runs of the protocol faster than the map's speed limits, {where} "
-            "(--speeds all drives them).",
+        say(
+            "drives.too_fast",
             sum(len(one.speeds_kmh) for one in found) * _n_weathers(setting),
             where=joined(where),
         )
@@ -155,14 +149,7 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
     """Cases that meet somebody who is not protected, and cases that are laid nowhere."""
     names = unprotected_cases(setting)
     if names:
-        yield trn(
-            "Only vulnerable road users are protected: {cases}, where a car is met, does not count "
-            "(--protect all counts cars, too).",
-            "Only vulnerable road users are protected: {cases}, where a car is met, do not count "
-            "(--protect all counts cars, too).",
-            len(names),
-            cases=joined(names),
-        )
+        yield say("drives.unprotected", len(names), cases=joined(names))
     reasons: dict[str, dict[str, None]] = {}
     for one in setting.refusals:
         if one.left_out == "not laid":

@@ -44,6 +44,10 @@ def messages_of_code():
                 found.setdefault(message, []).append(f"{path.relative_to(ROOT)}:{line}")
     for message in load_data("experiments", "said_below.toml")["messages"]:
         found.setdefault(message, []).append("data/said_below.toml")
+    for of_part in load_data("experiments", "texts.toml").values():
+        for message in of_part.values():
+            key = message if isinstance(message, str) else tuple(message)
+            found.setdefault(key, []).append("data/texts.toml")
     return found
 
 
