@@ -127,7 +127,7 @@ def section(result: PlacementResult) -> Section:
     note = tr(
         "Solver: {solver}. The proof holds for the detection table: for the candidate poses that "
         "were tried, on the runs listed below. What is proven, no other choice among them exceeds.",
-        solver=result.solver or NOTHING,
+        solver=said(result.solver) or NOTHING,
     )
     return Section("proof", tr("How good is it, and is that proven?"), [proof, table(result), note])
 
