@@ -115,7 +115,7 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
     """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
-    layouts = evaluations.items()
+    layouts = [(said(name), item) for name, item in evaluations.items()]
     parties = {f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts}
     parties |= {tr("car (VUT) alone"): subject.vut}
     parties |= {tr("car (VUT) and {name}", name=name): item.vut_and_rsus for name, item in layouts}
@@ -373,7 +373,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
         last = number(axis.last_brake_time_s[index])
         rows.append([axis.run_ids[index], *weather, *weight, last, *ends])
     own = [*([tr("weather")] if has_weathers else []), *([tr("weight")] if has_weights else [])]
-    columns = [tr("run"), *own, tr("last moment (s)"), *evaluations, tr("VUT")]
+    columns = [tr("run"), *own, tr("last moment (s)"), *map(said, evaluations), tr("VUT")]
     n_hit = int((~subject.headline.is_avoided).sum())
     summary = tr("{n} runs: those with the least time to spare first", n=len(rows))
     if n_hit:

@@ -92,7 +92,7 @@ def section(result: PlacementResult) -> Section:
     if is_open:
         names = ", ".join(is_open)
         proof = tr("Not in full: proven are all objectives but {names}.", names=names)
-    note = say("proof.solver", solver=result.solver or NOTHING)
+    note = say("proof.solver", solver=said(result.solver) or NOTHING)
     return Section("proof", tr("How good is it, and is that proven?"), [proof, table(result), note])
 
 
