@@ -16,7 +16,7 @@ from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
-from ..language import language, localized, said, tr
+from ..language import language, localized, said, say
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): distinct with any colour vision.
 BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
@@ -150,8 +150,8 @@ def describe_run(axis: FrameAxis, run_index: int) -> str:
     weather, position = axis.weathers[run_index], axis.positions[run_index]
     where = said(axis.approaches[run_index])
     where = where if position == AT_ZERO.name else f"{where} ({position} m)"
-    words = tr(
-        "{case} from the {approach} at {speed_kmh:g} km/h",
+    words = say(
+        "axes.run",
         case=axis.cases[run_index],
         approach=where,
         speed_kmh=float(axis.vut_speed_kmh[run_index]),

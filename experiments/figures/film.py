@@ -28,7 +28,7 @@ from placement.imaging.mesh import build_static_mesh
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from ..language import localized, said, tr
+from ..language import localized, said, say, tr
 from .axes import BLUE, SKY, VERMILION, Style, drawing_any_name, literal, new_figure, show_square
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
@@ -119,8 +119,8 @@ def _title(run: Run) -> str:
     speeds = [localized(f"{run.vut_speed_kmh:g}")]
     if run.case.pairs_kmh:
         speeds.append(localized(f"{run.case.vru_speed_kmh:g}"))
-    return tr(
-        "{case}: {title}\nfrom the {approach} at {speeds} km/h, {weather}; nobody brakes",
+    return say(
+        "film.title",
         case=literal(run.case.name),
         title=said(run.case.title),
         approach=approach,
@@ -181,10 +181,8 @@ class _Stage:
         axes.tick_params(labelsize=7)
         time_s = run.time_s[frame]
         when = localized(f"{time_s:.1f} s".replace("-", "\N{MINUS SIGN}"))
-        seen = tr(
-            "{when}: {percent:.0f} % of the VRU in the VUT's sight",
-            when=when if time_s < 0.0 else tr("impact"),
-            percent=100.0 * share,
+        seen = say(
+            "film.visible", when=when if time_s < 0.0 else tr("impact"), percent=100.0 * share
         )
         axes.set_title(seen, fontsize=9)
         self._point_at_vut(axes, frame)

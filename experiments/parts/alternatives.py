@@ -30,7 +30,7 @@ from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 from scenarios.scores import AVOIDED
 
-from ..language import mark, tr, trn
+from ..language import mark, say, tr, trn
 from ..progress import StageProgress
 from ..results.folders import RECOMMENDED_FILE
 from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
@@ -235,9 +235,8 @@ def doubt_sentences(
 def _heavy(runs: Sequence[HeavyRun]) -> str:
     low, high = percent(runs[-1].share), percent(runs[0].share)
     shares = high if low == high else tr("{first} to {last}", first=low, last=high)
-    return trn(
-        "One run alone counts {shares} of the APR: {names}.",
-        "{n} runs count {shares} of the APR each: {names}.",
+    return say(
+        "alternatives.heavy_runs",
         len(runs),
         shares=shares,
         names=first_of([one.run for one in runs], _MAX_HEAVY),
@@ -258,10 +257,7 @@ def _by_runs(found: ByRuns, n_runs: int) -> str:
         return tr(best if found.is_proven else better, runs=count_runs(n_runs), **values)
     if found.is_proven:
         return tr("If every run counted the same, no layout would be better than this one.")
-    return tr(
-        "If every run counted the same, no better layout was found in the time for it; that there "
-        "is none is not proven."
-    )
+    return say("alternatives.by_runs_open")
 
 
 def _mounting(found: Standing) -> str:
@@ -298,13 +294,7 @@ def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str
     """APR that remains if one unit, two, or a pole fail; `labels` are names by id."""
     whole, n_units = failures.none_failed, len(failures.one_failed)
     if n_units == 1:
-        return [
-            tr(
-                "There is one unit. If it fails, nothing is left of the {apr} that it prevents but "
-                "what the car prevents by itself.",
-                apr=percent(whole.apr),
-            )
-        ]
+        return [say("alternatives.one_unit", apr=percent(whole.apr))]
     return [
         tr("All {n} units together prevent {apr}.", n=n_units, apr=percent(whole.apr)),
         _if_one_fails(failures, labels),
@@ -320,16 +310,9 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
         least_s = min(item.smallest_margin_s for item in failures.one_failed)
         if math.isnan(least_s):  # there is no such run
             return tr("Whichever one fails, the others avoid every run that all avoid together.")
-        return tr(
-            "Whichever one fails, the others avoid every run that all avoid together; the least "
-            "time to spare is then {time}.",
-            time=milliseconds(least_s),
-        )
+        return say("alternatives.none_needed", time=milliseconds(least_s))
     values = {"unit": _names(worst, labels), "apr": percent(worst.apr), "lost": _runs_lost(worst)}
-    text = tr(
-        "If {unit} fails, the others still prevent {apr}; {lost}. No single failure leaves less.",
-        **values,
-    )
+    text = say("alternatives.worst_unit", **values)
     harmless = mark("{n} of the {n_units} units can fail by themselves and no run is lost.")
     return f"{text} {tr(harmless, n=n_harmless, n_units=n_units)}" if n_harmless else text
 
@@ -345,12 +328,7 @@ def _if_two_fail(failures: Failures, labels: Mapping[str, str]) -> str:
     if n_harmless == len(pairs):
         return tr("Any two may fail at once, and no run is lost.")
     values = {"units": _names(pairs[0], labels), "apr": percent(pairs[0].apr), "n": n_harmless}
-    return tr(
-        "Of two that fail at once, {units} matter most: {apr} are left. {n} of the {n_pairs} pairs "
-        "can fail and no run is lost.",
-        n_pairs=len(pairs),
-        **values,
-    )
+    return say("alternatives.worst_pair", n_pairs=len(pairs), **values)
 
 
 def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
@@ -362,11 +340,7 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
             "A pole fails with all its units (power, a crash). Whichever one does, no run is lost."
         )
     values = {"units": _names(worst, labels), "apr": percent(worst.apr), "lost": _runs_lost(worst)}
-    return tr(
-        "A pole fails with all its units (power, a crash). If that of {units} does, {apr} are left "
-        "and {lost}; no other pole leaves less.",
-        **values,
-    )
+    return say("alternatives.worst_pole", **values)
 
 
 def failure_table(
@@ -411,10 +385,7 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
         "comes on top."
     )
     whose = tr(seeing if evaluation.cars == 1.0 else blind)
-    lost = tr(
-        "A run is lost if all units together avoid it and those that are left do not; the fastest "
-        "ones are named first."
-    )
+    lost = say("alternatives.lost_runs")
     sentences = " ".join(failure_sentences(failures, labels))
     note = f"{whose} {lost}"
     return Section("failures", tr("If a unit or a pole fails"), [sentences, *tables, note])

@@ -10,7 +10,7 @@ from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
-from ..language import localized, said, tr
+from ..language import localized, said, say, tr
 from ..results.numbers import first_of, joined, percent
 from .accidents import is_weighted
 from .result import EvaluationResult, PlacementResult, Result
@@ -108,9 +108,4 @@ def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
     latency_ms = 1000.0 * rule.latency_s
     if not own:
         return tr("{latency_ms:g} ms for processing and communication.", latency_ms=latency_ms)
-    return tr(
-        "{latency_ms:g} ms for processing and communication; units with a latency of their own: "
-        "{own}.",
-        latency_ms=latency_ms,
-        own="; ".join(own),
-    )
+    return say("assumptions.latencies", latency_ms=latency_ms, own="; ".join(own))

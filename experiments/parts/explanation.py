@@ -17,7 +17,7 @@ from placement.pipeline import Placement
 from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
-from ..language import mark, said, tr, trn
+from ..language import mark, said, say, tr, trn
 from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
 from .section import Block, Section, Table, tabulate
@@ -135,25 +135,10 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
         saved = mark("This one unit saves {runs} that the car does not save by itself.")
         return [tr(saved, runs=count_runs(len(parts[0].only_runs)))]
     if not needed:
-        return [
-            trn(
-                "No run depends on a single unit: whichever fails, the other avoids all that they "
-                "avoid together. What each unit adds is time.",
-                "No run depends on a single unit: whichever fails, the others avoid all that they "
-                "avoid together. What each unit adds is time.",
-                len(parts) - 1,
-            )
-        ]
+        return [say("explanation.none_depends", len(parts) - 1)]
     if len(needed) == len(parts):
         return [tr("Each unit saves runs that no other one saves.")]
-    return [
-        trn(
-            "Of {n_units} units, {n} saves runs that no other one saves.",
-            "Of {n_units} units, {n} save runs that no other one saves.",
-            len(needed),
-            n_units=len(parts),
-        )
-    ]
+    return [say("explanation.saves", len(needed), n_units=len(parts))]
 
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
@@ -165,14 +150,7 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
         only = "{outcome}" if len(missed) == 1 else mark("all {outcome}")
         outcomes = tr(only, outcome=tr(OUTCOMES[missed[0].outcome]))
     if missed:
-        sentences = [
-            trn(
-                "On the detection table, {n} run is not avoided: {outcomes}.",
-                "On the detection table, {n} runs are not avoided: {outcomes}.",
-                len(missed),
-                outcomes=outcomes,
-            )
-        ]
+        sentences = [say("explanation.not_avoided", len(missed), outcomes=outcomes)]
     elif n_without:
         sentences = [tr("On the detection table, every run that counts is avoided.")]
     else:
@@ -196,17 +174,9 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
             sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
     if n_saved == len(missed):
-        saved = trn(
-            "It could be saved by a further unit.",
-            "Each of them could be saved by a further unit.",
-            n_saved,
-        )
+        saved = say("explanation.could_be_saved", n_saved)
     else:
-        saved = trn(
-            "{n} run could be saved by a further unit.",
-            "{n} runs could each be saved by a further unit.",
-            n_saved,
-        )
+        saved = say("explanation.some_could_be_saved", n_saved)
     return [*sentences, *([saved] if n_saved else [])]
 
 
@@ -254,11 +224,7 @@ def missed_table(explained: ExplainedRecord) -> Table:
             tr("why"): _why,
             tr("nearest further unit that would save it"): _rescue,
         },
-        summary=trn(
-            "{n} run: why, and what would save it",
-            "{n} runs: why, and what would save them",
-            n_runs,
-        ),
+        summary=say("explanation.why", n_runs),
         is_open=n_runs <= _MAX_UNFOLDED,
     )
 
@@ -300,12 +266,7 @@ def explanation_sections(
     if explained.not_avoided:
         missed += [
             missed_table(explained),
-            tr(
-                "Reasons of the unit nearest to the road user that looks there, in frames from "
-                "which braking in time could follow. “Hidden by” names what most of the blocked "
-                "rays meet first; without it the road user would be detected. A further unit is "
-                "one of the candidate poses, mounted next to these; its price is not asked for."
-            ),
+            say("explanation.reasons"),
         ]
     return [
         Section("why", tr("Why these poses"), [" ".join(why), table]),
@@ -378,11 +339,7 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
             "in the time given."
         )
     deeds = joined([_deed(move) for move in found.moves])
-    bounds = tr(
-        "The bounds of the refined layout hold for these and the {n} poses tried between them, "
-        "not for every pose there is.",
-        n=n_tried,
-    )
+    bounds = say("explanation.refined_bounds", n=n_tried)
     return [
         tr("Refinement {deeds}: {changes}.", deeds=deeds, changes=_changes(found)),
         f"{tr(proven, n=n_grid)} {bounds}",
@@ -439,17 +396,9 @@ def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
     if unit is None:
         return ""
     if unit.gain < 0.5e-9:  # what rounding leaves
-        return tr(
-            "One more unit among the candidates would avoid nothing more (on the detection table, "
-            "by greedy choice)"
-        )
+        return say("explanation.no_next_unit")
     values = {"points": points(unit.gain), "measure": measure, "apr": percent(unit.apr)}
-    return tr(
-        "One more unit would add {points} of {measure}: {apr} with {pose} (on the detection table, "
-        "by greedy choice)",
-        pose=unit.pose,
-        **values,
-    )
+    return say("explanation.next_unit", pose=unit.pose, **values)
 
 
 def next_unit_section(unit: NextUnit | None, measure: str) -> Section | None:

@@ -28,7 +28,7 @@ from placement.wishes import assumed_prices, load_prices
 
 from ..export.json import to_json_text
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure, to_png
-from ..language import localized, mark, said, tr
+from ..language import localized, mark, said, say, tr
 from ..progress import StageProgress
 from ..results.drives import RefusalRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -130,16 +130,9 @@ def table(front: FrontRecord) -> Table:
 def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
     star = tr("* of this layout; not optimised: --all-stages does.")
-    columns = tr(
-        "gain: points of APR over the row above; one fails: APR that is left when the most needed "
-        "unit fails; least, mean: time to spare in the runs avoided, in s."
-    )
+    columns = say("front.columns")
     if front.by == "cost":
-        columns = tr(
-            "gain: points of APR over the row above; one fails: APR that is left when the most "
-            "needed unit fails; least, mean: time to spare in the runs avoided, in s; each EUR is "
-            "the least that buys this."
-        )
+        columns = say("front.columns_by_cost")
     return [f"{star} {columns}" if front.optimised == "first" else columns]
 
 
@@ -202,8 +195,8 @@ def front_section(front: FrontRecord | None) -> Section | None:
         return None
     shown = table(front)
     in_words = "; ".join(
-        tr(
-            "{units}: APR {apr}, {left} if one fails, {spare} s to spare, {proof}",
+        say(
+            "front.point",
             **dict(
                 zip(
                     ("units", "apr", "gain", "left", "spare", "mean", "cost", "proof"),
@@ -217,10 +210,7 @@ def front_section(front: FrontRecord | None) -> Section | None:
     picture = build_picture(
         plot_front(front),
         title=tr("What each further unit buys"),
-        caption=tr(
-            "Every point is the best layout found for as many units; open markers and bars: what "
-            "is not yet ruled out."
-        ),
+        caption=say("front.caption"),
         alt=tr("Curves over the number of units. {points}.", points=in_words),
     )
     poses = tabulate(
@@ -235,10 +225,7 @@ def front_section(front: FrontRecord | None) -> Section | None:
         },
         summary=tr("Which poses"),
     )
-    own = tr(
-        "Each number of units has the best layout of its own; the units of one are not always "
-        "among those of the next."
-    )
+    own = say("front.layouts")
     note = " ".join([*notes(front), own])
     blocks: list[Block] = [Bullets(front.sentences), picture, shown, note, poses]
     return Section("front", tr("What each unit buys"), blocks)

@@ -28,7 +28,7 @@ from placement.retrofit import (
 from placement.wishes import assumed_prices
 
 from ..export.json import to_json_text
-from ..language import localized, mark, said, tr
+from ..language import localized, mark, said, say, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -261,8 +261,8 @@ def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses)
     for row, name in names.items():
         if unit[row] < 0:
             new = poses.candidates[row]
-            words = tr(
-                "add {unit} at {place}, {height_m:g} m, yaw {yaw}, pitch {pitch} ({sensor})",
+            words = say(
+                "retrofit.add",
                 unit=name,
                 place=new.site_id or tr("a place of its own"),
                 height_m=float(new.pose.position_m[2]),

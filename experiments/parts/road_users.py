@@ -11,7 +11,7 @@ from placement.evaluation import Evaluation, Verdict, apr, mean_impact_speed_kmh
 from placement.setting import Setting
 from scenarios.cases import ROAD_USER_GROUPS
 
-from ..language import said, tr, trn
+from ..language import said, say, tr
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent
 from ..results.record import mixed, says
@@ -93,14 +93,7 @@ def words(record: RoadUserGroups) -> list[str]:
     )
     if not record.unprotected:
         return [tr("Whose runs count: {counted}.", counted=counted)]
-    return [
-        trn(
-            "Whose runs count: {counted}; left out: {n} case with a car.",
-            "Whose runs count: {counted}; left out: {n} cases with a car.",
-            len(record.unprotected),
-            counted=counted,
-        )
-    ]
+    return [say("road_users.counted", len(record.unprotected), counted=counted)]
 
 
 def table(record: RoadUserGroups) -> Table:
@@ -127,13 +120,7 @@ def section(record: RoadUserGroups | None) -> Section | None:
         return None
     blocks: list[Block] = [*words(record)]
     if record.unprotected:
-        blocks.append(
-            tr(
-                "By default the runs count that meet people on foot, cyclists and motorcyclists. "
-                "Left out, since a car is met: {cases}. --protect all counts them.",
-                cases=", ".join(record.unprotected),
-            )
-        )
+        blocks.append(say("road_users.by_default", cases=", ".join(record.unprotected)))
     if len(record.groups) > 1:
         blocks.append(table(record))
     return Section("road-users", tr("Who is protected"), blocks)

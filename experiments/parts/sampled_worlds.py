@@ -14,7 +14,7 @@ from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, re
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
-from ..language import localized, mark, said, tr, trn
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -234,16 +234,7 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
     values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
     values |= {"drawn": what_is_uncertain(found), "layout": subject.name}
     values |= {"method": said(subject.method), "v2x": percent(found.uncertainty.v2x_share)}
-    sentences = [
-        trn(
-            "In {n} fresh sampled world ({drawn}), {layout} avoids {mean} of the accidents on "
-            "average ({method}: {low} to {high})",
-            "In {n} fresh sampled worlds ({drawn}), {layout} avoids {mean} of the accidents on "
-            "average ({method}: {low} to {high})",
-            found.samples,
-            **values,
-        )
-    ]
+    sentences = [say("sampled_worlds.mean", found.samples, **values)]
     if subject.planned is not None:
         sentences[0] += tr("; as planned {planned}", **values)
     if subject.of_all is not None:
@@ -293,24 +284,10 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
     values: dict[str, Any] = {"points": points, "low": low, "high": high, "other": other.name}
     values |= {"tail": percent(found.tail), "apr": percent(other.cvar), "layout": subject.name}
-    better = trn(
-        "{other} does better in {n} fresh world: {points:.1f} points of APR more than {layout} "
-        "(95 % interval {low:.1f} to {high:.1f})",
-        "{other} does better in {n} fresh worlds: {points:.1f} points of APR more than {layout} "
-        "(95 % interval {low:.1f} to {high:.1f})",
-        found.samples,
-        **values,
-    )
+    better = say("sampled_worlds.overtaken", found.samples, **values)
     worst = mark("in the worst {tail} of them {apr}, not {layout_apr}")
     worst = tr(worst, layout_apr=percent(subject.cvar), **values)
-    few = trn(
-        "the {n} world that {layout} was chosen in is too few: ask for more with --samples, or "
-        "take {other}.",
-        "the {n} worlds that {layout} was chosen in are too few: ask for more with --samples, or "
-        "take {other}.",
-        found.chosen_in,
-        **values,
-    )
+    few = say("sampled_worlds.too_few", found.chosen_in, **values)
     return ["; ".join([better, *[worst] * of_tail, few])]
 
 
@@ -382,11 +359,7 @@ def moving_sentence(found: SampledRecord) -> str:
     per_run, n_waiting = moving.n_vehicles / moving.n_runs, moving.n_waiting
     values: dict[str, Any] = {"n": moving.n_vehicles, "n_left_out": moving.n_left_out}
     values |= {"per_run": per_run, "source": found.traffic_source, "share": share}
-    text = tr(
-        "{per_run:.0f} vehicles drive by in a run ({source}); {n_left_out} of {n} ({share}) are "
-        "left out of theirs, for they would come into the way of car or road user",
-        **values,
-    )
+    text = say("sampled_worlds.traffic", **values)
     if not n_waiting:
         return text
     no_room = mark("; SUMO found no room for {n} of {n_all} vehicles")
@@ -425,10 +398,7 @@ def sampled_picture(found: SampledRecord) -> Picture:
     return build_picture(
         plot_sampled_apr(found),
         title=tr("APR in sampled worlds"),
-        caption=tr(
-            "Worlds that were not used for the choice. Drawn at random: {drawn}.",
-            drawn=what_is_uncertain(found),
-        ),
+        caption=say("sampled_worlds.drawn", drawn=what_is_uncertain(found)),
         alt=tr("Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))),
     )
 
@@ -451,10 +421,7 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
     axes.set_yticks(range(len(layouts)), [_name(one.name) for one in layouts], fontsize=8)
     axes.set_ylim(len(layouts) - 0.5, -0.5)
-    words = tr(
-        "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: from the "
-        "worst to the best world"
-    )
+    words = say("sampled_worlds.share_axis")
     finish_axes(axes, x=words, grid="x")
     return axes
 
@@ -472,10 +439,7 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     low, high = axes.get_xlim()
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
     axes.set_xlim(middle - half, middle + half)
-    words = tr(
-        "difference of the APR in the same worlds (points)\nwith its 95 % interval; open: may be "
-        "zero"
-    )
+    words = say("sampled_worlds.difference_axis")
     finish_axes(axes, x=words, grid="x")
     return axes
 
