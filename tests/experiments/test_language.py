@@ -8,9 +8,12 @@ from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 from babel.messages.extract import extract_from_file
 from babel.messages.pofile import read_po
+from kept_backdrops import kept_backdrop
+from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
 from partial_pages import blank_png
 
@@ -28,10 +31,12 @@ from experiments.language import (
     tr,
     trn,
 )
-from experiments.parts import section
+from experiments.parts import latency as latency_part
+from experiments.parts import section, sheet
 from experiments.report.page import page_environment
-from geometry.catalogue import load_cameras
+from geometry.catalogue import load_cameras, load_lidars
 from geometry.files import load_data
+from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
@@ -145,9 +150,11 @@ class Bracketed(Messages):
 
 
 ALLOWED = {"APR", "AEB", "EUR", "Euro", "NCAP", "VUT", "RSU", "RSUs", "IoU", "HiGHS", "CarlaNCAP"}
-ALLOWED |= {"m", "s", "ms", "px", "km", "h", "Hz", "N", "x", "prices.toml", "cost_eur"}
+ALLOWED |= {"m", "cm", "s", "ms", "px", "km", "h", "Hz", "N", "x", "prices.toml", "cost_eur"}
 ALLOWED |= {"place-rsus", "python", "cvxpy", "highspy", "numpy", "scipy", "trimesh", "embree"}
-ALLOWED |= {"rays", *DETECTOR_NAMES, *load_cases(), *load_cameras()}
+ALLOWED |= {"rays", *DETECTOR_NAMES, *load_cases(), *load_cameras(), *load_lidars()}
+ALLOWED |= {"carla", "ncap-rgb", "study"}  # a name cut in two, and that of a latency budget
+ALLOWED |= {thing.id for thing in load_study_scene().instances}
 ALLOWED |= {site.id for site in load_study_scene().sites}
 
 
@@ -161,7 +168,7 @@ def left_over(text):
         token
         for token in tokens
         if re.search(r"[^\W\d_]", token)
-        and not re.search(r"[\d/_\\@]", token)
+        and not re.search(r"[\d/_\\@]|\.(csv|json|html|png)$", token)
         and token not in ALLOWED
     ]
 
@@ -213,9 +220,104 @@ def drawn(monkeypatch):
     return texts
 
 
-@pytest.mark.usefixtures("few_runs")
-def test_no_word_of_a_report_is_left_over(run, drawn, monkeypatch):
+@pytest.fixture
+def bracketed(monkeypatch):
+    """German is the language made up."""
     monkeypatch.setattr(spoken, "_catalogue", lambda code: Bracketed())
+
+
+@pytest.fixture
+def mine(tmp_path):
+    """Files of a layout of a camera, of one with a LiDAR, too, and of a private area."""
+    unit = {
+        "site": "",
+        "x_m": -115.0,
+        "y_m": 8.6,
+        "z_m": 8.0,
+        "yaw_deg": -135.0,
+        "pitch_deg": -25.0,
+    }
+    camera = unit | {"id": "U1", "camera": "carla-ncap-rgb", "latency_s": 0.5}
+    lidar = unit | {"id": "U2", "x_m": -113.5, "lidar": "carla-ncap-lidar"}
+    for name, units in (("mine-1", [camera]), ("mine-2", [camera, lidar])):
+        text = json.dumps({"name": name, "layout": units})
+        (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
+    corners = [[-130.0, -10.0], [-100.0, -10.0], [-100.0, 10.0], [-130.0, 10.0], [-130.0, -10.0]]
+    ring = to_geographic(np.array(corners), load_study_scene().crs).tolist()
+    area = {"type": "Polygon", "coordinates": [ring]}
+    feature = {"type": "Feature", "properties": {"name": "garden-1"}, "geometry": area}
+    (tmp_path / "garden-1.json").write_text(
+        json.dumps({"type": "FeatureCollection", "features": [feature]}), encoding="utf-8"
+    )
+    return [tmp_path / f"{name}.json" for name in ("mine-1", "mine-2", "garden-1")]
+
+
+@pytest.mark.usefixtures("bracketed", "small_study")
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "--budget 2 --verbose",
+        "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
+        "--budget 2 --samples 4 --cars blind",
+        "--budget 2 --cars see --fusion single --detector response --verbose",
+        "--target 0.5 --least cost --site-cost 100 --cars blind --score rating-2026 --verbose",
+        "evaluate --layout MINE-1 --cars blind --verbose",
+        "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
+        "compare MINE-2 MINE-1 --samples 4 --verbose",
+        "compare MINE-2 MINE-1 carlancap-12",
+        "pareto --max 2",
+        "pareto --max 2 --by cost --site-cost 500",
+        "retrofit --layout MINE-2 --site-cost 500 --budget-cost 3000",
+        "latency --layout MINE-2",
+        "latency --layout MINE-1 --budget cpm-100ms",
+    ],
+)
+def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, asked):
+    monkeypatch.setattr(latency_part, "build_setting", lambda question, scene, **options: few_runs)
+    for path in mine:
+        asked = asked.replace(path.stem.upper(), str(path))
+    code, text, err = run(*asked.split(), "--language", "de", "--out", "out-1")
+    assert code == 0, err
+    assert text.count("⟦") > 20
+    assert not left_over(re.sub(r"--[a-z-]+", "", text))
+
+
+@pytest.mark.usefixtures("bracketed")
+def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
+    monkeypatch.setattr("placement.imaging.picture.build_backdrop", kept_backdrop)
+    monkeypatch.setattr(sheet, "build_setting", lambda *given, **options: small_setting)
+    texts = []
+    keep = PdfPages.savefig
+
+    def savefig(pages, figure):
+        texts.extend(text.get_text() for text in figure.findobj(Text))
+        keep(pages, figure)
+
+    monkeypatch.setattr(PdfPages, "savefig", savefig)
+    code, text, err = run("sheet", "--layout", mine[1], "--out", "s-1.pdf", "--language", "de")
+    assert code == 0, err
+    assert len(texts) > 40
+    assert not {text: left_over(text) for text in [*texts, text] if left_over(text)}
+
+
+@pytest.mark.usefixtures("small_study")
+def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeypatch):
+    asked = ("pareto", "--max", 1, "--quiet")
+    english, german = run(*asked), run(*asked, "--language", "de")
+    assert "The best of" in english[1]
+    assert "Die besten von" in german[1]
+    monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "de")
+    assert run(*asked) == german
+    assert run(*asked, "--language", "en") == english
+    assert language() == "en"
+    wrong = "place-rsus: --language: got 'fr'; expected one of en, de\n"
+    assert run(*asked, "--language", "fr") == (2, "", wrong)
+    monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "fr")
+    assert run(*asked) == (2, "", wrong)
+
+
+@pytest.mark.usefixtures("few_runs", "bracketed")
+def test_no_word_of_a_report_is_left_over(run, drawn):
     code, _, err = run("--budget", 2, "--out", "out", "--language", "de")
     assert code == 0, err
     page = Path("out/report.html").read_text()
