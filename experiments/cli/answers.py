@@ -34,9 +34,9 @@ from ..parts.comparison import HIGHEST
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
-from ..results.numbers import cars_words, first_of, number, percent, shortened
+from ..results.numbers import first_of, number, percent, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
-from .terminal import more_reasons
+from .terminal import basis, more_reasons
 
 _MAX_UNITS, _MAX_SHORT_UNITS = 24, 12
 _NAME_WIDTH = 40
@@ -73,14 +73,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     return [
         *_head(result),
         Part(
-            title=say(
-                "terminal.best",
-                n=n_units,
-                poses=result.candidates,
-                runs=result.runs,
-                fusion=said(result.fusion),
-                cars=cars_words(result.cars),
-            ),
+            title=say("terminal.best", n=n_units, poses=result.candidates, **basis(result)),
             table=_units_table(result.layout),
             notes=[*unit_notes(result.layout), _cost(result)],
             is_short=True,
@@ -125,17 +118,12 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
         more = tr(
             "and {n} more units, none of a higher APR by itself: in apr.csv with --out", n=n_left
         )
-    units = [unit for unit in result.layout if unit.id in shown]
+    units, n_units = [unit for unit in result.layout if unit.id in shown], len(result.layout)
     is_long = len(units) > _MAX_SHORT_UNITS
     return [
         *_head(result),
         Part(
-            title=tr(
-                "{name} on {runs} runs{cars}:",
-                name=result.name,
-                runs=result.runs,
-                cars=cars_words(result.cars),
-            ),
+            title=tr("{name} on {runs} runs{cars}:", name=result.name, **basis(result)),
             table=_units_table(units),
             notes=[*([more] if n_left else []), *unit_notes(units), _cost(result)],
             is_short=not is_long,
@@ -145,8 +133,8 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
                 _said(
                     tr(
                         "{name}: {n} units; {cost}.",
+                        n=n_units,
                         name=result.name,
-                        n=len(result.layout),
                         cost=_cost(result),
                     )
                 )
@@ -196,10 +184,7 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
         Part(
             title=tr(
                 "{name} against {names} on {runs} runs{cars}:",
-                name=result.name,
-                names=names,
-                runs=result.runs,
-                cars=cars_words(result.cars),
+                **{"name": result.name, "names": names, **basis(result)},
             ),
             table=_summary_table(
                 result,
@@ -492,15 +477,10 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
 
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:
     """Runs that table and evaluator see differently, the first few."""
-    by_table = mark("{party} in {run}: only the table avoids; {cause}")
-    by_evaluator = mark("{party} in {run}: only the evaluator avoids; {cause}")
+    by_table = mark("{one.party} in {one.run_id}: only the table avoids; {cause}")
+    by_evaluator = mark("{one.party} in {one.run_id}: only the evaluator avoids; {cause}")
     lines = [
-        tr(
-            by_table if one.on_table else by_evaluator,
-            party=one.party,
-            run=one.run_id,
-            cause=said(one.cause),
-        )
+        tr(by_table if one.on_table else by_evaluator, one=one, cause=said(one.cause))
         for one in found[:_MAX_DISAGREEMENTS]
     ]
     n_left = len(found) - _MAX_DISAGREEMENTS

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import localized, mark, said, tr
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import joined, percent
 from . import options
 from .running import Job
@@ -47,10 +47,6 @@ _COLUMNS = {
 }
 _OTHERS = {"vam": mark("VAM alone"), "all_sources": mark("all and VAM")}
 _SHOWN_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
-_NOTE = mark(
-    "fused: in each frame, any of the units may detect. A run counts as avoided if its last moment "
-    "to brake is not over, and a confirmed track is alive then."
-)
 
 
 def latency_text(summary: "LatencyResult", out: Path | None) -> str:
@@ -95,7 +91,7 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
             ],
             within,
         ),
-        *sentences(" ".join([tr(_NOTE), *_own_latencies(summary)]), indent=2),
+        *sentences(" ".join([say("latency.note"), *_own_latencies(summary)]), indent=2),
     ]
     if out is not None:
         files = joined(("latency.csv", "latency.png"))

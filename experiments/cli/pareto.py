@@ -8,10 +8,10 @@ import click
 
 from ..language import said, say, tr
 from ..parts import Part
-from ..results.numbers import cars_words, joined
+from ..results.numbers import joined
 from . import options
 from .running import Job, command_line
-from .terminal import answer_text, driven_lines
+from .terminal import answer_text, basis, driven_lines
 
 if TYPE_CHECKING:
     from ..parts.front import FrontResult
@@ -55,15 +55,8 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     """A front: a row per layout, and what is proven of it."""
     from ..parts import front
 
-    values = {
-        "poses": summary.candidates,
-        "runs": summary.runs,
-        "fusion": said(summary.fusion),
-        "cars": cars_words(summary.cars),
-    }
-    title = say("pareto.more_units", **values)
-    if summary.by == "cost":
-        title = say("pareto.more_money", **values)
+    key = "pareto.more_money" if summary.by == "cost" else "pareto.more_units"
+    title = say(key, poses=summary.candidates, **basis(summary))
     parts = [
         Part(
             title=title,
@@ -129,12 +122,7 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
     parts = [
         Part(
             title=say(
-                "pareto.what_to_change",
-                len(summary.layout),
-                name=summary.name,
-                runs=summary.runs,
-                fusion=said(summary.fusion),
-                cars=cars_words(summary.cars),
+                "pareto.what_to_change", len(summary.layout), name=summary.name, **basis(summary)
             ),
             table=retrofit.table(summary),
             notes=[say("pareto.columns", cost=labour.re_aim_eur, source=said(labour.source))],

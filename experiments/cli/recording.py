@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import mark, said, say, tr
+from ..language import said, say, tr
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
@@ -21,11 +21,6 @@ _WITH_RECORDING = frozenset(
     + ("budget", "fusion", "solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
     + ("track_memory_s",)
-)
-_NOTE = mark(
-    "Unit folder 3 is RSU3, car is the VUT's camera. In Eval, cam_index is a unit's folder; "
-    "12 (where no unit has that number) and -1 mean car, too. The last moment follows from speeds "
-    "and distances alone: a VUT that turns is taken as crossing."
 )
 
 
@@ -119,7 +114,7 @@ def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
         read += " " + say("recording.several_in_view", n=frames.several_vrus_in_view)
     reasons = "; ".join(f"{number} {said(reason)}" for reason, number in summary.skipped.items())
     skipped = tr("Skipped: {reasons}.", reasons=reasons) if reasons else tr("Skipped: nothing.")
-    lines = ["", *sentences(read, skipped, tr(_NOTE))]
+    lines = ["", *sentences(read, skipped, say("recording.note"))]
     if out is not None:
         lines += ["", tr("Written to {out}: {files}.", out=out, files="summary.json")]
     return lines

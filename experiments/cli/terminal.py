@@ -4,10 +4,11 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ..language import say
+from ..language import said, say
 from ..parts import Part
+from ..results.numbers import cars_words
 
 if TYPE_CHECKING:
     from ..parts.section import Table
@@ -88,6 +89,15 @@ def _table_lines(shown: "Table", width: int) -> list[str]:
         return table(heads, rows, width=width)
     columns = {head: [row[index] for row in rows] for index, head in enumerate(heads) if index}
     return wide_table(heads[0], [row[0] for row in rows], columns, width=width)
+
+
+def basis(result: Any) -> dict[str, Any]:
+    """What a result rests on, as titles put it in."""
+    return {
+        "runs": result.runs,
+        "fusion": said(result.fusion),
+        "cars": cars_words(result.cars),
+    }
 
 
 def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:

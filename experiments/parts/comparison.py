@@ -40,11 +40,6 @@ GREEDY, EXPERT, HIGHEST = mark("greedy"), mark("expert rule"), mark("highest APR
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
-_PAIRED = mark(
-    "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference in "
-    "each world counts, not the spread between worlds. Each interval holds by itself: of twenty "
-    "such, one may miss the true difference."
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -272,7 +267,7 @@ def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
 
 def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
     table = significance_table(sampled)
-    blocks: list[Block] = [Subheading(tr("Is the difference sure?")), tr(_PAIRED)]
+    blocks: list[Block] = [Subheading(tr("Is the difference sure?")), say("comparison.paired")]
     if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
         rows = [
             tr("{a} minus {b}: {mean}, {interval} points", a=a, b=b, mean=mean, interval=interval)

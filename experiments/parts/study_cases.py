@@ -13,18 +13,13 @@ from placement.question import BLIND, Question
 from placement.setting import Setting
 from scenarios.cases import select_cases
 
-from ..language import mark, said, tr, trn
+from ..language import said, say, tr, trn
 from ..results.numbers import percent
 from ..results.record import says
 from .baselines import Score, build_score
 from .section import Section, Table
 
 STAGE = "study's cases"
-NOTE = mark(
-    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
-    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
-    "question above. By the evaluator; layouts were not chosen for these runs."
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +107,9 @@ def section(record: StudyCases | None) -> Section | None:
     """The layouts on the study's cases; None where these are what was asked about."""
     if record is None:
         return None
-    return Section("study-cases", tr("On the study's cases"), [tr(NOTE), table(record)])
+    return Section(
+        "study-cases", tr("On the study's cases"), [say("study_cases.note"), table(record)]
+    )
 
 
 def table(record: StudyCases) -> Table:
