@@ -189,32 +189,16 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
     best = next(one for one in found.layouts if one.name == found.recommended)
     values = {"apr": percent(best.apr), "other_apr": percent(first.apr)}
     values |= {"left": percent(best.apr_one_failed), "other_left": percent(first.apr_one_failed)}
-    if found.decided_by == "apr":
-        why = mark("APR {apr} against {other_apr}")
-        if len(first.layout) > 1:
-            why = mark(
-                "APR {apr} against {other_apr}, and {left} against {other_left} if any one unit "
-                "fails"
-            )
-    elif found.decided_by == "apr_one_failed":
-        why = mark(
-            "the same APR, {other_apr}, and {left} against {other_left} if any one unit fails"
-        )
-    else:
+    why = f"better_{found.decided_by}"
+    if found.decided_by == "apr" and len(first.layout) == 1:
+        why = "better_apr_alone"
+    elif found.decided_by not in ("apr", "apr_one_failed"):
         worst = [percent(one.mounting.worst.apr) for one in (best, first) if one.mounting]
-        values["leaves"] = tr(" against ").join(worst)
-        why = mark("the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}")
-    values = {"why": tr(why, **values), "file": RECOMMENDED_FILE}
+        values["leaves"], why = tr(" against ").join(worst), "better_mounted"
+    values = {"why": say(f"alternatives.{why}", **values), "file": RECOMMENDED_FILE}
     values |= {"best": best.name, "first": first.name}
-    proven = mark(
-        "Recommended: {best}, in {file}. The evaluator prefers it to {first}: {why}. All else "
-        "here is about {first}, which is proven best on the detection table."
-    )
-    not_proven = mark(
-        "Recommended: {best}, in {file}. The evaluator prefers it to {first}: {why}. All else "
-        "here is about {first}, which is the best found."
-    )
-    return [tr(proven if is_proven else not_proven, **values)]
+    key = "recommended_to_proven" if is_proven else "recommended_to_found"
+    return [say(f"alternatives.{key}", **values)]
 
 
 def doubt_sentences(
@@ -245,16 +229,9 @@ def _heavy(runs: Sequence[HeavyRun]) -> str:
 
 def _by_runs(found: ByRuns, n_runs: int) -> str:
     if found.runs_avoided > found.runs_avoided_here:
-        best = mark(
-            "If every run counted the same (--weights run), another layout would be best: it "
-            "avoids {avoided} of {runs}, this one {avoided_here} (on the detection table)."
-        )
-        better = mark(
-            "If every run counted the same (--weights run), another layout would be better: it "
-            "avoids {avoided} of {runs}, this one {avoided_here} (on the detection table)."
-        )
         values = {"avoided": found.runs_avoided, "avoided_here": found.runs_avoided_here}
-        return tr(best if found.is_proven else better, runs=count_runs(n_runs), **values)
+        key = "by_runs_best" if found.is_proven else "by_runs_better"
+        return say(f"alternatives.{key}", runs=count_runs(n_runs), **values)
     if found.is_proven:
         return tr("If every run counted the same, no layout would be better than this one.")
     return say("alternatives.by_runs_open")
@@ -262,24 +239,8 @@ def _by_runs(found: ByRuns, n_runs: int) -> str:
 
 def _mounting(found: Standing) -> str:
     aim = trn("{deg:g} degree", "{deg:g} degrees", int(found.aim_deg != 1.0) + 1, deg=found.aim_deg)
-    text = {
-        (True, True): mark(
-            "A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost."
-        ),
-        (True, False): mark(
-            "A unit may be {aim} off its aim and no run is lost; 5 cm too high or low already "
-            "loses one."
-        ),
-        (False, True): mark(
-            "Mount exactly: half a degree off the aim of a unit already loses a run; 5 cm too high "
-            "or low loses none."
-        ),
-        (False, False): mark(
-            "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or low, already "
-            "loses a run."
-        ),
-    }[bool(found.aim_deg), bool(found.height_m)]
-    text = tr(text, aim=aim)
+    key = "aim" if found.aim_deg else "exactly"
+    text = say(f"alternatives.{key}_{'and' if found.height_m else 'not'}_height", aim=aim)
     worst = found.worst
     if not worst.lost_run_ids:
         return text
@@ -336,9 +297,7 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
     if all(len(item.unit_ids) == 1 for item in failures.site_failed):
         return tr("No two units share a pole: a pole that fails takes one unit with it.")
     if not worst.lost_run_ids:
-        return tr(
-            "A pole fails with all its units (power, a crash). Whichever one does, no run is lost."
-        )
+        return say("alternatives.no_pole_needed")
     values = {"units": _names(worst, labels), "apr": percent(worst.apr), "lost": _runs_lost(worst)}
     return say("alternatives.worst_pole", **values)
 
@@ -377,17 +336,9 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
         tables.append(failure_table(failures.two_failed, labels, of="pair"))
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
         tables.append(failure_table(failures.site_failed, labels, of="pole"))
-    seeing = mark(
-        "What the evaluator sees with each unit, and with the car's own sensors, which never fail."
-    )
-    blind = mark(
-        "Roadside units only, from what the evaluator sees with each; what the car sees by itself "
-        "comes on top."
-    )
-    whose = tr(seeing if evaluation.cars == 1.0 else blind)
-    lost = say("alternatives.lost_runs")
+    whose = say(f"alternatives.seen_{'with' if evaluation.cars == 1.0 else 'without'}_car")
     sentences = " ".join(failure_sentences(failures, labels))
-    note = f"{whose} {lost}"
+    note = f"{whose} {say('alternatives.lost_runs')}"
     return Section("failures", tr("If a unit or a pole fails"), [sentences, *tables, note])
 
 

@@ -327,22 +327,13 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
     """Sentences on the changes by refinement and their proof."""
     n_tried, n_grid = found.poses_tried, found.grid_candidates
     if not found.is_improved:
-        nothing = mark(
-            "Refinement tried {n} poses between the {n_grid} candidates of the grid and found "
-            "nothing better."
-        )
-        return [tr(nothing, n=n_tried, n_grid=n_grid)]
-    proven = mark("No choice among the {n} candidates of the grid is as good: that is proven.")
-    if not found.grid_is_proven:
-        proven = mark(
-            "It is better than the best choice among the {n} candidates of the grid that was found "
-            "in the time given."
-        )
+        return [say("explanation.nothing_better", n=n_tried, n_grid=n_grid)]
+    proven = "explanation.better_proven" if found.grid_is_proven else "explanation.better_open"
     deeds = joined([_deed(move) for move in found.moves])
     bounds = say("explanation.refined_bounds", n=n_tried)
     return [
         tr("Refinement {deeds}: {changes}.", deeds=deeds, changes=_changes(found)),
-        f"{tr(proven, n=n_grid)} {bounds}",
+        f"{say(proven, n=n_grid)} {bounds}",
     ]
 
 

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
 _HEADS = {"apr": "APR", "apr_one_failed": mark("one fails"), "smallest_margin_s": mark("least")}
 _HEADS |= {"mean_margin_s": mark("mean"), "cost_eur": "EUR"}
+_POINT = ("units", "apr", "gain", "left", "spare", "mean", "cost", "proof")
 _SETTLED = "#ececec"
 # Told apart by marker and dashes as well as by colour.
 _SOLID: Style = {"color": BLUE, "marker": "o", "linestyle": "-"}
@@ -130,9 +131,7 @@ def table(front: FrontRecord) -> Table:
 def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
     star = tr("* of this layout; not optimised: --all-stages does.")
-    columns = say("front.columns")
-    if front.by == "cost":
-        columns = say("front.columns_by_cost")
+    columns = say("front.columns_by_cost" if front.by == "cost" else "front.columns")
     return [f"{star} {columns}" if front.optimised == "first" else columns]
 
 
@@ -155,34 +154,15 @@ def words(front: FrontRecord) -> list[str]:
     is_all, by_units = front.optimised == "all", front.by == "units"
     better = mark("better, in APR, then in what is left when the most needed unit fails")
     if is_all:
-        better = mark(
-            "better, in APR, then in what is left when the most needed unit fails, then in time to "
-            "spare and cost"
-        )
-    proven = mark(
-        "Proven: for each number of units no other choice among the candidate poses is {better} "
-        "(on the detection table)."
-    )
-    if not by_units:
-        proven = mark(
-            "Proven: for each sum of money no other choice among the candidate poses is {better} "
-            "(on the detection table)."
-        )
-    some = mark(
-        "{n} of {n_all} points are proven; of the others another choice may be {better}: the table "
-        "says what is open."
-    )
-    is_proven = n_proven == n_points
-    sentences = [tr(proven if is_proven else some, n=n_proven, n_all=n_points, better=tr(better))]
+        better = say("front.better_in_all" if is_all else "front.better")
+    proven = "front.proven_by_units" if by_units else "front.proven_by_cost"
+    key = proven if n_proven == n_points else "front.points_open"
+    sentences = [say(key, n=n_proven, n_all=n_points, better=better)]
     if front.settled is not None:
         where = tr("Beyond {price}", price=euros(front.settled))
         if by_units:
             where = tr("From {n:g} units", n=front.settled)
-        best = mark("{where} on nothing grows: no layout of any size is better.")
-        same = mark(
-            "{where} on nothing grows: no layout of any size avoids more, also when one unit fails."
-        )
-        sentences.append(tr(best if is_all else same, where=where))
+        sentences.append(say("front.settled_in_all" if is_all else "front.settled", where=where))
     return sentences + [
         tr("With {n} the wishes cannot be met: {why}.", n=size.units, why=said(size.reason))
         for size in front.refused
@@ -195,17 +175,7 @@ def front_section(front: FrontRecord | None) -> Section | None:
         return None
     shown = table(front)
     in_words = "; ".join(
-        say(
-            "front.point",
-            **dict(
-                zip(
-                    ("units", "apr", "gain", "left", "spare", "mean", "cost", "proof"),
-                    row,
-                    strict=True,
-                )
-            ),
-        )
-        for row in shown.rows
+        say("front.point", **dict(zip(_POINT, map(str, row), strict=True))) for row in shown.rows
     )
     picture = build_picture(
         plot_front(front),

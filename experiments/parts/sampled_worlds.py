@@ -238,26 +238,14 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
     if subject.planned is not None:
         sentences[0] += tr("; as planned {planned}", **values)
     if subject.of_all is not None:
-        v2x = mark("With V2X in {v2x} of the cars, these are {of_all} of the accidents of all cars")
-        sentences.append(tr(v2x, **values))
-    better = mark(
-        "In the worlds that it was chosen in, it avoids {chosen}: a choice looks better where it "
-        "was made"
-    )
+        sentences.append(say("sampled_worlds.of_all_cars", **values))
     if chosen is not None:
-        other = mark("In the worlds that it was chosen in, it avoids {chosen}")
-        sentences.append(tr(better if chosen > or_nan(subject.mean) else other, **values))
+        is_better = chosen > or_nan(subject.mean)
+        key = "sampled_worlds.chosen_better" if is_better else "sampled_worlds.chosen"
+        sentences.append(say(key, **values))
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
-        one = mark(
-            "The worst {tail} of the {n_all} worlds that it was chosen in is {n:g}: too few to "
-            "choose by; ask for more with --samples, or for the mean"
-        )
-        few = mark(
-            "The worst {tail} of the {n_all} worlds that it was chosen in are {n:g}: too few to "
-            "choose by; ask for more with --samples, or for the mean"
-        )
-        text = one if n_worst <= 1.0 else few
-        sentences.append(tr(text, n=max(n_worst, 1.0), n_all=n_all, **values))
+        values |= {"n_all": n_all, "n": max(n_worst, 1.0)}
+        sentences.append(say("sampled_worlds.few_worst", 1 if n_worst <= 1.0 else 2, **values))
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
@@ -306,47 +294,25 @@ def what_is_uncertain(found: SampledRecord) -> str:
     values |= {"yaw": mounting.yaw_sd_deg, "pitch": mounting.pitch_sd_deg, "mean_ms": mean_ms}
     values |= {"budget": latency.get("budget"), "source": found.traffic_source}
     values |= {"height_cm": 100.0 * mounting.height_sd_m, "n_frames": record.burst_frames}
-    parts = (
-        (
-            any(astuple(mounting)),
-            mark(
-                "units off by {yaw:g}° in yaw, {pitch:g}° in pitch and {height_cm:g} cm in height"
-            ),
-        ),
-        ("budget" in latency, mark("latency drawn from the budget {budget}")),
-        (mean_ms, mark("messages {mean_ms:g} ms later on average")),
-        (is_lost and not has_bursts, mark("{lost} of the messages lost")),
-        (
-            is_lost and has_bursts,
-            mark("{lost} of the messages lost in bursts (drawn anew after {n_frames:g} frames)"),
-        ),
-        (
-            record.draws_detections and not lasting,
-            mark("detections drawn where the detector gives a probability"),
-        ),
-        (
-            record.draws_detections and lasting,
-            mark(
-                "detections drawn where the detector gives a probability ({lasting} of the noise "
-                "for a whole run)"
-            ),
-        ),
-        (
-            outages != Outages(),
-            mark("units out of order in {units} and poles in {poles} of the runs"),
-        ),
-        (blinding.dirty_share, mark("{dirty} of the cameras dirty")),
-        (blinding.low_sun_share, mark("low sun in {low_sun} of the runs by day")),
-        (traffic["taken_share"], mark("{taken} of the parking places taken")),
-        (traffic["waiting_share"], mark("vehicles waiting in {waiting} of the lanes")),
-        (record.road_users.measured, mark("people as fast as they were measured")),
-        (
-            replace(record.road_users, measured={}) != RoadUsers(),
-            mark("road users faster or slower, from nearer starts"),
-        ),
-        (found.moving, mark("vehicles that drive by ({source})")),
-    )
-    drawn = [tr(words, **values) for holds, words in parts if holds]
+    draws, other_users = record.draws_detections, replace(record.road_users, measured={})
+    parts = {
+        "mounting": any(astuple(mounting)),
+        "latency_budget": "budget" in latency,
+        "latency": mean_ms,
+        "lost": is_lost and not has_bursts,
+        "lost_in_bursts": is_lost and has_bursts,
+        "detections": draws and not lasting,
+        "detections_of_a_run": draws and lasting,
+        "outages": outages != Outages(),
+        "dirty": blinding.dirty_share,
+        "low_sun": blinding.low_sun_share,
+        "parked": traffic["taken_share"],
+        "waiting": traffic["waiting_share"],
+        "measured": record.road_users.measured,
+        "road_users": other_users != RoadUsers(),
+        "traffic": found.moving,
+    }
+    drawn = [say(f"drawn.{key}", **values) for key, holds in parts.items() if holds]
     return ", ".join(drawn) or tr("nothing is uncertain")
 
 
