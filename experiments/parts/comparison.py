@@ -184,7 +184,9 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
     for pair in differences:
         rows.append((pair.first, pair.second, pair.only_first))
         rows.append((pair.second, pair.first, pair.only_second))
-    return [[a, b, count_runs(len(runs)), ", ".join(runs)] for a, b, runs in rows if runs]
+    return [
+        [said(a), said(b), count_runs(len(runs)), ", ".join(runs)] for a, b, runs in rows if runs
+    ]
 
 
 def significance_table(sampled: SampledRecord) -> Table:
@@ -193,8 +195,8 @@ def significance_table(sampled: SampledRecord) -> Table:
         tr("Differences of the APR in the same {n} sampled worlds", n=sampled.samples),
         map(_better_first, sampled.pairs),
         {
-            tr("layout"): lambda pair: pair.first,
-            tr("against"): lambda pair: pair.second,
+            tr("layout"): lambda pair: said(pair.first),
+            tr("against"): lambda pair: said(pair.second),
             tr("more in"): lambda pair: percent(pair.more_share),
             tr("the same in"): lambda pair: percent(pair.equal_share),
             tr("less in"): lambda pair: percent(pair.less_share),

@@ -152,9 +152,7 @@ def words(front: FrontRecord) -> list[str]:
     """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
     n_points, n_proven = len(front.points), sum(point.is_proven for point in front.points)
     is_all, by_units = front.optimised == "all", front.by == "units"
-    better = mark("better, in APR, then in what is left when the most needed unit fails")
-    if is_all:
-        better = say("front.better_in_all" if is_all else "front.better")
+    better = say("front.better_in_all" if is_all else "front.better")
     proven = "front.proven_by_units" if by_units else "front.proven_by_cost"
     key = proven if n_proven == n_points else "front.points_open"
     sentences = [say(key, n=n_proven, n_all=n_points, better=better)]

@@ -280,6 +280,9 @@ def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, as
     assert code == 0, err
     assert text.count("⟦") > 20
     assert not left_over(re.sub(r"--[a-z-]+", "", text))
+    page = Path("out-1/report.html")
+    assert page.exists() == (asked.startswith(("--", "evaluate", "compare")))
+    assert not page.exists() or not visible_words(page.read_text())
 
 
 @pytest.mark.usefixtures("bracketed")
