@@ -16,6 +16,7 @@ from kept_backdrops import kept_backdrop
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
 from partial_pages import blank_png
+from small_results import lay_runs_of
 
 import experiments
 from experiments import language as spoken
@@ -44,6 +45,7 @@ from placement.detectors import ResponseDetector, load_detector
 from placement.detectors.built_in import DETECTOR_NAMES, LIDAR_NAMES
 from placement.detectors.evidence import VRU_CLASSES
 from placement.optimiser.problem import Objective
+from placement.setting import Radio
 from placement.wishes import assumed_prices, load_prices
 from scenarios.cases import ROAD_USER_GROUPS, load_cases, load_unlaid_cases, worded_for
 
@@ -320,8 +322,21 @@ def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeyp
 
 
 @pytest.mark.usefixtures("few_runs", "bracketed")
-def test_no_word_of_a_report_is_left_over(run, drawn):
-    code, _, err = run("--budget", 2, "--out", "out", "--language", "de")
+@pytest.mark.parametrize(
+    "asked",
+    ["--budget 1 --refine --detector response", "--budget 2 --samples 2 --cars 0.3"],
+)
+def test_no_word_of_a_report_is_left_over(run, drawn, monkeypatch, small_setting, asked):
+    # Some runs are missed and one does not count; radio is bad, and tracks die.
+    axis, rule = small_setting.axis, small_setting.rule
+    odd = replace(
+        small_setting,
+        axis=replace(axis, weight=np.array([0.0, 0.3, 0.3, 0.2, 0.1, 0.1])),
+        rule=replace(rule, latency_s=4.0, track_memory_s=0.5, build_up_s=0.2),
+        radio=Radio(packet_loss=0.1, vam_rate=0.5),
+    )
+    lay_runs_of(monkeypatch, odd)
+    code, _, err = run(*asked.split(), "--out", "out", "--language", "de")
     assert code == 0, err
     page = Path("out/report.html").read_text()
     assert '<html lang="de">' in page
