@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMAT_NAMES
+from ..language import localized, tr
 from ..progress import StageProgress, tell
 from . import options
 from .running import Job, load_one_layout, write_result
@@ -200,13 +201,21 @@ def sheet_text(summary: "SheetResult") -> str:
     for unit in summary.units:
         (right, left), (down, up) = unit.yaw_deg, unit.pitch_deg
         lower_m, higher_m = unit.height_m
-        degrees = [f"{value:g}\N{DEGREE SIGN}" for value in (left, right, up, down)]
+        degrees = [localized(f"{value:g}\N{DEGREE SIGN}") for value in (left, right, up, down)]
         rows.append([unit.unit_id, *degrees, f"{100 * higher_m:.0f} cm", f"{100 * lower_m:.0f} cm"])
     lines = [
-        *sentences(f"What the units of {summary.layout} may be off before a run is lost:"),
-        *table(["unit", "left", "right", "up", "down", "higher", "lower"], rows),
-        "  One thing at a time; the largest of the steps tried.",
+        *sentences(
+            tr("What the units of {name} may be off before a run is lost:", name=summary.layout)
+        ),
+        *table(
+            [
+                *(tr("unit"), tr("left"), tr("right"), tr("up"), tr("down"), tr("higher")),
+                tr("lower"),
+            ],
+            rows,
+        ),
+        *sentences(tr("One thing at a time; the largest of the steps tried."), indent=2),
         "",
-        f"Written to {summary.written}.",
+        tr("Written to {file}.", file=summary.written),
     ]
     return "\n".join(lines)

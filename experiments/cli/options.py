@@ -25,6 +25,7 @@ from placement.question import (
     save_question,
 )
 
+from ..language import LANGUAGES, speaking
 from .running import Call, Job, cache_folder, check_address_space
 
 _TABLES = load_data("experiments", "options.toml")
@@ -322,10 +323,17 @@ def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: b
         context.obj.shows_tracebacks = True
 
 
+def _speak(context: click.Context, _param: click.Parameter, code: str | None) -> None:
+    """Speak a language until the command ends; that of the group, where none is said."""
+    if code is not None:
+        context.with_resource(speaking(code))
+
+
 _SHARED = table_options(
     "shared",
     verbose={"callback": lambda context, _, is_given: is_given and context.obj.tell_more()},
     debug={"callback": _show_traceback},
+    language={"type": LANGUAGES, "callback": _speak},
     workers={"default": os.cpu_count() or 1},
     rays={"type": RAYS, "default": RAYS[0]},
     question={"callback": _read_question},
@@ -334,6 +342,7 @@ json_option = _SHARED["as_json"]
 layout_option = _SHARED["layout_names"]
 quiet_option = combined(_SHARED["quiet"], _SHARED["verbose"], _SHARED["debug"])
 """Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
+language_option = _SHARED["language"]
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:
@@ -397,7 +406,7 @@ def asking(
             return command(job, **values)
 
         asked = question_options(*names, defaults=defaults)
-        return combined(asked, job_options(has_cache=has_cache))(with_job)
+        return combined(asked, language_option, job_options(has_cache=has_cache))(with_job)
 
     return decorate
 

@@ -24,6 +24,7 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..figures.axes import unit_labels
+from ..language import say, tr
 from .accidents import case_title
 from .section import Picture
 
@@ -59,13 +60,12 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
     small = _with_width(unit, _WIDTH_PX)
     assert isinstance(small.sensor, CameraModel)
     rgb, run, time_s = draw_view(small, setting)
-    title = f"{label}: what it will see"
-    when = f"{abs(time_s):.1f} s before the collision"
-    what = case_title(run.case)
+    title = tr("{unit}: what it will see", unit=label)
+    values = {"what": case_title(run.case), "time": abs(time_s), "unit": label}
     return Picture(
         title=title,
-        caption=f"Rendered from the map. {what}, {when}.",
-        alt=f"Rendered picture of camera {label} at {unit.site_id or 'its mount'}: {what}, {when}.",
+        caption=tr("Rendered from the map. {what}, {time:.1f} s before the collision.", **values),
+        alt=say("camera_views.alt", site=unit.site_id or tr("its mount"), **values),
         image=base64.b64encode(to_jpeg(rgb)).decode(),
         format="jpeg",
         width_px=_WIDTH_PX,

@@ -13,10 +13,11 @@ from placement.question import AUTO, Question
 from placement.sampling.out_of_sample import APART
 
 from ..export.json import to_json, to_json_text
+from ..language import said, say, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record
 from ..results.folders import LAYOUT_FILE, expect_files, save_files
-from ..results.numbers import percent, several
+from ..results.numbers import percent
 from ..results.record import Record, says
 from .sampled_worlds import EstimateRecord, growth_sentences
 from .section import Table
@@ -140,33 +141,40 @@ def recompute(stored: CertifiedResult) -> list[str]:
 def words(result: CertifiedResult) -> list[str]:
     """What the layout prevents, and what it may lack, the most important first."""
     n_judged, n_blocks = len(result.apr_by_world), len(result.blocks)
-    worlds = several(result.worlds_of_block, "world", "worlds")
     loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)
-    prevent = "prevents" if len(result.units) == 1 else "prevent"
-    said = [
-        f"{several(len(result.units), 'unit', 'units')} at {', '.join(result.units)} {prevent} "
-        f"{percent(result.apr)} of the accidents in {n_judged} sampled worlds that nothing was "
-        f"chosen in; another layout within the budget could prevent at most "
-        f"{100.0 * result.gap:.2f} points more (with 95 % confidence)",
-        f"Over all worlds it prevents at least {100.0 * result.least:.2f} %, and no layout more "
-        f"than {100.0 * result.most:.2f} %: {100.0 * result.bias:.2f} points of the gap would go "
-        f"with larger blocks or a better layout, {100.0 * result.chance:.2f} with more worlds",
-        f"The upper limit is the mean of {n_blocks} proven bounds, one for each block of {worlds}",
+    sentences = [
+        say(
+            "certified.prevented",
+            len(result.units),
+            sites=", ".join(result.units),
+            share=percent(result.apr),
+            worlds=n_judged,
+            gap=100.0 * result.gap,
+        ),
+        say(
+            "certified.over_all_worlds",
+            least=100.0 * result.least,
+            most=100.0 * result.most,
+            bias=100.0 * result.bias,
+            chance=100.0 * result.chance,
+        ),
+        say("certified.upper_limit", result.worlds_of_block, blocks=n_blocks),
         *growth_sentences(result.growth),
     ]
     if loose:
-        said.append(
-            f"In {loose} of {n_blocks} blocks the bound was not reached in the time given: with "
-            "more time the limit may come down"
-        )
-    return said
+        sentences.append(say("certified.not_reached", n=loose, blocks=n_blocks))
+    return sentences
 
 
 def table(result: CertifiedResult) -> Table:
     """A row per layout of the pool."""
     return Table(
-        caption=f"Layouts found, in {len(result.apr_by_world)} worlds that choose among them",
-        columns=["layout", "APR", "from", "to"],
-        rows=[[one.name, *map(percent, (one.mean, one.low, one.high))] for one in result.pool],
+        caption=tr(
+            "Layouts found, in {n} worlds that choose among them", n=len(result.apr_by_world)
+        ),
+        columns=[tr("layout"), tr("APR"), tr("from"), tr("to")],
+        rows=[
+            [said(one.name), *map(percent, (one.mean, one.low, one.high))] for one in result.pool
+        ],
         numeric=(1, 2, 3),
     )

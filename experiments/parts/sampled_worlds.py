@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, re
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
-from ..language import mark, tr
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -282,39 +282,33 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """Sentences on layouts in sampled worlds; the first layout is the subject."""
-    subject, planned = found.layouts[0], found.layouts[0].planned
-    sentences = [
-        f"In {found.samples} fresh sampled {_worlds(found.samples)} ({what_is_uncertain(found)}), "
-        f"{subject.name} avoids {percent(subject.mean)} of the accidents on average "
-        f"({subject.method}: {percent(subject.low)} to {percent(subject.high)})"
-        + ("" if planned is None else f"; as planned {percent(planned)}")
-    ]
+    subject, chosen = found.layouts[0], found.layouts[0].in_sample
+    n_worst, n_all = found.tail * (found.chosen_in or 0), found.chosen_in
+    shares = {"mean": subject.mean, "low": subject.low, "high": subject.high, "chosen": chosen}
+    shares |= {"planned": subject.planned, "of_all": subject.of_all, "tail": found.tail}
+    values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
+    values |= {"drawn": what_is_uncertain(found), "layout": subject.name}
+    values |= {"method": said(subject.method), "v2x": percent(found.uncertainty.v2x_share)}
+    sentences = [say("sampled_worlds.mean", found.samples, **values)]
+    if subject.planned is not None:
+        sentences[0] += tr("; as planned {planned}", **values)
     if subject.of_all is not None:
-        sentences.append(
-            f"With V2X in {percent(found.uncertainty.v2x_share)} of the cars, these are "
-            f"{percent(subject.of_all)} of the accidents of all cars"
-        )
-    chosen = subject.in_sample
+        sentences.append(say("sampled_worlds.of_all_cars", **values))
     if chosen is not None:
-        better = ": a choice looks better where it was made"
-        sentences.append(
-            f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
-            f"{better if chosen > or_nan(subject.mean) else ''}"
-        )
+        is_better = chosen > or_nan(subject.mean)
+        key = "sampled_worlds.chosen_better" if is_better else "sampled_worlds.chosen"
+        sentences.append(say(key, **values))
     sentences += growth_sentences(found.growth)
-    n_worst = found.tail * (found.chosen_in or 0)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
-        sentences.append(
-            f"The worst {percent(found.tail)} of the {found.chosen_in} worlds that it was chosen "
-            f"in {'is' if n_worst <= 1.0 else 'are'} {max(n_worst, 1.0):g}: too few to choose by; "
-            "ask for more with --samples, or for the mean"
-        )
+        values |= {"n_all": n_all, "n": max(n_worst, 1.0)}
+        sentences.append(say("sampled_worlds.few_worst", 1 if n_worst <= 1.0 else 2, **values))
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
     if unsure:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
-        sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
+        least = mark("Least sure, with the share of worlds that avoid them: {runs}")
+        sentences.append(tr(least, runs=listed))
     return [f"{sentence}." for sentence in sentences]
 
 
@@ -341,62 +335,50 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
         return []
     _, gain, other = min(ahead, key=lambda entry: entry[0])
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
-    worst = (
-        f"; in the worst {percent(found.tail)} of them {percent(other.cvar)}, not "
-        f"{percent(subject.cvar)}"
-    ) * of_tail
-    few = f"the {found.chosen_in} {_worlds(found.chosen_in)} that {subject.name} was chosen in"
-    are = "is" if found.chosen_in == 1 else "are"
-    return [
-        f"{other.name} does better in {found.samples} fresh {_worlds(found.samples)}: {points:.1f} "
-        f"points of APR more than {subject.name} (95 % interval {low:.1f} to {high:.1f}){worst}; "
-        f"{few} {are} too few: ask for more with --samples, or take {other.name}."
-    ]
+    values: dict[str, Any] = {"points": points, "low": low, "high": high, "other": other.name}
+    values |= {"tail": percent(found.tail), "apr": percent(other.cvar), "layout": subject.name}
+    better = say("sampled_worlds.overtaken", found.samples, **values)
+    worst = mark("in the worst {tail} of them {apr}, not {layout_apr}")
+    worst = tr(worst, layout_apr=percent(subject.cvar), **values)
+    few = say("sampled_worlds.too_few", found.chosen_in, **values)
+    return ["; ".join([better, *[worst] * of_tail, few])]
 
 
 def what_is_uncertain(found: SampledRecord) -> str:
     """Words for what is drawn in the sampled worlds."""
     record = found.uncertainty
     mounting, latency, traffic = record.mounting, record.latency, record.traffic
-    outages, blinding, low_sun = record.outages, record.blinding, record.blinding.low_sun_share
+    outages, blinding, is_lost = record.outages, record.blinding, record.packet_loss > 0.0
     lasting = record.person_share + record.unit_person_share
-    degree, mean_ms = "\N{DEGREE SIGN}", 1000.0 * float(latency.get("mean_s", 0.0))
-    bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
-    bursts *= record.burst_frames > 1.0
-    for_a_run = f" ({percent(lasting)} of the noise for a whole run)" if lasting else ""
-    parts = (
-        (
-            any(astuple(mounting)),
-            f"units off by {mounting.yaw_sd_deg:g}{degree} in yaw, {mounting.pitch_sd_deg:g}"
-            f"{degree} in pitch and {100.0 * mounting.height_sd_m:g} cm in height",
-        ),
-        ("budget" in latency, f"latency drawn from the budget {latency.get('budget')}"),
-        (mean_ms, f"messages {mean_ms:g} ms later on average"),
-        (record.packet_loss > 0.0, f"{percent(record.packet_loss)} of the messages lost{bursts}"),
-        (
-            record.draws_detections,
-            f"detections drawn where the detector gives a probability{for_a_run}",
-        ),
-        (
-            outages != Outages(),
-            f"units out of order in {percent(outages.unit_share)} and poles in "
-            f"{percent(outages.pole_share)} of the runs",
-        ),
-        (blinding.dirty_share, f"{percent(blinding.dirty_share)} of the cameras dirty"),
-        (low_sun, f"low sun in {percent(low_sun)} of the runs by day"),
-        (traffic["taken_share"], f"{percent(traffic['taken_share'])} of the parking places taken"),
-        (
-            traffic["waiting_share"],
-            f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes",
-        ),
-        (record.road_users.measured, "people as fast as they were measured"),
-        (
-            replace(record.road_users, measured={}) != RoadUsers(),
-            "road users faster or slower, from nearer starts",
-        ),
-        (found.moving, f"vehicles that drive by ({found.traffic_source})"),
-    )
-    return ", ".join(words for holds, words in parts if holds) or "nothing is uncertain"
+    mean_ms, has_bursts = 1000.0 * float(latency.get("mean_s", 0.0)), record.burst_frames > 1.0
+    shares = {"lost": record.packet_loss, "lasting": lasting, "dirty": blinding.dirty_share}
+    shares |= {"units": outages.unit_share, "poles": outages.pole_share}
+    shares |= {"taken": traffic["taken_share"], "waiting": traffic["waiting_share"]}
+    shares |= {"low_sun": blinding.low_sun_share}
+    values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
+    values |= {"yaw": mounting.yaw_sd_deg, "pitch": mounting.pitch_sd_deg, "mean_ms": mean_ms}
+    values |= {"budget": latency.get("budget"), "source": found.traffic_source}
+    values |= {"height_cm": 100.0 * mounting.height_sd_m, "n_frames": record.burst_frames}
+    draws, other_users = record.draws_detections, replace(record.road_users, measured={})
+    parts = {
+        "mounting": any(astuple(mounting)),
+        "latency_budget": "budget" in latency,
+        "latency": mean_ms,
+        "lost": is_lost and not has_bursts,
+        "lost_in_bursts": is_lost and has_bursts,
+        "detections": draws and not lasting,
+        "detections_of_a_run": draws and lasting,
+        "outages": outages != Outages(),
+        "dirty": blinding.dirty_share,
+        "low_sun": blinding.low_sun_share,
+        "parked": traffic["taken_share"],
+        "waiting": traffic["waiting_share"],
+        "measured": record.road_users.measured,
+        "road_users": other_users != RoadUsers(),
+        "traffic": found.moving,
+    }
+    drawn = [say(f"drawn.{key}", **values) for key, holds in parts.items() if holds]
+    return ", ".join(drawn) or tr("nothing is uncertain")
 
 
 def moving_sentence(found: SampledRecord) -> str:
@@ -404,16 +386,15 @@ def moving_sentence(found: SampledRecord) -> str:
     moving = found.moving
     if not moving or not moving.n_runs:
         return ""
-    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else "none"
-    text = (
-        f"{moving.n_vehicles / moving.n_runs:.0f} vehicles drive by in a run "
-        f"({found.traffic_source}); {moving.n_left_out} of {moving.n_vehicles} ({share}) are left "
-        "out of theirs, for they would come into the way of car or road user"
-    )
-    if moving.n_waiting:
-        wanted = moving.n_departed + moving.n_waiting
-        text += f"; SUMO found no room for {moving.n_waiting} of {wanted} vehicles"
-    return text
+    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else tr("none")
+    per_run, n_waiting = moving.n_vehicles / moving.n_runs, moving.n_waiting
+    values: dict[str, Any] = {"n": moving.n_vehicles, "n_left_out": moving.n_left_out}
+    values |= {"per_run": per_run, "source": found.traffic_source, "share": share}
+    text = say("sampled_worlds.traffic", **values)
+    if not n_waiting:
+        return text
+    no_room = mark("; SUMO found no room for {n} of {n_all} vehicles")
+    return text + tr(no_room, n=n_waiting, n_all=moving.n_departed + n_waiting)
 
 
 def is_open(difference: SampledPairRecord) -> bool:
@@ -421,24 +402,22 @@ def is_open(difference: SampledPairRecord) -> bool:
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
 
 
-def _worlds(count: int) -> str:
-    return "world" if count == 1 else "worlds"
-
-
 def table(found: SampledRecord) -> Table:
     """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
-    tail = f"worst {100.0 * found.tail:g} %"
+    tail = tr("worst {tail:g} %", tail=100.0 * found.tail)
     columns: dict[str, Callable[[SampledLayoutRecord], str]] = {
-        "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
-        "planned": lambda one: percent(one.planned),
-        "mean": lambda one: percent(one.mean),
-        "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
-        tail: lambda one: f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})",
-        "worst": lambda one: percent(one.worst),
+        tr("layout"): lambda one: shortened(one.name, _MAX_NAME_LENGTH),
+        tr("planned"): lambda one: percent(one.planned),
+        tr("mean"): lambda one: percent(one.mean),
+        tr("95 % interval"): lambda one: f"{percent(one.low)} .. {percent(one.high)}",
+        tail: lambda one: (
+            percent(one.cvar) + localized(f" (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})")
+        ),
+        tr("worst"): lambda one: percent(one.worst),
     }
     if found.tail == 1.0:  # the mean of all is there already
         del columns[tail]
-    return tabulate("APR in sampled worlds", found.layouts, columns, numeric=range(1, 6))
+    return tabulate(tr("APR in sampled worlds"), found.layouts, columns, numeric=range(1, 6))
 
 
 def _points(share: float | None) -> float:
@@ -449,16 +428,15 @@ def sampled_picture(found: SampledRecord) -> Picture:
     """Picture of the layouts' APR."""
     return build_picture(
         plot_sampled_apr(found),
-        title="APR in sampled worlds",
-        caption="Worlds that were not used for the choice. Drawn at random: "
-        f"{what_is_uncertain(found)}.",
-        alt=f"Intervals. {' '.join(uncertainty_sentences(found))}",
+        title=tr("APR in sampled worlds"),
+        caption=say("sampled_worlds.drawn", drawn=what_is_uncertain(found)),
+        alt=tr("Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))),
     )
 
 
 def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     """The layouts in sampled worlds."""
-    return Section("sampled", "If the world is not as planned", [picture, table(found)])
+    return Section("sampled", tr("If the world is not as planned"), [picture, table(found)])
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:
@@ -474,10 +452,7 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
     axes.set_yticks(range(len(layouts)), [_name(one.name) for one in layouts], fontsize=8)
     axes.set_ylim(len(layouts) - 0.5, -0.5)
-    words = (
-        "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: "
-        "from the worst to the best world"
-    )
+    words = say("sampled_worlds.share_axis")
     finish_axes(axes, x=words, grid="x")
     return axes
 
@@ -488,16 +463,15 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     for row, pair in enumerate(pairs):
         _whisker(axes, row, pair, is_hollow=is_open(pair))
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
-    names = [f"{_name(pair.first)}\nminus {_name(pair.second)}" for pair in pairs]
+    minus = mark("{first}\nminus {second}")
+    names = [tr(minus, first=_name(pair.first), second=_name(pair.second)) for pair in pairs]
     axes.set_yticks(range(len(pairs)), names, fontsize=8)
     axes.set_ylim(len(pairs) - 0.5, -0.5)
     low, high = axes.get_xlim()
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
     axes.set_xlim(middle - half, middle + half)
-    words = (
-        "difference of the APR in the same worlds (points)\nwith its 95 % interval; open: may be "
-    )
-    finish_axes(axes, x=f"{words}zero", grid="x")
+    words = say("sampled_worlds.difference_axis")
+    finish_axes(axes, x=words, grid="x")
     return axes
 
 

@@ -34,6 +34,7 @@ _LOCAL = "127.0.0.1"
 @options.layout_option
 @options.from_table("plan")
 @options.question_options(*_ASKED)
+@options.language_option
 @options.quiet_option
 @options.compute_options(has_cache=True)
 @click.pass_obj

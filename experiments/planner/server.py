@@ -119,7 +119,8 @@ def page_files() -> dict[str, tuple[bytes, str]]:
         if Path(item.name).suffix in kinds
     }
     report = files("experiments.report") / "templates"
-    shared = [(report / name).read_bytes() for name in ("run_numbers.js", "plan_drawing.js")]
+    scripts = ("words.js", "run_numbers.js", "plan_drawing.js")
+    shared = [(report / name).read_bytes() for name in scripts]
     exported = b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "
     exported += b"wedgeCorners, points, unpackBits, stretches, seconds };\n"
     found["shared.js"] = (b"\n".join([*shared, exported]), "text/javascript")

@@ -60,7 +60,7 @@ def walk_by_pairs(
         search = TieSearch(
             *(reduced, units),
             walk_from=lambda need, _: walk.again(need),
-            near=steering.NEAR_IN_WORLDS * value,
+            near=timing.NEAR_IN_WORLDS * value,
             on_better=on_better,
         )
         return search.find(deadline)

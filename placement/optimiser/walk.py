@@ -472,7 +472,7 @@ class TieSearch:
             if not self._walk(deadline, near):
                 break
             limit = self.best + near
-            if steering.ALL_TIMES_NEAR * (now_s() - began_s) < deadline.left_s():
+            if timing.ALL_TIMES_NEAR * (now_s() - began_s) < deadline.left_s():
                 break
             near /= 2.0
         return limit
