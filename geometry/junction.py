@@ -400,9 +400,8 @@ def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
             if group[one] != group[other] and is_pair(one, other):
                 old, new = group[one], group[other]
                 group = [new if number == old else number for number in group]
-    return [
-        [at for at, number in enumerate(group) if number == one] for one in dict.fromkeys(group)
-    ]
+    numbers = dict.fromkeys(group)
+    return [[at for at, number in enumerate(group) if number == one] for one in numbers]
 
 
 def _median_m(

@@ -149,11 +149,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """
     weight = np.zeros(len(runs))
     for (cases, weather), score in load_points().items():
-        members = [
-            index
-            for index, run in enumerate(runs)
-            if run.weather == weather and run.case.family in cases
-        ]
+        counts = [run.weather == weather and run.case.family in cases for run in runs]
+        members = np.flatnonzero(counts)
         weight[members] = score / max(len(members), 1)
     if not weight.any():
         driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))

@@ -444,9 +444,8 @@ def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     islands = [[one for one in part.interiors if Polygon(one).area > _ISLAND_M2] for part in parts]
-    return shapely.union_all(
-        [Polygon(part.exterior, holes) for part, holes in zip(parts, islands, strict=True)]
-    )
+    pairs = zip(parts, islands, strict=True)
+    return shapely.union_all([Polygon(part.exterior, holes) for part, holes in pairs])
 
 
 def standing_things(surroundings: Surroundings) -> list[Thing]:

@@ -122,12 +122,8 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
     reaches, junctions = find_junctions(network)
     lanes = build_lanes(reaches)
     poles, crosswalks_m = tuple(find_poles(network, reaches)), find_crosswalks(network)
-    things = [
-        *find_buildings(network),
-        *find_bridges(network, reaches),
-        *find_barriers(elements),
-        *find_trees(elements),
-    ]
+    built = (*find_buildings(network), *find_bridges(network, reaches))
+    things = (*built, *find_barriers(elements), *find_trees(elements))
     skipped = elements.omissions.listed()
     if not side:
         why = "no tag, roundabout or pair of carriageways shows it: taken to keep right"
@@ -139,7 +135,7 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
         heights="above ground",
         lanes=lanes,
         junctions=tuple(junctions),
-        things=tuple(things),
+        things=things,
         poles=poles,
         crosswalks_m=crosswalks_m,
         ground_m=_heights(elements, rows),
