@@ -331,18 +331,14 @@ def _apart(points_m: FloatArray) -> FloatArray:
 
 
 def _is_elsewhere(
-    points_m: FloatArray,
-    lane: MapLane,
-    junction: MapJunction,
-    outline_m: FloatArray,
-    reach_m: float,
+    line_m: FloatArray, lane: MapLane, junction: MapJunction, outline_m: FloatArray, reach_m: float
 ) -> bool:
     """True if a lane of other roads is far away, on another level, or ends at the outline."""
-    distance = np.hypot(*points_m.T)
+    distance = np.hypot(*line_m.T)
     height_m = lane.centreline_m[np.argmin(distance), 2] - junction.height_m
     if distance.min() > reach_m or abs(height_m) > _SAME_LEVEL_M:
         return True
-    tips = (points_m[0], points_m[-1])
+    tips = (line_m[0], line_m[-1])
     return any(distance_to_outline_m(tip, outline_m) <= _AT_OUTLINE_M for tip in tips)
 
 
