@@ -440,8 +440,9 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
             found = _named(name)
             if not found:
                 raise InputError(where, name, "the name of a case, or what several begin with")
-            own: dict[str, Any] = {"vut_speeds_kmh": _speeds_kmh(speeds)} if speeds else {}
-            driven += [replace(case, **own) for case in found]
+            if speeds:
+                found = tuple(replace(one, vut_speeds_kmh=_speeds_kmh(speeds)) for one in found)
+            driven += found
         sets[set_name] = tuple(driven)
     for set_name, other in alike.items():
         sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")
