@@ -433,7 +433,7 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
     for set_name in [name for name in table if name not in alike]:
-        entries, driven = table[set_name], []
+        entries, driven = table[set_name], list[Case]()
         for name, entry in entries.items():
             where = f"case_sets.toml: {set_name}.{name}"
             speeds = read_table(entry, _Speeds, where) if entry else None
