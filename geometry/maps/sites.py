@@ -419,11 +419,9 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
             places.append(Place(position))
             continue
         most_m = _MAX_MOVE_M if wall is None else _MAX_MOVE_FROM_WALL_M
-        near = [
-            footprint(thing).buffer(_FROM_WALL_M, join_style="mitre")
-            for thing, box in zip(solid, boxes, strict=True)
-            if np.hypot(*(np.clip(position, *box) - position)) <= most_m + 1.0
-        ]
+        gaps_m = [np.hypot(*(np.clip(position, *box) - position)) for box in boxes]
+        close = [thing for thing, m in zip(solid, gaps_m, strict=True) if m <= most_m + 1.0]
+        near = [footprint(thing).buffer(_FROM_WALL_M, join_style="mitre") for thing in close]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
         edge = here.boundary.difference(around.boundary.buffer(0.01))
