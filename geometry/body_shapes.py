@@ -83,9 +83,8 @@ def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
     lengths = ("crank_m", "thigh_m", "shin_m")
     crank_m, thigh_m, shin_m = (take_number(entry, key, where) for key in lengths)
     foot_deg = take_number(entry, "foot_deg", where)
-    crank_deg: FloatArray = take_number(entry, "first_crank_deg", where) - np.linspace(
-        0.0, 360.0, _N_SHAPES, endpoint=False
-    )
+    first_deg = take_number(entry, "first_crank_deg", where)
+    crank_deg: FloatArray = first_deg - np.linspace(0.0, 360.0, _N_SHAPES, endpoint=False)
     ankle = shaft + crank_m * _hanging(crank_deg) + _turn_deg(foot_deg)[::2, ::2] @ from_pedal
     reach = np.hypot(*(ankle - hip).T)
     if (reach >= thigh_m + shin_m).any() or (reach <= abs(thigh_m - shin_m)).any():

@@ -318,8 +318,8 @@ def _build_arm(name: str, members: Sequence[_End], cycleways: Sequence[_End], sc
 
 def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene) -> Line:
     """The scene's crosswalk over the arm's mouth, or a line 2 m inside, as at Euro NCAP's."""
-    ends = [lane.centreline_m[-1] for lane in lanes_in]
-    mouths = np.array([*ends, *(lane.centreline_m[0] for lane in lanes_out)])
+    tips = [lane.centreline_m[-1] for lane in lanes_in]
+    mouths = np.array([*tips, *(lane.centreline_m[0] for lane in lanes_out)])
     is_in = bool(lanes_in)
     inward, _ = lane_line((lanes_in or lanes_out)[0], is_in=is_in, length_m=10.0)
     if not is_in:
@@ -400,9 +400,8 @@ def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
             if group[one] != group[other] and is_pair(one, other):
                 old, new = group[one], group[other]
                 group = [new if number == old else number for number in group]
-    return [
-        [at for at, number in enumerate(group) if number == one] for one in dict.fromkeys(group)
-    ]
+    numbers = dict.fromkeys(group)
+    return [[at for at, number in enumerate(group) if number == one] for one in numbers]
 
 
 def _median_m(

@@ -159,11 +159,9 @@ def return_probability(
     distance = np.where(is_inside, distance, lidar.reference_range_m)
     share = np.asarray(reflectivity, dtype=np.float64) * np.asarray(incidence_cos, dtype=np.float64)
     with np.errstate(divide="ignore"):  # grazing or black: no signal, logarithm -inf
-        log_signal = (
-            np.log(share / lidar.reference_reflectivity)
-            + 2.0 * np.log(lidar.reference_range_m / distance)
-            - 2.0 * np.asarray(extinction_per_m, dtype=np.float64) * distance
-        )
+        spread = 2.0 * np.log(lidar.reference_range_m / distance)
+        air = 2.0 * np.asarray(extinction_per_m, dtype=np.float64) * distance
+        log_signal = np.log(share / lidar.reference_reflectivity) + spread - air
     step = expit(log_signal / lidar.threshold_width + logit(lidar.reference_probability))
     return np.where(is_inside, step, 0.0)
 

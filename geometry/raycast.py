@@ -60,9 +60,8 @@ class Open3dCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
         rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
-        return np.asarray(
-            self._scene.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads).numpy()
-        )
+        hits = self._scene.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads)
+        return np.asarray(hits.numpy())
 
     def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
         """See :class:`RayCaster`."""
@@ -113,9 +112,8 @@ class EmbreexCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.full(len(origins_m), np.inf, dtype=np.float32)
         ends = np.full(len(origins_m), self._FAR, dtype=np.float32)
-        share: FloatRays = self._scene.run(
-            *_contiguous(origins_m, vectors_m), dists=ends, query="DISTANCE"
-        )
+        rays = _contiguous(origins_m, vectors_m)
+        share: FloatRays = self._scene.run(*rays, dists=ends, query="DISTANCE")
         share[share >= self._FAR] = np.inf
         return share
 

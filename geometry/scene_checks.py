@@ -211,11 +211,9 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_footprints(scene: Scene) -> Iterator[Finding]:
-    shapes = {
-        thing.id: standing_footprint(scene, index)
-        for index, thing in enumerate(scene.instances)
-        if thing.class_name in ("building", "wall")
-    }
+    things = enumerate(scene.instances)
+    solid = [(one.id, at) for at, one in things if one.class_name in ("building", "wall")]
+    shapes = {name: standing_footprint(scene, index) for name, index in solid}
     shapes = {name: shape for name, shape in shapes.items() if shape.area > 0.0}
     names, areas = list(shapes), np.array(list(shapes.values()), dtype=object)
     if not names:
@@ -237,11 +235,8 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
         if found:
             yield _warning(_names(found), why)
     road = road_area(scene)
-    on_road = [
-        names[index]
-        for index in tree.query(road, predicate="intersects").tolist()
-        if shapely.area(shapely.intersection(areas[index], road)) > _ON_ROAD_M2
-    ]
+    near = tree.query(road, predicate="intersects").tolist()
+    on_road = [names[at] for at in near if areas[at].intersection(road).area > _ON_ROAD_M2]
     if on_road:
         why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
         yield _warning(_names(on_road), why)

@@ -152,11 +152,9 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         driven = vut.distance_m(np.minimum(onset, times)) + braked_m
         gaps = encounter.gaps_m(driven, vru.distance_m(times))  # (4, 2, n)
         separation = gaps.max(axis=0)
-        fastest, slowest = braking_speed_mps(
-            np.maximum(np.stack([since_onset[0] - half_onset, since_onset[1] + half_onset]), 0.0),
-            speed_mps=vut.speed_mps,
-            rule=rule,
-        )
+        least_s, most_s = since_onset[0] - half_onset, since_onset[1] + half_onset
+        braking_s = np.maximum(np.stack([least_s, most_s]), 0.0)
+        fastest, slowest = braking_speed_mps(braking_s, speed_mps=vut.speed_mps, rule=rule)
         speed = encounter.vut_reach * fastest + closing
         mean = 0.5 * (separation[0] + separation[1])
         # Between its ends a gap sags no deeper than a parabola, while neither body sets off.
@@ -362,7 +360,6 @@ def _separation_m(
     """Separation after times since onsets of braking; both broadcast."""
     vut, onset = encounter.vut_motion, np.asarray(onset_s, dtype=np.float64)
     speed = np.where(onset >= vut.start_time_s, vut.speed_mps, 0.0)
-    return encounter.separation_m(
-        vut.distance_m(onset) + braking_distance_m(since_onset_s, speed_mps=speed, rule=rule),
-        encounter.vru_motion.distance_m(onset + since_onset_s),
-    )
+    braked_m = braking_distance_m(since_onset_s, speed_mps=speed, rule=rule)
+    vru_m = encounter.vru_motion.distance_m(onset + since_onset_s)
+    return encounter.separation_m(vut.distance_m(onset) + braked_m, vru_m)

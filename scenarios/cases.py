@@ -433,15 +433,16 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
     for set_name in [name for name in table if name not in alike]:
-        entries, driven = table[set_name], []
+        entries, driven = table[set_name], list[Case]()
         for name, entry in entries.items():
             where = f"case_sets.toml: {set_name}.{name}"
             speeds = read_table(entry, _Speeds, where) if entry else None
             found = _named(name)
             if not found:
                 raise InputError(where, name, "the name of a case, or what several begin with")
-            own: dict[str, Any] = {"vut_speeds_kmh": _speeds_kmh(speeds)} if speeds else {}
-            driven += [replace(case, **own) for case in found]
+            if speeds:
+                found = tuple(replace(one, vut_speeds_kmh=_speeds_kmh(speeds)) for one in found)
+            driven += found
         sets[set_name] = tuple(driven)
     for set_name, other in alike.items():
         sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")

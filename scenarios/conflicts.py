@@ -236,11 +236,8 @@ def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> Recorde
         ahead = np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
         points.append(end - rules.way_step_m * ahead)
     rounded = np.round(points[::-1], _MILLIMETRES).tolist()
-    return RecordedWay(
-        points_m=tuple((east, north) for east, north in rounded),
-        yaw_deg=round(yaw_deg, _MILLIMETRES),
-        end_s=end_s,
-    )
+    points_m = tuple((east, north) for east, north in rounded)
+    return RecordedWay(points_m=points_m, yaw_deg=round(yaw_deg, _MILLIMETRES), end_s=end_s)
 
 
 def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> str:

@@ -111,11 +111,9 @@ def first_contact_s(encounter: Encounter) -> float:
         time, moves = cells.first_s, speed * cells.half_first_s
         separation = encounter.separation_m(vut.distance_m(time), vru.distance_m(time))
         may_touch = separation <= moves
-        return Measures(
-            may_touch=may_touch,
-            touches=(separation <= 0.0) | (may_touch & (moves <= GRAZING_M)),
-            is_cut_along_first=np.ones(len(time), dtype=bool),
-        )
+        touches = (separation <= 0.0) | (may_touch & (moves <= GRAZING_M))
+        by_first = np.ones(len(time), dtype=bool)
+        return Measures(may_touch=may_touch, touches=touches, is_cut_along_first=by_first)
 
     # The further in the future, the longer the looks: bodies that part are far apart by then.
     n_cells = int(np.log1p(_LONGEST_S * _STEP_GROWTH / _FIRST_STEP_S) / np.log1p(_STEP_GROWTH)) + 1

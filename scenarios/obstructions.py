@@ -228,11 +228,9 @@ def _caster(solid: _Solid) -> tuple[RayCaster, FloatArray]:
 
 
 def _counting(solid: _Solid) -> list[int]:
-    return [
-        index
-        for index, instance in enumerate(solid.scene.instances)
-        if instance.class_name != GROUND and (solid.has_poles or instance.class_name not in _POLES)
-    ]
+    passed = (GROUND,) if solid.has_poles else (GROUND, *_POLES)
+    things = enumerate(solid.scene.instances)
+    return [index for index, thing in things if thing.class_name not in passed]
 
 
 def _caster_of(scene: Scene, instances: Sequence[int], origin_m: FloatArray) -> RayCaster:

@@ -100,11 +100,8 @@ class TurnPath:
             - self.front_axle_ahead_m * np.cos(body)
             + self.straight_m
         )
-        left = (
-            np.interp(inside, table.distance_m, table.left_m)
-            + after * np.sin(exit_rad)
-            - self.front_axle_ahead_m * np.sin(body)
-        )
+        on_left = np.interp(inside, table.distance_m, table.left_m)
+        left = on_left + after * np.sin(exit_rad) - self.front_axle_ahead_m * np.sin(body)
         cosine, sine = self._direction
         east = self.start_m[0] + cosine * ahead - sine * left
         north = self.start_m[1] + sine * ahead + cosine * left

@@ -148,18 +148,12 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
                 run.encounter, rule, below_mps=below_mps, avoids_until_s=run.last_brake_time_s
             )
         deadlines = [run.last_brake_time_s, *(known[key].tolist() if limits else [])]
-        told = [
-            (below, share, at_s)
-            for (below, share), at_s in zip(bands, deadlines, strict=True)
-            if at_s < 0.0 or below == 0.0
-        ]
+        levels = zip(bands, deadlines, strict=True)
+        told = [(*band, at_s) for band, at_s in levels if at_s < 0.0 or band[0] == 0.0]
         shares = [share for _, share, _ in told]
         gains = [one - other for one, other in pairwise([*shares, 0.0])]
-        rows += [
-            (index, below, gain, at_s)
-            for (below, _, at_s), gain in zip(told, gains, strict=True)
-            if gain > 0.0
-        ]
+        gained = zip(told, gains, strict=True)
+        rows += [(index, below, gain, at_s) for (below, _, at_s), gain in gained if gain > 0.0]
     run_index, below_kmh, gain, deadline_s = zip(*rows, strict=True)
     return Levels(
         score=score,

@@ -157,10 +157,9 @@ def _gap_to_front(
     middle = vru_line.point_m + along[:, None] * vru_line.direction
     is_ahead = ((middle - position) * ahead).sum(axis=-1)
     vru, vru_yaw_deg = case.vru, np.full(len(middle), vru_line.yaw_deg)
-    separation = footprint_separation(
-        footprint_corners(position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m),
-        footprint_corners(middle, vru_yaw_deg, length_m=vru.length_m, width_m=vru.width_m),
-    )
+    own = footprint_corners(position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m)
+    other = footprint_corners(middle, vru_yaw_deg, length_m=vru.length_m, width_m=vru.width_m)
+    separation = footprint_separation(own, other)
     return np.where(is_ahead > 0.0, separation, np.inf), along
 
 

@@ -319,12 +319,9 @@ def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> lis
     step = -1 if movement == "left" else 1
     before, after = arm.entry_lanes[::step], target.exit_lanes[::step]
     if _has_connections(junction):
-        joined: list[Joint] = [
-            (lane, connection, other)
-            for lane in before
-            for other in after
-            if (connection := junction.connection(lane, other)) is not None
-        ]
+        pairs = [(lane, other) for lane in before for other in after]
+        every = [(lane, junction.connection(lane, other), other) for lane, other in pairs]
+        joined: list[Joint] = [one for one in every if one[1] is not None]
         if not joined:
             raise NoRoadError(f"by the map no lane leads from the {arm.name} to the {target.name}")
         return joined

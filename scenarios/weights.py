@@ -149,11 +149,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """
     weight = np.zeros(len(runs))
     for (cases, weather), score in load_points().items():
-        members = [
-            index
-            for index, run in enumerate(runs)
-            if run.weather == weather and run.case.family in cases
-        ]
+        counts = [run.weather == weather and run.case.family in cases for run in runs]
+        members = np.flatnonzero(counts)
         weight[members] = score / max(len(members), 1)
     if not weight.any():
         driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))
@@ -310,13 +307,13 @@ def weigh(
     """Weights of runs, at least one, by the word of a user, (n_runs,); they sum to 1.
 
     `how`: "run": every run the same, as in the study; "case": every case the same, see
-    :func:`weight_per_case`; "fhwa-crash-types": by accident statistics, see
-    :func:`weight_by_crash_types`; "euroncap-rating-2026": by its points, see
-    :func:`weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the accidents around a place,
-    see :func:`weight_by_accidents`; else a CSV file, see :func:`weight_from_csv`. `refused`: what
-    was asked for next to the runs, and could not be laid: "case" alone looks at it. `near`:
-    latitude and longitude of the place [deg]. `within_m`: how far from there accidents count [m];
-    default: that of ``data/accidents.toml``.
+    :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
+    :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points, see
+    :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the accidents
+    around a place, see :func:`scenarios.weights.weight_by_accidents`; else a CSV file, see
+    :func:`scenarios.weights.weight_from_csv`. `refused`: what was asked for next to the runs, and
+    could not be laid: "case" alone looks at it. `near`: latitude and longitude of the place [deg].
+    `within_m`: how far from there accidents count [m]; default: that of ``data/accidents.toml``.
 
     Raises InputError: the word is unknown and no file, the weights do not fit the runs, or nobody
     knows the place. MissingExtraError: what the word needs is not installed.

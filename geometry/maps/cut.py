@@ -286,11 +286,8 @@ def _lanes(
         if is_taken and len(points) > 1:
             width_m = lane.width_m
             found.append(Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points))
-    return found, [
-        lane
-        for name in sorted((ends.keys() & begins.keys()) - mapped)
-        for lane in _straight_on(ends[name], begins[name])
-    ]
+    names = sorted((ends.keys() & begins.keys()) - mapped)
+    return found, [one for name in names for one in _straight_on(ends[name], begins[name])]
 
 
 def _leads_straight_on(points_m: FloatArray) -> bool:
@@ -319,12 +316,10 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
         for index in {pair[side] for pair in bends}
     }
     for one, other in sorted(wanted):
-        yield Lane(
-            id=f"{ends[one].id} to {begins[other].id}",
-            kind=CONNECTING,
-            width_m=min(ends[one].width_m, begins[other].width_m),
-            centreline_m=curve_between(entries[one], exits[other]),
-        )
+        lane_id = f"{ends[one].id} to {begins[other].id}"
+        width_m = min(ends[one].width_m, begins[other].width_m)
+        curve_m = curve_between(entries[one], exits[other])
+        yield Lane(id=lane_id, kind=CONNECTING, width_m=width_m, centreline_m=curve_m)
 
 
 def _apart(points_m: FloatArray) -> FloatArray:
@@ -336,18 +331,14 @@ def _apart(points_m: FloatArray) -> FloatArray:
 
 
 def _is_elsewhere(
-    points_m: FloatArray,
-    lane: MapLane,
-    junction: MapJunction,
-    outline_m: FloatArray,
-    reach_m: float,
+    line_m: FloatArray, lane: MapLane, junction: MapJunction, outline_m: FloatArray, reach_m: float
 ) -> bool:
     """True if a lane of other roads is far away, on another level, or ends at the outline."""
-    distance = np.hypot(*points_m.T)
+    distance = np.hypot(*line_m.T)
     height_m = lane.centreline_m[np.argmin(distance), 2] - junction.height_m
     if distance.min() > reach_m or abs(height_m) > _SAME_LEVEL_M:
         return True
-    tips = (points_m[0], points_m[-1])
+    tips = (line_m[0], line_m[-1])
     return any(distance_to_outline_m(tip, outline_m) <= _AT_OUTLINE_M for tip in tips)
 
 

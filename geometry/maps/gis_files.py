@@ -227,9 +227,8 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
         refuse(where, "an empty layer", "footprints")
     left_out: Counter[str] = Counter()
     kinds = [_kind(feature, class_name, left_out) for feature in table.features]
-    solid = [
-        (one, kind) for one, kind in zip(table.features, kinds, strict=True) if kind is not None
-    ]
+    every = zip(table.features, kinds, strict=True)
+    solid = [(feature, kind) for feature, kind in every if kind is not None]
     if not solid:
         got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
         refuse(where, got, "polygons")

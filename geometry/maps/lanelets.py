@@ -128,10 +128,8 @@ def _build(
         connections += _connections(roads, follows, group, name)
     known = {junction.id: junction.id for junction in junctions}
     ends = [(known.get(lane.from_junction, ""), known.get(lane.to_junction, "")) for lane in lanes]
-    linked = [
-        replace(lane, from_junction=before, to_junction=after)
-        for lane, (before, after) in zip(lanes, ends, strict=True)
-    ]
+    pairs = zip(lanes, ends, strict=True)
+    linked = [replace(one, from_junction=begin, to_junction=end) for one, (begin, end) in pairs]
     return linked, connections, junctions
 
 

@@ -185,11 +185,9 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
 
 def _check_roofs(things: list[Thing], where: str, up: str) -> None:
     """Refuse closed buildings whose slanted faces look down; flat roofs are not judged."""
-    corners = [
-        thing.vertices_m[thing.triangles]
-        for thing in things
-        if thing.class_name == "building" and _is_solid(thing.vertices_m, thing.triangles)
-    ]
+    houses = [thing for thing in things if thing.class_name == "building"]
+    solid = [house for house in houses if _is_solid(house.vertices_m, house.triangles)]
+    corners = [house.vertices_m[house.triangles] for house in solid]
     a, b, c = np.moveaxis(np.concatenate([np.empty((0, 3, 3)), *corners]), 1, 0)
     normals = 0.5 * np.cross(b - a, c - a)
     areas = np.linalg.norm(normals, axis=1)

@@ -419,11 +419,9 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
             places.append(Place(position))
             continue
         most_m = _MAX_MOVE_M if wall is None else _MAX_MOVE_FROM_WALL_M
-        near = [
-            footprint(thing).buffer(_FROM_WALL_M, join_style="mitre")
-            for thing, box in zip(solid, boxes, strict=True)
-            if np.hypot(*(np.clip(position, *box) - position)) <= most_m + 1.0
-        ]
+        gaps_m = [np.hypot(*(np.clip(position, *box) - position)) for box in boxes]
+        close = [thing for thing, m in zip(solid, gaps_m, strict=True) if m <= most_m + 1.0]
+        near = [footprint(thing).buffer(_FROM_WALL_M, join_style="mitre") for thing in close]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
         edge = here.boundary.difference(around.boundary.buffer(0.01))
@@ -444,9 +442,8 @@ def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     islands = [[one for one in part.interiors if Polygon(one).area > _ISLAND_M2] for part in parts]
-    return shapely.union_all(
-        [Polygon(part.exterior, holes) for part, holes in zip(parts, islands, strict=True)]
-    )
+    pairs = zip(parts, islands, strict=True)
+    return shapely.union_all([Polygon(part.exterior, holes) for part, holes in pairs])
 
 
 def standing_things(surroundings: Surroundings) -> list[Thing]:

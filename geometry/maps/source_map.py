@@ -89,9 +89,8 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
     if not pieces:
         return _NOTHING
     corners, triangles = join(pieces)
-    _, taken, merged = np.unique(
-        np.round(corners / _SAME_M).astype(np.int64), axis=0, return_index=True, return_inverse=True
-    )
+    rounded = np.round(corners / _SAME_M).astype(np.int64)
+    _, taken, merged = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     vertices, triangles = corners[taken], merged.reshape(-1)[triangles].astype(np.int32)
     has_area = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     triangles = triangles[has_area]

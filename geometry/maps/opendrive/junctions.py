@@ -192,14 +192,10 @@ def build_junctions(
     def known(lane: MapLane, name: str) -> str:
         return name if name in there and (name, lane.id) not in apart else ""
 
-    return junctions, [
-        replace(
-            lane,
-            from_junction=known(lane, lane.from_junction),
-            to_junction=known(lane, lane.to_junction),
-        )
-        for lane in lanes
-    ]
+    ends = [(known(lane, lane.from_junction), known(lane, lane.to_junction)) for lane in lanes]
+    pairs = zip(lanes, ends, strict=True)
+    linked = [replace(one, from_junction=begin, to_junction=end) for one, (begin, end) in pairs]
+    return junctions, linked
 
 
 def lanes_by_junction(lanes: Iterable[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:

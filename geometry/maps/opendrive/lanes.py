@@ -350,12 +350,8 @@ def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
 
 
 def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
-    stubs = [
-        index
-        for index, lane in enumerate(lanes)
-        if bool(lane.from_junction) != bool(lane.to_junction)
-        and length_m(lane.centreline_m) < _STUB_M
-    ]
+    short = [at for at, lane in enumerate(lanes) if length_m(lane.centreline_m) < _STUB_M]
+    stubs = [at for at in short if bool(lanes[at].from_junction) != bool(lanes[at].to_junction)]
     if not stubs:
         return [*lanes]
     trees = [cKDTree(np.array([lane.centreline_m[end] for lane in lanes])) for end in (0, -1)]

@@ -535,12 +535,9 @@ class Road:
             label = f"{tag} {element.get('id', f'[{index}]')[:60]}"
             name = f"road {self.id} {label}"
             names[name] += 1  # ids are not unique in some files
-            yield RoadElement(
-                element=element,
-                road=self,
-                name=name if names[name] == 1 else f"{name} #{names[name]}",
-                where=f"{self.where} {label}",
-            )
+            where, number = f"{self.where} {label}", names[name]
+            unique = name if number == 1 else f"{name} #{number}"
+            yield RoadElement(element=element, road=self, name=unique, where=where)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

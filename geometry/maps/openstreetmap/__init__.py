@@ -125,12 +125,8 @@ def read_openstreetmap(
     reaches, junctions = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
     poles, crosswalks_m = tuple(find_poles(network, reaches)), find_crosswalks(network)
-    things = [
-        *find_buildings(network),
-        *find_bridges(network, reaches),
-        *find_barriers(elements),
-        *find_trees(elements),
-    ]
+    built = (*find_buildings(network), *find_bridges(network, reaches))
+    things = (*built, *find_barriers(elements), *find_trees(elements))
     skipped = elements.omissions.listed()
     if not side:
         why = "no tag, roundabout or pair of carriageways shows it: taken to keep right"
@@ -142,7 +138,7 @@ def read_openstreetmap(
         heights="above ground",
         lanes=lanes,
         junctions=tuple(junctions),
-        things=tuple(things),
+        things=things,
         poles=poles,
         crosswalks_m=crosswalks_m,
         ground_m=_heights(elements, rows),

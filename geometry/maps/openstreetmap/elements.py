@@ -27,14 +27,7 @@ Tags = dict[str, str]
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
-_FOOT_M = 0.3048
-_INCH_M = 0.0254
-_UNITS_M = {
-    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
-    **{"cm": 0.01, "km": 1000.0},
-    **dict.fromkeys(("ft", "foot", "feet", "'"), _FOOT_M),
-    **dict.fromkeys(("in", "inch", "inches", '"'), _INCH_M),
-}
+_UNITS_M: dict[str, float] = DEFAULTS["units_m"]
 _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
 _LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
 _FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
@@ -327,7 +320,7 @@ def parse_length_m(text: str) -> float | None:
     """
     text = text.strip().lower().removeprefix("~").strip()
     if match := _FEET_AND_INCHES.fullmatch(text):
-        return _number(match[1]) * _FOOT_M + _number(match[2]) * _INCH_M
+        return _number(match[1]) * _UNITS_M["ft"] + _number(match[2]) * _UNITS_M["in"]
     match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
     *numbers, unit = match.groups() if match else ("", "?")
     if unit not in _UNITS_M:

@@ -471,10 +471,8 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
     if any(tags.get("highway") in ("traffic_signals", "crossing") for tags in nodes):
         return False
     n_away = sum(is_away for *_, is_away in edges)
-    is_fast = [
-        highway in ("motorway", "motorway_link") or edge.tags.get("motorroad") == "yes"
-        for edge, highway, _ in edges
-    ]
+    fast = ("motorway", "motorway_link")
+    is_fast = [kind in fast or edge.tags.get("motorroad") == "yes" for edge, kind, _ in edges]
     is_parting = min(n_away, len(edges) - n_away) <= 1 and all(edge.is_oneway for edge, *_ in edges)
     is_trunk = [highway in ("trunk", "trunk_link") for _, highway, _ in edges]
     return all(is_fast) or (is_parting and bool(np.logical_or(is_fast, is_trunk).all()))

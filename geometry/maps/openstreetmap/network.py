@@ -218,16 +218,12 @@ class CrossSection:
 
     def reversed(self) -> "CrossSection":
         """Cross-section along the way in the opposite order of nodes."""
-        strips = tuple(
-            replace(
-                strip,
-                place=OPPOSITE[strip.place],
-                left_m=-strip.left_m,
-                is_forward=not strip.is_forward,
-            )
-            for strip in self.strips[::-1]
-        )
-        return replace(self, strips=strips)
+
+        def turned(strip: Strip) -> Strip:
+            place, left_m = OPPOSITE[strip.place], -strip.left_m
+            return replace(strip, place=place, left_m=left_m, is_forward=not strip.is_forward)
+
+        return replace(self, strips=tuple(map(turned, self.strips[::-1])))
 
 
 def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSection:

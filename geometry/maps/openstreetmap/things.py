@@ -265,11 +265,8 @@ def find_crosswalks(network: Network) -> FloatArray:
             walk = LineString(elements.positions_m[rows])
             near = (network.edges[at] for at in tree.query(walk, predicate="intersects").tolist())
             edges = [edge for edge in near if edge.level == level(way.tags)]
-            found = [
-                line
-                for line in _over_roads(walk, edges)
-                if 1.0 < np.hypot(*(line[1] - line[0])) <= limits["max_length_m"]
-            ]
+            over = [(line, np.hypot(*(line[1] - line[0]))) for line in _over_roads(walk, edges)]
+            found = [line for line, long_m in over if 1.0 < long_m <= limits["max_length_m"]]
             if not found:
                 why = "no road for cars below it"
                 elements.omissions.add("crossings", f"way {way.id}", why)
