@@ -289,6 +289,7 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         f"({subject.method}: {percent(subject.low)} to {percent(subject.high)})"
         + ("" if planned is None else f"; as planned {percent(planned)}")
     ]
+    sentences += growth_sentences(found.growth)
     if subject.of_all is not None:
         sentences.append(
             f"With V2X in {percent(found.uncertainty.v2x_share)} of the cars, these are "
@@ -301,7 +302,6 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
             f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
             f"{better if chosen > or_nan(subject.mean) else ''}"
         )
-    sentences += growth_sentences(found.growth)
     n_worst = found.tail * (found.chosen_in or 0)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         sentences.append(
