@@ -305,8 +305,9 @@ def _explained(result: PlacementResult) -> list[Part]:
 def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
     if result.sampled is None:
         return []
-    first, rest = answer.uncertainty(result)[:1], answer.uncertainty(result)[1:]
-    return [_said(*first), Part(words=rest, table=sampled_worlds.table(result.sampled))]
+    words, n_first = answer.uncertainty(result), 1 if result.sampled.growth is None else 2
+    table = sampled_worlds.table(result.sampled)
+    return [_said(*words[:n_first]), Part(words=words[n_first:], table=table)]
 
 
 def _without_optimiser(found: Baselines | None, *, n_units: int) -> Part:

@@ -292,13 +292,13 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
     sentences = [say("sampled_worlds.mean", found.samples, **values)]
     if subject.planned is not None:
         sentences[0] += tr("; as planned {planned}", **values)
+    sentences += growth_sentences(found.growth)
     if subject.of_all is not None:
         sentences.append(say("sampled_worlds.of_all_cars", **values))
     if chosen is not None:
         is_better = chosen > or_nan(subject.mean)
         key = "sampled_worlds.chosen_better" if is_better else "sampled_worlds.chosen"
         sentences.append(say(key, **values))
-    sentences += growth_sentences(found.growth)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         values |= {"n_all": n_all, "n": max(n_worst, 1.0)}
         sentences.append(say("sampled_worlds.few_worst", 1 if n_worst <= 1.0 else 2, **values))

@@ -2,6 +2,7 @@ import json
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -325,3 +326,9 @@ def test_it_is_told_when_fresh_worlds_took_greedy_choice(judge):
     assert taken.mean == pytest.approx(0.0875)
     assert preferred_sentences(build_pair_record(worse, better), 8) == []
     assert preferred_sentences(None, None) == []
+
+
+def test_how_many_worlds_are_enough_is_the_second_sentence(summary):
+    grown = growth("same", (None, None))
+    _, told, *_ = uncertainty_sentences(msgspec.structs.replace(summary, growth=grown))
+    assert told == f"{growth_sentences(grown)[0]}."
