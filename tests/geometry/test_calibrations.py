@@ -99,6 +99,10 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}
         ("image_height: 720\n", "", "image_height: got nothing; expected 1 finite numbers"),
         ("data: [900", "data: [.nan", "camera_matrix: got 9 of another kind or size"),
         ("1280\n", "1280\ncameras: [1]\n", "cameras: got 1; expected maps with camera_matrix"),
+        ("1280\n", "1280.5\n", "image_width: got 1280.5; expected a whole number"),
+        ("1280\n", "1280\ncameras: []\n", "got no camera; expected at least one"),
+        ("plumb_bob", "plumb_bob\nR: [-1, 0, 0, 0, 1, 0, 0, 0, 1]\nt: [0, 0, 1]", "a rotation"),
+        ("1280\n", "1280\n---\n" + ROS, "got cameras camera, camera; expected at least one, each"),
         ("1280\n", "1280\nstatic_transform: {transform: 1}\n", "translation: got nothing"),
     ],
 )

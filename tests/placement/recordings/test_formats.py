@@ -181,6 +181,9 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
         return read_kitti_camera(file, (1242, 375))
 
     assert refused(read, path, "P0: 1\n") == "F: got no P2; expected a line P2: with 12 numbers"
+    tabs = tmp_path / "tabs.txt"
+    tabs.write_text("P2:\t700\t0\t600\t0 0 700 170 0 0 0 1 0\n")
+    assert (read(tabs).fx_px, read(tabs).cy_px) == (700.0, 170.0)
     assert refused(read, path, "P2: 1 2\n") == (
         "F:1: P2: got 2 of another kind or size; expected 12 finite numbers"
     )
