@@ -139,6 +139,7 @@ def cvml(*frames, box='h="8" w="3" xc="1" yc="9"'):
         (cvml(0, 1, 3), "F: frame 3: got 3; expected 2 after frame 1: frames in order, all as far"),
         (cvml(3, box='h="8" w="-3" xc="1" yc="9"'), "F: frame 3, object 1: box: got -3 x 8 px"),
         (cvml(3, box='h="8" xc="1" yc="9"'), "F: frame 3, object 1: w: got nothing; expected a"),
+        (cvml(3, 3), "F: frame 3: got 3; expected 4 after frame 3: frames in order"),
         ("<osm/>", "F: got 'osm'; expected CVML: an element <dataset> with frames"),
     ],
 )
@@ -153,7 +154,9 @@ def test_mixed_rates_and_missing_views_of_wildtrack_are_told(tmp_path):
     assert "frame 12; expected numbers all 5 apart: one frame rate" in refused(
         read_wildtrack, folder
     )
-    (folder / "00000012.json").unlink()
+    (folder / "00000012.json").rename(folder / "10.json")
+    assert "got two files of one frame; expected each frame once" in refused(read_wildtrack, folder)
+    (folder / "10.json").unlink()
     (folder / "00000005.json").write_text(text.replace('"viewNum": 6', '"viewNum": 5'))
     assert "person 1: got 7 views; expected views 0 to 6, once each" in refused(
         read_wildtrack, folder
