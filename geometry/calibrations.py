@@ -47,6 +47,10 @@ def read_cameras(path: Path, *, size_px: _Size | None = None) -> dict[str, Calib
                 raise InputError(f"{path}: cameras", one, "maps with camera_matrix")
             name = one.get("unit", one.get("id", one.get("camera_name", path.stem)))
             records.append((str(name), one))
+    names = [name for name, _ in records]
+    if not names or len(set(names)) < len(names):
+        got = f"cameras {', '.join(names)}" if names else "no camera"
+        raise InputError(str(path), Unquoted(got), "at least one, each with a name of its own")
     return {name: _camera(one, f"{path}: {name}", size_px) for name, one in records}
 
 
@@ -121,11 +125,17 @@ def _calibrated(
 
 def _size(size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None) -> _Size:
     if record is not None and "image_width" in record:
-        sides = [_numbers(record, f"image_{side}", (1,), where) for side in ("width", "height")]
-        return int(sides[0][0]), int(sides[1][0])
+        return _whole(record, "image_width", where), _whole(record, "image_height", where)
     if size_px is None:
         raise InputError(where, Unquoted("no size of pictures"), "their width and height as well")
     return size_px
+
+
+def _whole(record: Mapping[str, Any], key: str, where: str) -> int:
+    (value,) = _numbers(record, key, (1,), where).tolist()
+    if value != round(value):
+        raise InputError(f"{where}: {key}", value, "a whole number")
+    return int(value)
 
 
 def _lens(record: Mapping[str, Any], where: str) -> Lens:
@@ -203,10 +213,12 @@ def read_kitti_camera(path: Path, size_px: _Size) -> CalibratedCamera:
     is no camera's.
     """
     for row, text in enumerate(read_text(path, "text").splitlines(), start=1):
-        name, _, words = text.strip().partition(" ")
-        if name.rstrip(":") == "P2":
+        words = text.split()
+        if words and words[0].rstrip(":") == "P2":
             where = f"{path}:{row}"
-            K, shift = np.split(_numbers({"P2": words}, "P2", (12,), where).reshape(3, 4), [3], 1)
+            K, shift = np.split(
+                _numbers({"P2": words[1:]}, "P2", (12,), where).reshape(3, 4), [3], 1
+            )
             if not (np.diag(K) > 1.0e-3).all():
                 raise InputError(f"{where}: P2", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
             position_m = np.asarray(-np.linalg.solve(K, shift[:, 0]), dtype=np.float64)
@@ -243,5 +255,5 @@ def read_tsai(path: Path) -> CalibratedCamera:
     R = Rotation.from_euler("xyz", [v["rx"], v["ry"], v["rz"]]).as_matrix()
     position_m = -R.T @ (_MM * np.array([v["tx"], v["ty"], v["tz"]]))
     lens = TsaiRadial(kappa=v["kappa1"] * v["focal"] ** 2)
-    size_px = round(v["width"]), round(v["height"])
+    size_px = _whole(v, "width", str(path)), _whole(v, "height", str(path))
     return _calibrated(str(path), "Intrinsic", K, size_px, R, position_m, lens)

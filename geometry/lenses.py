@@ -235,6 +235,7 @@ def _moved(points: FloatArray, radius: FloatArray, to_radius: FloatArray) -> Flo
     return np.asarray(points * share[:, None])
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is too far out is not found
 def _invert(powers: Powers, values: FloatArray, most: float) -> FloatArray:
     """Arguments (n,) at which a polynomial has values >= 0; NaN where it does not reach them.
 
@@ -295,8 +296,9 @@ class CalibratedCamera:
         for name in ("width_px", "height_px", "fx_px", "fy_px"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(f"camera: {name}", getattr(self, name), "pixels, > 0")
-        if not np.allclose(self.R_camera_world @ self.R_camera_world.T, np.eye(3), atol=1.0e-3):
-            raise InputError("camera: R_camera_world", self.R_camera_world.tolist(), "a rotation")
+        R = self.R_camera_world
+        if not (np.allclose(R @ R.T, np.eye(3), atol=1.0e-3) and np.linalg.det(R) > 0.0):
+            raise InputError("camera: R_camera_world", R.tolist(), "a rotation")
 
     @property
     def K(self) -> FloatArray:

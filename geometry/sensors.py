@@ -62,8 +62,8 @@ class CameraModel:
             got = f"{self.width_px} times {self.height_px} pixels"
             refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
         most_deg, why = 180.0, ""
-        if self.has_lens and self.lens is not None:
-            most_deg = min(360.0, 2.0 * math.degrees(self.lens.widest_rad))
+        if self.bent is not None:
+            most_deg = min(360.0, 2.0 * math.degrees(self.bent.widest_rad))
             why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
         expected = f"0 < degrees < {most_deg:g}{why}"
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)
@@ -87,23 +87,22 @@ class CameraModel:
             check("horizontal_fov_deg", is_reached, expected)
 
     @property
-    def has_lens(self) -> bool:
-        """True if a lens without any distortion would show another field of view."""
-        return self.lens not in (None, BrownConrady(), TsaiRadial(kappa=0.0))
+    def bent(self) -> Lens | None:
+        """The lens, if one without any distortion would show another field of view."""
+        return None if self.lens in (BrownConrady(), TsaiRadial(kappa=0.0)) else self.lens
 
     @property
     def is_pinhole(self) -> bool:
         """True if it is an ideal one, with square pixels and its axis level in the middle."""
         is_plain = self.principal_point in (None, (0.5, 0.5)) and self.pixel_aspect in (None, 1.0)
-        return is_plain and not self.roll_deg and not self.has_lens
+        return is_plain and not self.roll_deg and self.bent is None
 
     @property
     def focal_length_px(self) -> float:
         """Focal length in pixels, in columns."""
-        if self.has_lens and self.lens is not None:
-            half_rad = math.radians(0.5 * self.horizontal_fov_deg)
-            return 0.5 * self.width_px / self.lens.shown_at(half_rad)
-        return 0.5 * self.width_px / math.tan(math.radians(0.5 * self.horizontal_fov_deg))
+        half_rad = math.radians(0.5 * self.horizontal_fov_deg)
+        shown = math.tan(half_rad) if self.bent is None else self.bent.shown_at(half_rad)
+        return 0.5 * self.width_px / shown
 
     @property
     def middle_px(self) -> tuple[float, float]:

@@ -104,7 +104,7 @@ def _find_window(
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     inside = np.clip(np.minimum(high, size) - np.maximum(low, 0.0), 0.0, None)
     share = 0.0 if is_behind else float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
-    if (np.minimum(high, size) - np.maximum(low, 0.0) <= 0.0).any() and is_behind:
+    if is_behind and not inside.all():
         return nothing, 0.0
     if (high - low > _LARGE * size).any():
         return everything, share

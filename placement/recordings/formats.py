@@ -257,7 +257,9 @@ def cvml_rows(path: Path) -> Iterator[BoxRow]:
         if last is not None:
             step = number - last if step is None else step
             if number - last != step or step <= 0:
-                expected = f"{last + step} after frame {last}: frames in order, all as far apart"
+                expected = (
+                    f"{last + max(step, 1)} after frame {last}: frames in order, all as far apart"
+                )
                 raise InputError(place, number, expected)
         last = number
         for thing in frame.iter("object"):
@@ -328,7 +330,10 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
 def _files(folder: Path) -> list[Path]:
     """Files of the frames, in order."""
     entries = entries_of(folder, "a folder with frames")
-    found = {int(m[1]): path for path in entries if (m := _NAME.fullmatch(path.name))}
+    named = [(int(m[1]), path) for path in entries if (m := _NAME.fullmatch(path.name))]
+    found = dict(named)
+    if len(found) < len(named):
+        raise InputError(str(folder), Unquoted("two files of one frame"), "each frame once")
     if not found:
         raise InputError(str(folder), Unquoted("no frame"), "files FRAME.json")
     numbers = sorted(found)

@@ -94,12 +94,9 @@ class Sensing:
     def _boxes(self, candidates: Sequence[CandidatePose]) -> Iterator["_Boxes"]:
         """Boxes in the cameras among the candidates, some of these at a time."""
         cameras = [i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)]
-        is_bent = [_has_lens(candidates[row]) for row in cameras]
         step = max(1, _PAIRS // max(1, len(self.distance_m)))
         for through_lenses in (False, True):
-            rows = [
-                row for row, bent in zip(cameras, is_bent, strict=True) if bent == through_lenses
-            ]
+            rows = [row for row in cameras if _has_lens(candidates[row]) == through_lenses]
             for first in range(0, len(rows), step):
                 yield _box(self, candidates, np.array(rows[first : first + step]), through_lenses)
 
@@ -197,9 +194,8 @@ def _may_detect(
         from .point_kernels import find_views
 
         candidates = [candidate for candidate in listed if not _has_lens(candidate)]
-        for candidate in listed:
-            if _has_lens(candidate):
-                may_detect |= _may_show(world, eye, candidate, height_px, turned_rad)
+        for candidate in filter(_has_lens, listed):
+            may_detect |= _may_show(world, eye, candidate, height_px, turned_rad)
         if not candidates:
             continue
         find_views(

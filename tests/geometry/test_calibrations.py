@@ -14,7 +14,7 @@ from experiments.export.calibration import calibrations
 from experiments.export.opencv import opencv_text
 from experiments.export.ros import ros_text
 from geometry.calibrations import read_cameras
-from geometry.catalogue import own_sensor_record, read_sensor
+from geometry.catalogue import load_cameras, own_sensor_record, read_sensor
 from geometry.errors import InputError
 from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye, TsaiRadial, project_distorted
 from geometry.poses import Pose, camera_rotation
@@ -99,6 +99,10 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}
         ("image_height: 720\n", "", "image_height: got nothing; expected 1 finite numbers"),
         ("data: [900", "data: [.nan", "camera_matrix: got 9 of another kind or size"),
         ("1280\n", "1280\ncameras: [1]\n", "cameras: got 1; expected maps with camera_matrix"),
+        ("1280\n", "1280.5\n", "image_width: got 1280.5; expected a whole number"),
+        ("1280\n", "1280\ncameras: []\n", "got no camera; expected at least one"),
+        ("plumb_bob", "plumb_bob\nR: [-1, 0, 0, 0, 1, 0, 0, 0, 1]\nt: [0, 0, 1]", "a rotation"),
+        ("1280\n", "1280\n---\n" + ROS, "got cameras camera, camera; expected at least one, each"),
         ("1280\n", "1280\nstatic_transform: {transform: 1}\n", "translation: got nothing"),
     ],
 )
@@ -154,6 +158,14 @@ def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
     assert found.lens == lens
     assert found.K[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([900, 880, 633, 361.5])
     assert found.R_camera_world == pytest.approx(camera.R_camera_world, abs=1e-6)
+
+
+def test_the_pole_that_carries_a_calibrated_camera_is_not_seen(tmp_path):
+    """Nothing is drawn that is as near as the catalogue says of poles and brackets."""
+    path = tmp_path / "camera.yaml"
+    path.write_text(ROS)
+    (unit,) = load_layout(path).units
+    assert {unit.sensor.near_m} == {camera.near_m for camera in load_cameras().values()}
 
 
 def test_a_calibration_that_folds_before_its_edge_is_no_layout(tmp_path):

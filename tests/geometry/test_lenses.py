@@ -179,6 +179,11 @@ def test_to_undistort_what_is_distorted_finds_the_ray_again(lens, seed):
     assert np.abs(found - rays).max() < 1e-6
 
 
+def test_what_is_too_far_out_for_numbers_is_not_shown():
+    assert np.isnan(BrownConrady(k1=0.1, k3=0.2).angle_of(1e300))
+    assert np.isnan(TsaiRadial(kappa=-0.1).shown_radius(np.array([1e300]))).all()
+
+
 @given(LENSES, numbers(0.05, 0.9))
 def test_the_angle_of_what_a_lens_shows_is_the_one_it_shows(lens, share):
     angle = share * min(lens.widest_rad, 1.3)

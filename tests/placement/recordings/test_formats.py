@@ -139,6 +139,7 @@ def cvml(*frames, box='h="8" w="3" xc="1" yc="9"'):
         (cvml(0, 1, 3), "F: frame 3: got 3; expected 2 after frame 1: frames in order, all as far"),
         (cvml(3, box='h="8" w="-3" xc="1" yc="9"'), "F: frame 3, object 1: box: got -3 x 8 px"),
         (cvml(3, box='h="8" xc="1" yc="9"'), "F: frame 3, object 1: w: got nothing; expected a"),
+        (cvml(3, 3), "F: frame 3: got 3; expected 4 after frame 3: frames in order"),
         ("<osm/>", "F: got 'osm'; expected CVML: an element <dataset> with frames"),
     ],
 )
@@ -153,7 +154,9 @@ def test_mixed_rates_and_missing_views_of_wildtrack_are_told(tmp_path):
     assert "frame 12; expected numbers all 5 apart: one frame rate" in refused(
         read_wildtrack, folder
     )
-    (folder / "00000012.json").unlink()
+    (folder / "00000012.json").rename(folder / "10.json")
+    assert "got two files of one frame; expected each frame once" in refused(read_wildtrack, folder)
+    (folder / "10.json").unlink()
     (folder / "00000005.json").write_text(text.replace('"viewNum": 6', '"viewNum": 5'))
     assert "person 1: got 7 views; expected views 0 to 6, once each" in refused(
         read_wildtrack, folder
@@ -181,6 +184,9 @@ def test_calibrations_that_are_cut_off_or_impossible_are_told(tmp_path):
         return read_kitti_camera(file, (1242, 375))
 
     assert refused(read, path, "P0: 1\n") == "F: got no P2; expected a line P2: with 12 numbers"
+    tabs = tmp_path / "tabs.txt"
+    tabs.write_text("P2:\t700\t0\t600\t0 0 700 170 0 0 0 1 0\n")
+    assert (read(tabs).fx_px, read(tabs).cy_px) == (700.0, 170.0)
     assert refused(read, path, "P2: 1 2\n") == (
         "F:1: P2: got 2 of another kind or size; expected 12 finite numbers"
     )

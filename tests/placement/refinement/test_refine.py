@@ -5,6 +5,7 @@ import pytest
 
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError
+from geometry.lenses import BrownConrady, Fisheye
 from placement.candidates import CandidateGrid, build_candidates
 from placement.compute import Compute
 from placement.layout import check_layout, layout_from_records, layout_records
@@ -223,10 +224,11 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
     assert move.lift_m == 0.0
 
 
+@pytest.mark.parametrize("lens", [None, BrownConrady(k1=-0.1, p1=0.002), Fisheye(k1=-0.02)])
 def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
-    build_meadow, build_walk, build_small_setting
+    build_meadow, build_walk, build_small_setting, lens
 ):
-    camera = pick_sensor("varifocal-1080p", "test")
+    camera = replace(pick_sensor("varifocal-1080p", "test"), name="own", lens=lens)
     scene = build_meadow(("pole", 0.0, 0.0))
     walk = np.column_stack([np.full(40, 150.0), np.linspace(-2.0, 2.0, 40)])
     setting = build_small_setting(scene, [build_walk("walk", walk)])
@@ -243,7 +245,7 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     assert low <= unit.sensor.horizontal_fov_deg < high
     (record,) = layout_records(refinement.placement.layout)
     assert record["fov_deg"] == unit.sensor.horizontal_fov_deg
-    (back,) = layout_from_records("l", [record], "f.json").units
+    (back,) = layout_from_records("l", [record], "f.json", sensors={"own": camera}).units
     assert back.sensor == unit.sensor
 
 

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from geometry.actors import Actor
 from geometry.errors import InputError
+from geometry.lenses import BrownConrady, Fisheye
+from geometry.sensors import CameraModel
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
 from placement.sampling.tables import _append, build_sample_tables, sampled_table
@@ -208,9 +210,23 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
 # What worlds share
 
 
-@pytest.mark.parametrize("planner", ["response", "geometric"])
-def test_a_world_beside_others_is_as_it_is_alone(setting, candidates, default, planner):
+@pytest.mark.parametrize(
+    ("planner", "lens"),
+    [
+        ("response", None),
+        ("geometric", None),
+        ("response", BrownConrady(k1=-0.1, p1=0.002)),
+        ("geometric", Fisheye(k1=-0.02)),
+    ],
+)
+def test_a_world_beside_others_is_as_it_is_alone(setting, candidates, default, planner, lens):
     """What is kept of one world, for eyes that come up again, is what is found in another."""
+    if lens is not None:
+        candidates = [
+            replace(one, sensor=replace(one.sensor, name="bent", lens=lens, roll_deg=3.0))
+            for one in candidates
+            if isinstance(one.sensor, CameraModel)
+        ]
     setting = replace(setting, table_detector=load_planning_detector(planner))
     worlds = list(draw_samples(setting, candidates, default, n_samples=6, seed=4))
     heights = [{pose.pose.position_m[2] for pose in world.candidates} for world in worlds]
