@@ -5,6 +5,7 @@ key under which catalogues (``languages/de/*.po``, gettext's format) have its tr
 JSON, names of files, the help of commands and errors are English always.
 """
 
+import re
 import string
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,8 +13,12 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from geometry.files import load_data
+
 LANGUAGES = ("en", "de")
 _SWAPPED = str.maketrans(".,", ",.")
+_SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
+_NUMBER = re.compile(r"[-+\N{MINUS SIGN}]?[\d,]+(\.\d+)?")
 
 
 class _GermanNumbers(string.Formatter):
@@ -117,9 +122,67 @@ def trn(one: str, many: str, n: int, /, **values: Any) -> str:
     return _filled(_Current.messages.find_plural(one, many, n), {"n": n, **values})
 
 
+def say(key: str, n: int | None = None, /, **values: Any) -> str:
+    """A longer text, of ``data/texts.toml``: as ``tr`` says it, or with a number as ``trn``.
+
+    Examples
+    --------
+    >>> say("terminal.more_reasons", 2)
+    "and 2 more reasons in the report's list"
+    """
+    part, _, name = key.partition(".")
+    text = _texts()[part][name]
+    return tr(text, **values) if n is None else trn(text[0], text[1], n, **values)
+
+
+@cache
+def _texts() -> dict[str, Any]:
+    return load_data("experiments", "texts.toml")
+
+
 def mark(message: str) -> str:
     """A message that is translated where it is used, by ``tr(MESSAGE)``: for constants."""
     return message
+
+
+def said(text: str) -> str:
+    """A text of a package below, such as a note on a map, in the language that is spoken.
+
+    Those packages know no languages: ``data/said_below.toml`` has what they say. Any other text
+    stays as it is.
+
+    Examples
+    --------
+    >>> said("none in the map")
+    'none in the map'
+    """
+    if _Current.code == "en":
+        return text
+    return " ".join(_said(sentence) for sentence in _SENTENCES.split(text))
+
+
+def _said(sentence: str) -> str:
+    if _NUMBER.fullmatch(sentence):
+        return localized(sentence)
+    for message, pattern in _said_below().items():
+        found = pattern.fullmatch(sentence)
+        if found:
+            return tr(message, **{name: _said(part) for name, part in found.groupdict().items()})
+    return sentence
+
+
+@cache
+def _said_below() -> dict[str, re.Pattern[str]]:
+    """Messages of the packages below, and what a text with values in place of names is like."""
+    return {
+        message: re.compile(
+            "".join(
+                re.escape(words) + (f"(?P<{name}>.+?)" if name else "")
+                for words, name, _, _ in string.Formatter().parse(message)
+            )
+        )
+        for message in load_data("experiments", "said_below.toml")["messages"]
+    }
 
 
 def localized(number: str) -> str:

@@ -15,6 +15,8 @@ from typing import Any, NoReturn
 
 import click
 
+from .language import said, tr
+
 WRITING = "write results"
 """The stage in which files are written."""
 
@@ -93,16 +95,16 @@ class StageProgress:
             self._end_stage()
             self.stage = stage
             if self._prints_lines:
-                tell(f"{stage} ...", err=True)
+                tell(f"{said(stage)} ...", err=True)
                 self._line_s = time.perf_counter()
             if self._bar is not None:  # time left is of this stage, not of those before
                 self._bar.reset(self._task)
         if self._prints_lines and total and time.perf_counter() - self._line_s >= LINE_EVERY_S:
-            tell(f"{stage}: {done} of {total}", err=True)
+            tell(tr("{step}: {n} of {all}", step=said(stage), n=done, all=total), err=True)
             self._line_s = time.perf_counter()
         if self._bar is not None:
             self._bar.update(
-                self._task, description=printable(stage), completed=done, total=total or None
+                self._task, description=printable(said(stage)), completed=done, total=total or None
             )
 
     def tell_more(self) -> None:
@@ -128,13 +130,13 @@ class StageProgress:
         self._bar = bars.Progress(
             *(bars.SpinnerColumn(), bars.TextColumn("{task.description}", markup=False)),
             *(bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeElapsedColumn()),
-            *(bars.TextColumn("[dim]left"), bars.TimeRemainingColumn()),
+            *(bars.TextColumn(tr("[dim]left")), bars.TimeRemainingColumn()),
             console=Console(stderr=True),
             transient=True,
             # What others print must stay where it belongs: stdout is not rich's to move.
             redirect_stdout=False,
         )
-        self._task = self._bar.add_task(self.stage, total=None)
+        self._task = self._bar.add_task(said(self.stage), total=None)
         self._bar.start()
 
     def stop(self) -> None:

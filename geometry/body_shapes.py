@@ -131,17 +131,12 @@ def _bone_frames(
         turn = pick(turns_deg, take_text(bone, "turn", here), f"{here}.turn")
         joint = float_array(take_list(bone, "joint_m", here), (3,), f"{here}.joint_m")
         for side in _SIDES:
-            rotation, origin = pick(
-                {known: frame for (known, at), frame in frames.items() if at == side},
-                take_text(bone, "on", here),
-                f"{here}.on",
-            )
+            known = {bone_name: frame for (bone_name, at), frame in frames.items() if at == side}
+            rotation, origin = pick(known, take_text(bone, "on", here), f"{here}.on")
             # The left side does what the right side did half a cycle ago.
             angle_deg = turn[index if side < 0.0 else (index + _N_SHAPES // 2) % _N_SHAPES]
-            frames[name, side] = (
-                rotation @ _turn_deg(float(angle_deg)),
-                origin + rotation @ (joint * [1.0, side, 1.0]),
-            )
+            place = origin + rotation @ (joint * [1.0, side, 1.0])
+            frames[name, side] = rotation @ _turn_deg(float(angle_deg)), place
     return frames
 
 
@@ -176,9 +171,8 @@ def _place_part(
         placed = (vertices * [1.0, side, 1.0]) @ rotation.T + origin
         library = _manifold3d()
         faces = triangles if side > 0.0 else triangles[:, ::-1]  # a mirror turns them inside out
-        yield library.Manifold(
-            library.Mesh64(vert_properties=placed, tri_verts=faces.astype(np.uint64))
-        )
+        mesh = library.Mesh64(vert_properties=placed, tri_verts=faces.astype(np.uint64))
+        yield library.Manifold(mesh)
 
 
 def _solid(part: Table, where: str) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -221,9 +215,8 @@ def _fit_to_box(
     ahead = (0.5 * length - reference_m) / high[0]
     behind = (0.5 * length + reference_m) / -low[0]
     across, up = width / (high[1] - low[1]), height / high[2]
-    for name, factor in zip(
-        ("ahead", "behind", "across", "up"), (ahead, behind, across, up), strict=True
-    ):
+    factors = {"ahead": ahead, "behind": behind, "across": across, "up": up}
+    for name, factor in factors.items():
         if abs(factor - 1.0) > _MAX_STRETCH:
             refuse(where, f"{factor:.3f} x {name} to fit the box", "outlines near its size")
 

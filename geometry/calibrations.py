@@ -3,7 +3,6 @@
 Where a file does not say where a camera stands, it is at the origin and looks along z.
 """
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from .arrays import FloatArray
 from .errors import InputError, Unquoted
-from .files import parse_number, read_text
+from .files import read_text
 from .lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
 from .untrusted_files import read_xml
 
@@ -40,8 +39,7 @@ def read_cameras(path: Path, *, size_px: _Size | None = None) -> dict[str, Calib
             return {path.stem: read_tsai(path)}
         return {path.stem: _camera(_xml_record(root), str(path), size_px)}
     if "camera_matrix" not in text:
-        width, height = _size(size_px, str(path))
-        return {path.stem: read_kitti_camera(path, width_px=width, height_px=height)}
+        return {path.stem: read_kitti_camera(path, _size(size_px, str(path)))}
     records: list[tuple[str, Mapping[str, Any]]] = []
     for document in _yaml_documents(text, path):
         for one in document.get("cameras", [document]):
@@ -85,30 +83,37 @@ def _xml_record(root: "Element") -> dict[str, Any]:
 
 
 def _camera(record: Mapping[str, Any], where: str, size_px: _Size | None) -> CalibratedCamera:
-    K = _numbers(record, "camera_matrix", (9,), where)
-    if K[[1, 3, 6, 7]].any() or K[8] != 1.0:
-        raise InputError(f"{where}: camera_matrix", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
-    fx, cx, fy, cy = K[[0, 2, 4, 5]].tolist()
-    width, height = _size(size_px, where, record)
+    K = _numbers(record, "camera_matrix", (9,), where).reshape(3, 3)
+    size_px = _size(size_px, where, record)
     rotation, position = _stand(record, where)
-    return _calibrated(
-        where,
-        width_px=width,
-        height_px=height,
-        fx_px=fx,
-        fy_px=fy,
-        cx_px=cx,
-        cy_px=cy,
-        R_camera_world=rotation,
-        position_m=position,
-        lens=_lens(record, where),
-    )
+    return _calibrated(where, "camera_matrix", K, size_px, rotation, position, _lens(record, where))
 
 
-def _calibrated(where: str, **figures: Any) -> CalibratedCamera:
-    """A camera; errors name the file."""
+def _calibrated(
+    where: str,
+    name: str,
+    K: FloatArray,
+    size_px: _Size,
+    rotation: FloatArray,
+    position_m: FloatArray,
+    lens: Lens,
+) -> CalibratedCamera:
+    """A camera with a matrix (3, 3) of this name; errors name the file."""
+    if not np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1]):
+        raise InputError(f"{where}: {name}", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
+    fx_px, cx_px, fy_px, cy_px = K[[0, 0, 1, 1], [0, 2, 1, 2]].tolist()
     try:
-        return CalibratedCamera(**figures)
+        return CalibratedCamera(
+            width_px=size_px[0],
+            height_px=size_px[1],
+            fx_px=fx_px,
+            fy_px=fy_px,
+            cx_px=cx_px,
+            cy_px=cy_px,
+            R_camera_world=rotation,
+            position_m=position_m,
+            lens=lens,
+        )
     except InputError as error:
         field = error.where.removeprefix("camera: ")
         raise InputError(f"{where}: {field}", error.got, error.expected) from None
@@ -116,10 +121,8 @@ def _calibrated(where: str, **figures: Any) -> CalibratedCamera:
 
 def _size(size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None) -> _Size:
     if record is not None and "image_width" in record:
-        width, height = (
-            int(_numbers(record, f"image_{side}", (1,), where)[0]) for side in ("width", "height")
-        )
-        return width, height
+        sides = [_numbers(record, f"image_{side}", (1,), where) for side in ("width", "height")]
+        return int(sides[0][0]), int(sides[1][0])
     if size_px is None:
         raise InputError(where, Unquoted("no size of pictures"), "their width and height as well")
     return size_px
@@ -177,9 +180,7 @@ def _numbers(
     return numbers
 
 
-def read_opencv_camera(
-    intrinsic: Path, extrinsic: Path, *, width_px: int, height_px: int
-) -> CalibratedCamera:
+def read_opencv_camera(intrinsic: Path, extrinsic: Path, size_px: _Size) -> CalibratedCamera:
     """A camera of OpenCV's XML: matrix and distortion in one file, rvec and tvec (cm) in another.
 
     Raises InputError if numbers are missing or no camera's.
@@ -189,58 +190,35 @@ def read_opencv_camera(
     turn, shift_cm = (_numbers(pose, key, (3,), str(extrinsic)) for key in ("rvec", "tvec"))
     R = Rotation.from_rotvec(turn).as_matrix()
     record = _xml_record(read_xml(intrinsic, expected=what)) | {
-        **{"image_width": width_px, "image_height": height_px},
+        **dict(zip(("image_width", "image_height"), size_px, strict=True)),
         **{"R": R.ravel().tolist(), "t": (_CM * shift_cm).tolist()},
     }
     return _camera(record, str(intrinsic), None)
 
 
-# ---------- KITTI
-
-
-def read_kitti_camera(path: Path, *, width_px: int, height_px: int) -> CalibratedCamera:
+def read_kitti_camera(path: Path, size_px: _Size) -> CalibratedCamera:
     """A camera of a calibration file, in the frame of the rectified camera 0.
 
     The file does not say how large the pictures are. Raises InputError if the matrix is missing, or
     is no camera's.
     """
-    lines = [text.split() for text in read_text(path, "text").splitlines()]
-    row = next(
-        (row for row, words in enumerate(lines) if words and words[0].rstrip(":") == "P2"), None
-    )
-    if row is None:
-        raise InputError(str(path), Unquoted("no P2"), "a line P2: with 12 numbers")
-    where, words = f"{path}:{row + 1}: P2", lines[row][1:]
-    if len(words) != 12:
-        raise InputError(where, Unquoted(f"{len(words)} numbers"), "12 numbers")
-    numbers = [
-        parse_number(word, f"{where}: number {index}", least=-_MOST, most=_MOST)
-        for index, word in enumerate(words, start=1)
-    ]
-    P = np.array(numbers).reshape(3, 4)
-    K = P[:, :3]
-    is_camera = K[0, 0] > 1.0e-3 and K[1, 1] > 1.0e-3
-    if not (is_camera and np.array_equal(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1])):
-        raise InputError(where, K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
-    return _calibrated(
-        where,
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=K[0, 0],
-        fy_px=K[1, 1],
-        cx_px=K[0, 2],
-        cy_px=K[1, 2],
-        R_camera_world=np.eye(3),
-        position_m=-np.linalg.solve(K, P[:, 3]),
-    )
+    for row, text in enumerate(read_text(path, "text").splitlines(), start=1):
+        name, _, words = text.strip().partition(" ")
+        if name.rstrip(":") == "P2":
+            where = f"{path}:{row}"
+            K, shift = np.split(_numbers({"P2": words}, "P2", (12,), where).reshape(3, 4), [3], 1)
+            if not (np.diag(K) > 1.0e-3).all():
+                raise InputError(f"{where}: P2", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
+            position_m = np.asarray(-np.linalg.solve(K, shift[:, 0]), dtype=np.float64)
+            return _calibrated(where, "P2", K, size_px, np.eye(3), position_m, BrownConrady())
+    raise InputError(str(path), Unquoted("no P2"), "a line P2: with 12 numbers")
 
 
-# ---------- Tsai
-
-
-_GEOMETRY = ("width", "height", "dpx", "dpy")
-_INTRINSIC = ("focal", "kappa1", "cx", "cy", "sx")
-_EXTRINSIC = ("tx", "ty", "tz", "rx", "ry", "rz")
+_TSAI = {
+    "Geometry": ("width", "height", "dpx", "dpy"),
+    "Intrinsic": ("focal", "kappa1", "cx", "cy", "sx"),
+    "Extrinsic": ("tx", "ty", "tz", "rx", "ry", "rz"),
+}
 
 
 def read_tsai(path: Path) -> CalibratedCamera:
@@ -249,49 +227,21 @@ def read_tsai(path: Path) -> CalibratedCamera:
     Raises InputError if something is missing or impossible.
     """
     root = read_xml(path, expected="a Tsai calibration")
-    g = _attributes(root, "Geometry", _GEOMETRY, path)
-    i = _attributes(root, "Intrinsic", _INTRINSIC, path)
-    e = _attributes(root, "Extrinsic", _EXTRINSIC, path)
-    for name, values in {"dpx": g, "dpy": g, "focal": i, "sx": i}.items():
-        if not values[name] > 1.0e-9:
-            raise InputError(f"{path}: {name}", values[name], "more than 0")
-    turn = _turns(e["rx"], e["ry"], e["rz"])
-    shift_m = _MM * np.array([e["tx"], e["ty"], e["tz"]])
-    return _calibrated(
-        str(path),
-        width_px=round(g["width"]),
-        height_px=round(g["height"]),
-        fx_px=i["focal"] * i["sx"] / g["dpx"],
-        fy_px=i["focal"] / g["dpy"],
-        cx_px=i["cx"],
-        cy_px=i["cy"],
-        R_camera_world=turn,
-        position_m=-turn.T @ shift_m,
-        lens=TsaiRadial(kappa=i["kappa1"] * i["focal"] ** 2),
-    )
-
-
-def _attributes(
-    root: "Element", tag: str, names: tuple[str, ...], path: Path
-) -> Mapping[str, float]:
-    element = root.find(tag)
-    if element is None:
-        raise InputError(f"{path}: {tag}", Unquoted("nothing"), f"<{tag} {'= '.join(names)}=>")
-    numbers = {}
-    for name in names:
-        word, here = element.get(name), f"{path}: {tag}: {name}"
-        if word is None:
-            raise InputError(here, Unquoted("nothing"), "a number")
-        numbers[name] = parse_number(word, here, least=-_MOST, most=_MOST)
-    return numbers
-
-
-def _turns(x: float, y: float, z: float) -> FloatArray:
-    """Rotation about x, then y, then z, in radians, as Tsai's program has it."""
-    cx, cy, cz = math.cos(x), math.cos(y), math.cos(z)
-    sx, sy, sz = math.sin(x), math.sin(y), math.sin(z)
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    turn: FloatArray = about_z @ about_y @ about_x
-    return turn
+    v: dict[str, float] = {}
+    for tag, names in _TSAI.items():
+        element = root.find(tag)
+        if element is None:
+            expected = f"<{tag} {'= '.join(names)}=>"
+            raise InputError(f"{path}: {tag}", Unquoted("nothing"), expected)
+        for name in names:
+            v[name] = float(_numbers(element.attrib, name, (1,), f"{path}: {tag}")[0])
+    for name in ("dpx", "dpy", "focal", "sx"):
+        if not v[name] > 1.0e-9:
+            raise InputError(f"{path}: {name}", v[name], "more than 0")
+    fx, fy = v["focal"] * v["sx"] / v["dpx"], v["focal"] / v["dpy"]
+    K = np.array([[fx, 0.0, v["cx"]], [0.0, fy, v["cy"]], [0.0, 0.0, 1.0]])
+    R = Rotation.from_euler("xyz", [v["rx"], v["ry"], v["rz"]]).as_matrix()
+    position_m = -R.T @ (_MM * np.array([v["tx"], v["ty"], v["tz"]]))
+    lens = TsaiRadial(kappa=v["kappa1"] * v["focal"] ** 2)
+    size_px = round(v["width"]), round(v["height"])
+    return _calibrated(str(path), "Intrinsic", K, size_px, R, position_m, lens)

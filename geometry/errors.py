@@ -11,14 +11,9 @@ _MAX_WORDS = 2_000  # characters of our own words, such as a list of all names t
 class InputError(ValueError):
     """Something the user gave is not what is expected.
 
-    Parameters
-    ----------
-    where : str
-        File, field or argument, as precisely as known: an argument by its name alone.
-    got : object
-        The offending value.
-    expected : str
-        What would have been accepted; other arguments stand in backticks.
+    `where`: file, field or argument, as precisely as known: an argument by its name alone. `got`:
+    the offending value. `expected`: what would have been accepted; other arguments stand in
+    backticks.
 
     >>> str(InputError("budget", 0, "a whole number of units, at least 1"))
     'budget: got 0; expected a whole number of units, at least 1'

@@ -26,9 +26,8 @@ def from_carla_points(points_carla_m: ArrayLike) -> FloatArray:
     return np.asarray(points * _FLIP_NORTH[: points.shape[-1]])
 
 
-def to_carla_points(points_m: ArrayLike) -> FloatArray:
-    """Points from the world (ENU) to CARLA's left-handed frame."""
-    return from_carla_points(points_m)
+to_carla_points = from_carla_points
+"""Points from the world (ENU) to CARLA's left-handed frame."""
 
 
 def from_carla_yaw(yaw_carla_deg: ArrayLike) -> FloatArray:
@@ -36,18 +35,14 @@ def from_carla_yaw(yaw_carla_deg: ArrayLike) -> FloatArray:
     return wrap_deg(-np.asarray(yaw_carla_deg, dtype=np.float64))
 
 
-def to_carla_yaw(yaw_deg: ArrayLike) -> FloatArray:
-    """Yaw counter-clockwise from east to clockwise from east (CARLA), in (-180, 180]."""
-    return from_carla_yaw(yaw_deg)
+to_carla_yaw = from_carla_yaw
+"""Yaw counter-clockwise from east to clockwise from east (CARLA), in (-180, 180]."""
 
 
 def from_carla_pose(*, position_m: ArrayLike, yaw_deg: float, pitch_deg: float) -> Pose:
     """Pose from CARLA's frame to the world. Pitch is positive up in both."""
-    return Pose(
-        position_m=from_carla_points(position_m),
-        yaw_deg=float(from_carla_yaw(yaw_deg)),
-        pitch_deg=pitch_deg,
-    )
+    yaw_deg = float(from_carla_yaw(yaw_deg))
+    return Pose(position_m=from_carla_points(position_m), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
 
 
 def to_gltf_points(points_m: ArrayLike) -> FloatArray:

@@ -137,11 +137,8 @@ class Junction:
 
     def _before(self, entry: Lane) -> list[Lane]:
         begin = entry.centreline_m[0]
-        return [
-            lane
-            for lane in self.beyond
-            if np.hypot(*(lane.centreline_m[-1] - begin)) <= _SAME_POINT_M
-        ]
+        gaps_m = [np.hypot(*(lane.centreline_m[-1] - begin)) for lane in self.beyond]
+        return [one for one, m in zip(self.beyond, gaps_m, strict=True) if m <= _SAME_POINT_M]
 
     def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
         """The lane through the junction from one lane into another; None if the map has none."""
@@ -270,10 +267,8 @@ def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> lis
     """Lanes of some kinds into or out of the junction, at the nearer of their ends; no stubs."""
     ends = []
     for lane in (lane for lane in scene.lanes if lane.kind in kinds):
-        off_m = {
-            is_in: distance_to_outline_m(lane.centreline_m[-1 if is_in else 0], scene.outline_m)
-            for is_in in (True, False)
-        }
+        tips = {True: lane.centreline_m[-1], False: lane.centreline_m[0]}
+        off_m = {at: distance_to_outline_m(tip, scene.outline_m) for at, tip in tips.items()}
         near = [is_in for is_in, off in off_m.items() if off <= within_m]
         if len(near) == 2 and lane_length_m(lane) <= 2.0 * within_m:
             near = [min(near, key=lambda is_in: off_m[is_in])]
@@ -323,9 +318,8 @@ def _build_arm(name: str, members: Sequence[_End], cycleways: Sequence[_End], sc
 
 def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene) -> Line:
     """The scene's crosswalk over the arm's mouth, or a line 2 m inside, as at Euro NCAP's."""
-    mouths = np.array(
-        [lane.centreline_m[-1] for lane in lanes_in] + [lane.centreline_m[0] for lane in lanes_out]
-    )
+    ends = [lane.centreline_m[-1] for lane in lanes_in]
+    mouths = np.array([*ends, *(lane.centreline_m[0] for lane in lanes_out)])
     is_in = bool(lanes_in)
     inward, _ = lane_line((lanes_in or lanes_out)[0], is_in=is_in, length_m=10.0)
     if not is_in:
@@ -407,8 +401,7 @@ def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
                 old, new = group[one], group[other]
                 group = [new if number == old else number for number in group]
     return [
-        [index for index, number in enumerate(group) if number == wanted]
-        for wanted in dict.fromkeys(group)
+        [at for at, number in enumerate(group) if number == one] for one in dict.fromkeys(group)
     ]
 
 
@@ -521,10 +514,8 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
             # Halfway between two arms, unless they lead nearly straight on.
             sides = [bearings[name] for name in beside]
             corner = np.array([np.cos(sides).sum(), np.sin(sides).sum()])
-            words = [
-                f"{compass_point(corner if np.hypot(*corner) > _STRAIGHT else way)} corner",
-                " and ".join(dict.fromkeys(known)),
-            ]
+            side = compass_point(corner if np.hypot(*corner) > _STRAIGHT else way)
+            words = [f"{side} corner", " and ".join(dict.fromkeys(known))]
         else:
             point = shapely.Point(position)
             name = min(lines, key=lambda one: lines[one].distance(point))

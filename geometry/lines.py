@@ -21,9 +21,9 @@ def along_m(line_m: FloatArray) -> FloatArray:
 
 
 def points_at(line_m: FloatArray, stations_m: FloatArray) -> FloatArray:
-    """Points (k, 2) at distances (k,) along a line; beyond its ends these."""
+    """Points (k, 2), or (k, 3), at distances (k,) along a line; beyond its ends these."""
     along = along_m(line_m)
-    return np.stack([np.interp(stations_m, along, line_m[:, axis]) for axis in (0, 1)], axis=-1)
+    return np.stack([np.interp(stations_m, along, axis) for axis in line_m.T], axis=-1)
 
 
 def apart(line_m: FloatArray, least_m: float) -> FloatArray:

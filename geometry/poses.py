@@ -35,10 +35,8 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
     >>> body_rotation(90.0)[:, 0].round(12) + 0.0  # looking north
     array([0., 1., 0.])
     """
-    yaw, pitch = np.broadcast_arrays(
-        np.radians(np.asarray(yaw_deg, dtype=np.float64)),
-        np.radians(np.asarray(pitch_deg, dtype=np.float64)),
-    )
+    angles = (np.radians(np.asarray(one, dtype=np.float64)) for one in (yaw_deg, pitch_deg))
+    yaw, pitch = np.broadcast_arrays(*angles)
     cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
     cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
     zero = np.zeros_like(yaw)
@@ -57,10 +55,9 @@ def camera_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArra
 
 def to_world(points_body_m: ArrayLike, pose: Pose) -> FloatArray:
     """Points (n, 3) of a body in the world frame."""
-    return np.asarray(
-        np.asarray(points_body_m, dtype=np.float64) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
-        + pose.position_m
-    )
+    rotation = body_rotation(pose.yaw_deg, pose.pitch_deg)
+    points = np.asarray(points_body_m, dtype=np.float64)
+    return np.asarray(points @ rotation.T + pose.position_m)
 
 
 def wrap_deg(angle_deg: ArrayLike) -> FloatArray:

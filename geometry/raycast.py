@@ -211,10 +211,8 @@ def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
 
 
 def _contiguous(origins_m: FloatRays, vectors_m: FloatRays) -> tuple[FloatRays, FloatRays]:
-    return (
-        np.ascontiguousarray(origins_m, dtype=np.float32),
-        np.ascontiguousarray(vectors_m, dtype=np.float32),
-    )
+    origins, vectors = (np.ascontiguousarray(one, np.float32) for one in (origins_m, vectors_m))
+    return origins, vectors
 
 
 @cache

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze, set_arrays
-from .errors import InputError, check_one_of, refuse
+from .errors import InputError, check_field, check_one_of, refuse
 from .notes import Note
 from .sensors import load_limits
 
@@ -41,12 +41,12 @@ class Site:
     height_range_m: Point2  #: (2,), lowest and highest mount above the road
     capacity_units: int  #: how many units it can carry
     cost_eur: float = 0.0  #: of power, network and bracket, paid once if it carries anything
-    use: str = (
-        "free"  #: "free", "forced" or "forbidden": whether it may, must or must not carry any
-    )
+    #: "free", "forced" or "forbidden": whether it may, must or must not carry any
+    use: str = "free"
 
     def __post_init__(self) -> None:
         where = f"site {self.id}"
+        check = partial(check_field, self, where)
         set_arrays(self, f"{where}.", position_m=(3,), height_range_m=(2,))
         low, high = self.height_range_m.tolist()
         if not 0.0 < low <= high:
@@ -55,15 +55,13 @@ class Site:
         capacity = self.capacity_units
         limits = load_limits()
         is_whole = isinstance(capacity, int) and not isinstance(capacity, bool)
-        if not is_whole or not 1 <= capacity <= limits.capacity_units:
-            expected = f"a whole number, 1 to {limits.capacity_units:,}"
-            raise InputError(f"{where}.capacity_units", capacity, expected)
+        is_count = is_whole and 1 <= capacity <= limits.capacity_units
+        check("capacity_units", is_count, f"a whole number, 1 to {limits.capacity_units:,}")
         cost_eur = float(float_array(self.cost_eur, (), f"{where}.cost_eur"))
         if not 0.0 <= cost_eur <= limits.price_eur:
             expected = f"euros, 0 to {limits.price_eur:,.0f}"
             raise InputError(f"{where}.cost_eur", cost_eur, expected)
-        if self.use not in ("free", "forced", "forbidden"):
-            raise InputError(f"{where}.use", self.use, "one of free, forced, forbidden")
+        check_one_of(f"{where}.use", self.use, ("free", "forced", "forbidden"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -284,11 +284,8 @@ def _to_glb(scene: Scene) -> bytes:
     for index, instance in enumerate(scene.instances):
         corners = scene.triangles[scene.triangle_instance == index]
         used, faces = np.unique(corners, return_inverse=True)
-        mesh = trimesh.Trimesh(
-            vertices=to_gltf_points(scene.vertices_m[used]),
-            faces=faces.reshape(-1, 3),
-            process=False,
-        )
+        vertices = to_gltf_points(scene.vertices_m[used])
+        mesh = trimesh.Trimesh(vertices=vertices, faces=faces.reshape(-1, 3), process=False)
         meshes.add_geometry(mesh, geom_name=instance.id, node_name=instance.id)
     data: bytes = meshes.export(file_type="glb")
     return data

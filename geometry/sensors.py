@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .arrays import BoolArray, FloatArray, freeze
 from .errors import InputError, Unquoted, check_field, refuse
 from .files import read_data
-from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial, widest_rad
+from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial
 from .poses import Pose, camera_rotation
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
@@ -63,7 +63,7 @@ class CameraModel:
             refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
         most_deg, why = 180.0, ""
         if self.has_lens and self.lens is not None:
-            most_deg = min(360.0, 2.0 * math.degrees(widest_rad(self.lens)))
+            most_deg = min(360.0, 2.0 * math.degrees(self.lens.widest_rad))
             why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
         expected = f"0 < degrees < {most_deg:g}{why}"
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)
@@ -154,9 +154,8 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
     """
     assumed = read_data(__package__, "calibrated.toml", _Assumed)
     right, _, ahead = camera.R_camera_world
-    yaw_deg, pitch_deg = np.degrees(
-        [np.arctan2(ahead[1], ahead[0]), np.arcsin(ahead[2].clip(-1, 1))]
-    )
+    yaw_rad, pitch_rad = np.arctan2(ahead[1], ahead[0]), np.arcsin(ahead[2].clip(-1, 1))
+    yaw_deg, pitch_deg = np.degrees([yaw_rad, pitch_rad])
     level = camera_rotation(yaw_deg, pitch_deg)
     half_rad = camera.lens.angle_of(0.5 * camera.width_px / camera.fx_px)
     if not half_rad > 0.0:
@@ -178,8 +177,27 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
         near_m=assumed.near_m,
         price_eur=assumed.price_eur,
     )
-    return model, Pose(
-        position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg)
+    pose = Pose(position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg))
+    return model, pose
+
+
+def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
+    """A camera as calibrations have it, in pixels whose middles are whole numbers.
+
+    :func:`project_points` has the middle of the first pixel at (0.5, 0.5), so that the principal
+    point is half a pixel farther there.
+    """
+    x_px, y_px = camera.middle_px
+    return CalibratedCamera(
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        fx_px=camera.focal_length_px,
+        fy_px=camera.focal_length_px * (camera.pixel_aspect or 1.0),
+        cx_px=x_px - 0.5,
+        cy_px=y_px - 0.5,
+        R_camera_world=rolled(camera_rotation(pose.yaw_deg, pose.pitch_deg), camera).T,
+        position_m=pose.position_m,
+        lens=camera.lens or BrownConrady(),
     )
 
 
@@ -218,14 +236,9 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
         shown = shown_points(at_depth_1, camera)
         shown[~is_shown(at_depth_1, camera)] = np.nan
         return np.column_stack([shown, depth])
-    return np.stack(
-        [
-            0.5 * camera.width_px + camera.focal_length_px * in_camera[:, 0] / safe,
-            0.5 * camera.height_px + camera.focal_length_px * in_camera[:, 1] / safe,
-            depth,
-        ],
-        axis=1,
-    )
+    middle_px = 0.5 * np.array([camera.width_px, camera.height_px])
+    shown = middle_px + camera.focal_length_px * in_camera[:, :2] / safe[:, None]
+    return np.column_stack([shown, depth])
 
 
 def picture_rays(columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel) -> FloatArray:
@@ -241,21 +254,6 @@ def picture_rays(columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel)
     return rays
 
 
-def pixel_rays(
-    columns_px: ArrayLike, rows_px: ArrayLike, pose: Pose, camera: CameraModel
-) -> FloatArray:
-    """Directions (n, 3) through pixels' centres, world frame; 1 along the optical axis."""
-    columns = np.asarray(columns_px, dtype=np.float64) + 0.5
-    rows = np.asarray(rows_px, dtype=np.float64) + 0.5
-    if camera.is_pinhole:
-        across = (columns - 0.5 * camera.width_px) / camera.focal_length_px
-        down = (rows - 0.5 * camera.height_px) / camera.focal_length_px
-    else:
-        across, down = picture_rays(columns, rows, camera).T
-    in_camera = np.stack([across, down, np.ones_like(columns)], axis=1)
-    return in_camera @ camera_rotation(pose.yaw_deg, pose.pitch_deg).T
-
-
 @lru_cache(maxsize=4)  # 33 MB each at 1080 rows
 def pixel_grid(camera: CameraModel) -> FloatArray:
     """Points (height, width, 2) at depth 1 that the middles of all pixels show; NaN: none."""
@@ -264,24 +262,21 @@ def pixel_grid(camera: CameraModel) -> FloatArray:
     return freeze(rays.reshape(camera.height_px, camera.width_px, 2))
 
 
-def border_rays(camera: CameraModel) -> FloatArray:
-    """Points (n, 2) at depth 1 along the picture's edge, clockwise; NaN where there is none."""
-    steps = np.linspace(0.0, 1.0, _N_BORDER, endpoint=False)
-    x = np.concatenate([steps, np.ones(_N_BORDER), 1.0 - steps, np.zeros(_N_BORDER)])
-    return picture_rays(x * camera.width_px, np.roll(x, _N_BORDER) * camera.height_px, camera)
-
-
 @lru_cache(maxsize=64)
 def _widest_fov_deg(camera: CameraModel) -> float:
-    return float(np.degrees(2.0 * _angles_rad(border_rays(camera), camera).max()))
+    """Twice the largest angle off the axis along the picture's edge."""
+    steps = np.linspace(0.0, 1.0, _N_BORDER, endpoint=False)
+    x = np.concatenate([steps, np.ones(_N_BORDER), 1.0 - steps, np.zeros(_N_BORDER)])
+    y = np.roll(x, _N_BORDER)
+    rays = picture_rays(x * camera.width_px, y * camera.height_px, camera)
+    return float(np.degrees(2.0 * _angles_rad(rays, camera).max()))
 
 
 @lru_cache(maxsize=64)
 def sharpest_px_per_rad(camera: CameraModel) -> float:
     """Most pixels that an angle of one radian takes up anywhere in the picture of a lens."""
-    x, y = np.meshgrid(
-        *(np.linspace(0.0, side, _N_BORDER) for side in (camera.width_px, camera.height_px))
-    )
+    sides_px = (camera.width_px, camera.height_px)
+    x, y = np.meshgrid(*(np.linspace(0.0, side, _N_BORDER) for side in sides_px))
     ways = []
     for column, row in ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5)):
         inwards = np.where(x < camera.middle_px[0], column, -column)
@@ -303,6 +298,8 @@ def roll_axes(camera: CameraModel) -> FloatArray:
 
 def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
     """Rotation (3, 3) from the frame of the camera, given that from the frame of a level one."""
+    if not camera.roll_deg:
+        return rotation
     return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
 
 
@@ -328,5 +325,4 @@ class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 @cache
 def load_limits() -> _Limits:
     """All of them."""
-    name = "limits.toml"
-    return read_data(__package__, name, _Limits)
+    return read_data(__package__, "limits.toml", _Limits)

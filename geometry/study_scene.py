@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -151,15 +151,9 @@ def crosswalk_lines(lines: Iterable[FloatArray]) -> FloatArray:
 
 
 def _site(mount: _Mount, below_m: FloatArray, kind: str) -> Site:
-    return Site(
-        id=mount.id,
-        position_m=_on_road(below_m),
-        kind=kind,
-        height_range_m=mount.height_range_m,
-        capacity_units=mount.capacity_units,
-        cost_eur=mount.cost_eur,
-        use=mount.use,
-    )
+    same = ("id", "height_range_m", "capacity_units", "cost_eur", "use")
+    fields: dict[str, Any] = {name: getattr(mount, name) for name in same}
+    return Site(position_m=_on_road(below_m), kind=kind, **fields)
 
 
 def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:

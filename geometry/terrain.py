@@ -98,10 +98,8 @@ class Terrain:
         node = np.arange(n_rows * n_columns, dtype=np.int32).reshape(n_rows, n_columns)
         south_west, south_east = node[:-1, :-1].ravel(), node[:-1, 1:].ravel()
         north_west, north_east = node[1:, :-1].ravel(), node[1:, 1:].ravel()
-        triangles = np.stack(
-            [south_west, south_east, north_east, south_west, north_east, north_west], axis=1
-        )
-        return vertices, triangles.reshape(-1, 3)
+        corners = [south_west, south_east, north_east, south_west, north_east, north_west]
+        return vertices, np.stack(corners, axis=1).reshape(-1, 3)
 
 
 def _cell(lines_m: FloatArray, values_m: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
@@ -121,10 +119,9 @@ def terrain_of(scene: Scene) -> Terrain | None:
     east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
     north_m, row = np.unique(nodes[:, 1].round(_GRID_DECIMALS), return_inverse=True)
     order = np.lexsort((column, row))
-    is_grid = len(nodes) == len(east_m) * len(north_m) and np.array_equal(
-        row[order] * len(east_m) + column[order], np.arange(len(nodes))
-    )
-    if not is_grid:
+    number = row[order] * len(east_m) + column[order]
+    is_full = len(nodes) == len(east_m) * len(north_m)
+    if not (is_full and np.array_equal(number, np.arange(len(nodes)))):
         expected = "a plane z = 0, or heights on a grid, as imported scenes have them"
         refuse(f"{scene.name}: ground", f"{len(nodes)} nodes that are no grid", expected)
     height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
@@ -161,13 +158,9 @@ def standing_footprint(scene: Scene, index: int) -> Any:
 
 def houses_of(scene: Scene) -> Any:
     """Ground that buildings and walls cover: a shapely geometry, world frame, metres."""
-    return shapely.union_all(
-        [
-            standing_footprint(scene, index)
-            for index, thing in enumerate(scene.instances)
-            if thing.class_name in ("building", "wall")
-        ]
-    )
+    kinds = [thing.class_name for thing in scene.instances]
+    solid = [index for index, kind in enumerate(kinds) if kind in ("building", "wall")]
+    return shapely.union_all([standing_footprint(scene, index) for index in solid])
 
 
 def pitch_on_ground_deg(
@@ -184,9 +177,8 @@ def pitch_on_ground_deg(
         return np.zeros(position.shape[:-1])
     yaw = np.radians(np.asarray(yaw_deg, dtype=np.float64))
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-    rise_m = terrain.at(position + front_m * ahead) - terrain.at(
-        position + (front_m - wheelbase_m) * ahead
-    )
+    front, rear = (position + at_m * ahead for at_m in (front_m, front_m - wheelbase_m))
+    rise_m = terrain.at(front) - terrain.at(rear)
     return np.degrees(np.arctan2(rise_m, wheelbase_m))
 
 
@@ -195,12 +187,9 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
     terrain = terrain_of(scene)
     if terrain is None:
         return tuple(bodies)
-    return tuple(
-        replace(
-            body, pose=replace(body.pose, position_m=on_ground(body.pose.position_m[:2], terrain))
-        )
-        for body in bodies
-    )
+    feet_m = [on_ground(body.pose.position_m[:2], terrain) for body in bodies]
+    poses = [replace(one.pose, position_m=m) for one, m in zip(bodies, feet_m, strict=True)]
+    return tuple(replace(body, pose=pose) for body, pose in zip(bodies, poses, strict=True))
 
 
 def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
@@ -218,9 +207,8 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
     if np.isnan(height).all():  # points on a line, or a few: the ground next to them is as high
-        aside = (
-            0.5 * (line[1] - line[0]) * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
-        )
+        ways = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+        aside = 0.5 * (line[1] - line[0]) * ways
         height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
     if np.isnan(height).all():  # and none of them in the square
         height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)

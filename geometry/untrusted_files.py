@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, BinaryIO
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
@@ -185,10 +185,7 @@ def read_xml(path: Path, *, expected: str) -> Element:
     """Root of an XML document in a format, `expected`; InputError: broken, large or dangerous."""
     from defusedxml.ElementTree import parse
 
-    with (
-        _xml_errors(path, expected, f"{expected}: well-formed XML"),
-        open_file(path, max_bytes=MAX_FILE_BYTES) as file,
-    ):
+    with _open_xml(path, expected, f"{expected}: well-formed XML") as file:
         root: Element = parse(file, forbid_dtd=False).getroot()
     return root
 
@@ -197,10 +194,7 @@ def read_xml_root(path: Path) -> Element:
     """The first element of an XML document without its content; raises as :func:`read_xml` does."""
     from defusedxml.ElementTree import iterparse
 
-    with (
-        _xml_errors(path, "XML", "well-formed XML"),
-        open_file(path, max_bytes=MAX_FILE_BYTES) as file,
-    ):
+    with _open_xml(path, "XML", "well-formed XML") as file:
         for _, element in iterparse(file, events=("start",), forbid_dtd=False):
             first: Element = element
             return first
@@ -208,12 +202,13 @@ def read_xml_root(path: Path) -> Element:
 
 
 @contextmanager
-def _xml_errors(path: Path, expected: str, well_formed: str) -> Iterator[None]:
+def _open_xml(path: Path, expected: str, well_formed: str) -> Iterator[BinaryIO]:
     from defusedxml import DefusedXmlException
 
     with reading(path, well_formed, ParseError, ValueError, LookupError):  # of encodings
         try:
-            yield
+            with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
+                yield file
         except DefusedXmlException as error:
             refuse(str(path), type(error).__name__, f"{expected} without entities")
 

@@ -1,17 +1,21 @@
-"""How much a layout may lack of the best over all worlds that may turn out to be."""
+"""How many worlds to choose in, and how much a layout may lack of the best over all of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
+from geometry.scene import Scene
 
 from .cache import cached_value
-from .compute import check_whole
+from .compute import DEFAULT_COMPUTE, Compute, check_whole
 from .optimiser import Solution, solve_placement
 from .optimiser.greedy import solve_greedy
-from .pipeline import Assembly, pick_layout
-from .question import N_BLOCKS, N_JUDGED
-from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean, out_of_sample_layouts
+from .pipeline import Assembly, Placement, assemble, pick_layout, place
+from .question import N_BLOCKS, N_JUDGED, Question
+from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean
+from .wishes import Wishes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +95,8 @@ def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_J
     check_whole("blocks", n_blocks, least=2)
     check_whole("judge", n_judged, least=2)
     check_whole("samples", assembly.n_samples, least=2)
-    wishes, compute, uncertainty = assembly.wishes, assembly.compute, assembly.uncertainty
-    assert uncertainty is not None  # worlds are sampled
-    if wishes.target is not None or wishes.survive or wishes.tail < 1.0:
-        got = Unquoted("a target, failures or a tail of the worlds")
-        raise InputError("question", got, "a budget and the mean APR: only they are certified")
+    _check_mean(assembly.wishes, "only they are certified")
+    compute = assembly.compute
     blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
     names = {
         **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
@@ -103,23 +104,19 @@ def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_J
     }
     layouts = [pick_layout(assembly.candidates, rows, name) for rows, name in names.items()]
     compute.progress("choose in fresh worlds", 0, 0)
-    pool = out_of_sample_layouts(
-        *(assembly.setting, layouts, uncertainty),
-        n_samples=n_judged,
-        fusion=assembly.fusion,
-        compute=compute,
-    )
+    pool = assembly.in_fresh_worlds(layouts, n_worlds=n_judged, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
     compute.progress("judge in other fresh worlds", 0, 0)
-    (judged,) = out_of_sample_layouts(
-        *(assembly.setting, [pool[0].layout], uncertainty),
-        n_samples=n_judged,
-        first=n_judged,
-        fusion=assembly.fusion,
-        compute=compute,
-    )
+    best = [pool[0].layout]
+    (judged,) = assembly.in_fresh_worlds(best, n_worlds=n_judged, first=n_judged)
     gap = estimate_gap([block.bound for block in blocks], judged.apr_by_sample.tolist())
     return Certified(blocks=blocks, pool=tuple(pool), judged=judged, gap=gap)
+
+
+def _check_mean(wishes: Wishes, why: str) -> None:
+    if wishes.target is not None or wishes.survive or wishes.tail < 1.0:
+        got = Unquoted("a target, failures or a tail of the worlds")
+        raise InputError("question", got, f"a budget and the mean APR: {why}")
 
 
 def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
@@ -150,4 +147,150 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
         apr=stage.objective,
         found=tuple(sorted(solution.pose_index)),
         greedy=tuple(sorted(greedy)),
+    )
+
+
+# ---------- how many worlds to choose in
+
+
+SIZES = (4, 8, 16, 32, 64)
+"""Worlds to choose in, round by round."""
+Stopped = Literal["same", "no better", "time", "memory", "most"]
+_TIMES = 5  # Rounds take so many times the time limit of one, before the last one begins
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """What was chosen in a number of worlds.
+
+    Attributes
+    ----------
+    worlds : int
+        Number of worlds to choose in.
+    in_sample : float
+        Mean APR of the layout in them.
+    bound : float
+        Mean APR that no layout exceeds in them.
+    mean : float
+        Mean APR of the layout in fresh worlds that only compare rounds.
+    low, high : float, optional
+        95 % interval of that less the round before's; null: the first round, or the same layout.
+    """
+
+    worlds: int
+    in_sample: float
+    bound: float
+    mean: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Growth:
+    """How many worlds to choose in are enough.
+
+    Attributes
+    ----------
+    taken : int
+        So many.
+    compared_in : int
+        Fresh worlds that compare rounds.
+    stopped : str
+        Why no more were tried: same layout, none better beyond chance, or what had run out.
+    rounds : tuple of Round
+        The fewest worlds first.
+    """
+
+    taken: int
+    compared_in: int
+    stopped: Stopped
+    rounds: tuple[Round, ...]
+
+
+class Grown(NamedTuple):
+    """What is best in as many worlds as are enough."""
+
+    assembly: Assembly
+    placement: Placement
+    growth: Growth
+
+
+def grow(
+    question: Question,
+    *,
+    scene: Scene | None = None,
+    first: int = 0,
+    compute: Compute = DEFAULT_COMPUTE,
+) -> Grown:
+    """Choose in twice as many worlds, again and again, until the layout gets no better.
+
+    A round's layout is chosen in the worlds from `first` on, as if so many had been asked for. It
+    is compared with that of the round before in 60 fresh worlds, the same ones for both: unless it
+    is ahead with 95 % confidence, the fewer worlds are enough. No other round begins after five
+    times the time limit, for 64 worlds, or where twice as many do not fit into memory.
+
+    The best solution in n worlds tends to the best over all, and stopping by what fresh worlds
+    measure, not by values in the worlds that were chosen in, is sequential sampling [1]_. Raises
+    InputError as :func:`place`, or for a question that is not for the highest mean APR.
+
+    References
+    ----------
+    .. [1] G. Bayraksan, D. P. Morton, "A sequential sampling procedure for stochastic programming",
+       Operations Research 59 (2011).
+    """
+    began_s, rounds = now_s(), list[Round]()
+    best: tuple[Assembly, Placement, SampledApr] | None = None
+    stopped: Stopped = "most"
+    for n_worlds in SIZES:
+        if best is not None and now_s() - began_s > _TIMES * question.time_limit_s:
+            stopped = "time"
+            break
+        asked = replace(question, samples=n_worlds)
+        setting = None if best is None else best[0].setting
+        trial = assemble(asked, scene=scene, setting=setting, compute=compute)
+        trial = replace(trial, first_sample=first)
+        _check_mean(trial.wishes, "worlds are added for nothing else")
+        try:
+            found = place(trial, asks_worlds=True)
+        except InputError as error:
+            if best is None or error.where != "memory":
+                raise
+            stopped = "memory"
+            break
+        judged, this = _round(trial, found, None if best is None else best[2])
+        rounds.append(this)
+        if best is not None and not (this.low or 0.0) > 0.0:
+            stopped = "same" if this.low is None else "no better"
+            break
+        best = trial, found, judged
+    assert best is not None  # the first round is taken in any case
+    assembly, placement, judged = best
+    growth = Growth(
+        taken=assembly.n_samples,
+        compared_in=len(judged.apr_by_sample),
+        stopped=stopped,
+        rounds=tuple(rounds),
+    )
+    return Grown(assembly, placement, growth)
+
+
+def _round(
+    assembly: Assembly, found: Placement, before: SampledApr | None
+) -> tuple[SampledApr, Round]:
+    """What was chosen in some worlds, in fresh ones next to what the round before had."""
+    stage, gain = found.certificate.stages[0], None
+    if before is not None and found.layout.units == before.layout.units:
+        judged = before
+    else:
+        fresh = found.preferred or assembly.in_fresh_worlds([found.layout], n_worlds=N_JUDGED)
+        judged = fresh[0]
+        if before is not None:
+            gain = estimate_mean(judged.apr_by_sample - before.apr_by_sample, bounds=(-1.0, 1.0))
+    return judged, Round(
+        worlds=assembly.n_samples,
+        in_sample=stage.objective,
+        bound=min(1.0, stage.bound),
+        mean=judged.estimate.mean,
+        low=None if gain is None else gain.low,
+        high=None if gain is None else gain.high,
     )

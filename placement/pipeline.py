@@ -20,6 +20,7 @@ from .cache import cached_value
 from .candidates import CandidateGrid, CandidatePose, build_candidates, build_grid
 from .compute import DEFAULT_COMPUTE, Compute
 from .detection_table import DetectionTable, level_axis, level_table, mixed_table
+from .detectors import ResponseDetector
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
@@ -39,8 +40,10 @@ from .optimiser import (
     solve_sturdily,
     sturdy_problem,
 )
-from .optimiser.problem import Fusion
-from .question import BLIND, SEE, Question, read_cars
+from .optimiser.problem import Fusion, Objective, objective_values
+from .optimiser.solve import instead
+from .question import BLIND, N_JUDGED, SEE, Question, read_cars
+from .sampling.out_of_sample import APART, SampledApr, estimate_mean, out_of_sample_layouts
 from .sampling.tables import SampledTable, obtain_table, sampled_table
 from .sampling.uncertainty import Uncertainty, load_drawn
 from .sampling.worlds import repeat_heavy_runs
@@ -157,6 +160,19 @@ class Assembly:
         _log.info("presolve: %s", reduced.statistics)
         return reduced
 
+    def in_fresh_worlds(
+        self, layouts: Sequence[Layout], *, n_worlds: int, first: int = APART
+    ) -> list[SampledApr]:
+        """Layouts in the same worlds, which nothing was chosen in; from a number of them on."""
+        assert self.uncertainty is not None  # assemble reads it with every question
+        return out_of_sample_layouts(
+            *(self.setting, layouts, self.uncertainty),
+            n_samples=n_worlds,
+            first=first,
+            fusion=self.fusion,
+            compute=self.compute,
+        )
+
     def of_layout(self, pose_index: Sequence[int]) -> "Assembly":
         """Some candidates alone, in the world as planned."""
         units = [self.candidates[index] for index in pose_index]
@@ -203,7 +219,7 @@ def assemble(
         candidates = _distinct([*compress(candidates, may_look(candidates))], units)
     wishes = read_wishes(question, existing=units, counts_money=counts_money)
     build_limits(wishes, scene, candidates)
-    uncertainty = load_drawn(question, scene, n_samples=question.samples)
+    uncertainty = load_drawn(question, scene, n_samples=question.n_samples)
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
     effort = build_effort(question, compute)
@@ -220,7 +236,7 @@ def assemble(
         private_ground=private_ground,
         may_look=may_look,
         uncertainty=uncertainty,
-        n_samples=question.samples,
+        n_samples=question.n_samples,
         compute=compute,
     )
 
@@ -284,6 +300,11 @@ def build_effort(question: Question, compute: Compute = DEFAULT_COMPUTE) -> Effo
 
 
 # ---------- the best layout
+
+FOUND = "found"
+"""Name of the layout that was found, where fresh worlds compare it with greedy choice's."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Highest:
     """The layout of the highest APR, where another one is chosen that bears failures better."""
@@ -318,6 +339,9 @@ class Placement:
     #: What greedy choice would add to `layout`, budgets aside; None: nothing fits, or not known.
     next_unit: NextUnit | None = None
     highest: Highest | None = None  #: None where nothing of the APR might be given up.
+    #: `layout` and the one of the layout found and the greedy one that was not taken, in fresh
+    #: worlds that decided it; None: they were not asked.
+    preferred: tuple[SampledApr, SampledApr] | None = None
 
     def __repr__(self) -> str:
         return f"Placement({self.layout!r}, {'proven' if self.is_proven else 'not proven'})"
@@ -350,11 +374,13 @@ class _Answer:
         return all(one is None or one.certificate.is_proven for one in solutions)
 
 
-def place(assembly: Assembly) -> Placement:
+def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     """Find the best layout of an assembly.
 
-    Raises InputError: nothing is asked for, wishes cannot be met (the message says which, and how
-    little has to give way), or the question does not fit into the memory of this machine.
+    With `asks_worlds`, greedy choice's layout is taken in place of the one found where fresh worlds
+    surely prefer it, see :func:`_may_prefer`; its certificate has what is proven of both. Raises
+    InputError: nothing is asked for, wishes cannot be met (the message says which, and how little
+    has to give way), or the question does not fit into the memory of this machine.
     """
     wishes, compute, effort = assembly.wishes, assembly.compute, assembly.effort
     if wishes.budget_units is None and wishes.budget_eur is None and wishes.target is None:
@@ -385,6 +411,7 @@ def place(assembly: Assembly) -> Placement:
 
     compute.progress("optimise", 0, 0)
     found = _cached(assembly, answer)
+    found, preferred = _by_worlds(assembly, found) if asks_worlds else (found, None)
     pick = partial(pick_layout, assembly.candidates)
     solution, highest, asked = found.first, None, problem
     if found.sturdy is not None:
@@ -411,12 +438,69 @@ def place(assembly: Assembly) -> Placement:
         nominal_index=nominal_index,
         next_unit=found.next_unit,
         highest=highest,
+        preferred=preferred,
         seconds={
             "detection_table": table_done - started,
             "optimise": optimised - table_done,
             "greedy": time.perf_counter() - optimised,
         },
     )
+
+
+def _by_worlds(
+    assembly: Assembly, found: _Answer
+) -> tuple[_Answer, tuple[SampledApr, SampledApr] | None]:
+    """The answer with greedy choice's layout if fresh worlds surely prefer it; the one it takes.
+
+    And the other one, both there; None where these worlds are not asked.
+    """
+    problem, first, greedy = assembly.problem, found.first, found.greedy_index
+    chosen, asked = first, problem
+    if found.sturdy is not None:
+        chosen, asked = found.sturdy, sturdy_problem(problem, first, assembly.wishes.give_up)
+    if not _may_prefer(assembly, asked, chosen, greedy):
+        return found, None
+    assembly.compute.progress("found or greedy, in fresh worlds", 0, 0)
+    names = {FOUND: chosen.pose_index, "greedy": greedy}
+    both = [pick_layout(assembly.candidates, rows, name) for name, rows in names.items()]
+    of_found, of_greedy = assembly.in_fresh_worlds(both, n_worlds=N_JUDGED)
+    gain = of_greedy.apr_by_sample - of_found.apr_by_sample
+    if estimate_mean(gain, bounds=(-1.0, 1.0)).low <= 0.0:
+        return found, (of_found, of_greedy)
+    reduced = assembly.presolved
+    taken = instead(asked, reduced, chosen, greedy)
+    if first.pose_index == chosen.pose_index:
+        first = instead(problem, reduced, first, greedy)
+    answer = _Answer(
+        first=first,
+        sturdy=None if found.sturdy is None else taken,
+        greedy_index=greedy,
+        next_unit=find_next_unit(problem, reduced, taken.pose_index),
+    )
+    return answer, (of_greedy, of_found)
+
+
+def _may_prefer(
+    assembly: Assembly, problem: PlacementProblem, solution: Solution, greedy: Sequence[int]
+) -> bool:
+    """True if fresh worlds may prefer greedy choice's layout to the one found.
+
+    Worlds that were chosen in are few. The plan knows nothing of chance: it tells nothing of two
+    layouts that are as good up to the APR, if detections are drawn or cars see. Something else than
+    the highest APR is left as it was asked for.
+    """
+    wishes, setting = assembly.wishes, assembly.setting
+    is_other = wishes.target is not None or wishes.survive > 0 or wishes.tail < 1.0
+    is_other |= wishes.min_case_apr > 0.0 or setting.levels is not None
+    is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(solution.pose_index)
+    if is_other or is_same or assembly.n_samples:
+        return not (is_other or is_same)
+    if not setting.cars and not isinstance(setting.table_detector, ResponseDetector):
+        return False
+    values = objective_values(problem, greedy)
+    stages = {Objective(stage.name): stage for stage in solution.certificate.stages}
+    first = [*stages][: [*stages].index(Objective.APR) + 1]
+    return all(abs(values[one] - stages[one].objective) <= one.tolerance for one in first)
 
 
 def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:

@@ -20,6 +20,7 @@ from geometry.files import float_of, load_toml, read_table, reading, write_atomi
 
 DEFAULT_CASES = "default"
 BLIND, SEE = "blind", "see"
+AUTO = "auto"
 BASELINE_NAME = "carlancap-12"
 """Name of the study's own layout."""
 
@@ -115,9 +116,10 @@ class Question:
     refine : bool
         Look between the poses of the grid, too: turn, tilt, raise and zoom the units found; up to a
         minute more.
-    samples : int
+    samples : int or {"auto"}
         Choose, or compare, in so many worlds with mounting errors, traffic, misses and lost
-        messages drawn at random; each needs a detection table of its own.
+        messages drawn at random; each needs a detection table of its own. auto: as many as make the
+        layout better.
     uncertainty : str
         What is drawn for `samples`: a name, or a .toml file.
     traffic : str
@@ -243,7 +245,10 @@ class Question:
     time_limit_s: Annotated[float, _positive("seconds", _MOST_S)] = 60.0
     gap: Annotated[float, _share("a relative gap")] = 0.0
     refine: bool = False
-    samples: Annotated[int, _at_least(0, "a number of sampled worlds", _MOST_SAMPLES)] = 0
+    samples: (
+        Annotated[int, _at_least(0, "auto, or a number of sampled worlds", _MOST_SAMPLES)]
+        | Literal["auto"]
+    ) = 0
     uncertainty: str = "default"
     traffic: str = ""
     risk: str = "mean"
@@ -285,6 +290,14 @@ class Question:
             value = getattr(self, field.name)
             if value is not field.default and value != field.default:
                 _check_value(field, value, f"question: {field.name}")
+
+    @property
+    def n_samples(self) -> int:
+        """`samples` as a number; raises InputError where it is still to be found out."""
+        if isinstance(self.samples, str):
+            expected = f"a number; {AUTO} where the best layout within a budget is chosen"
+            raise InputError("samples", self.samples, expected)
+        return self.samples
 
 
 def map_options(question: Question) -> dict[str, Any]:
@@ -398,7 +411,7 @@ def load_question_values(path: Path) -> dict[str, Any]:
 
 def _check_value(field: QuestionField, value: Any, where: str) -> Any:
     """A value of a field, of its kind. Raises InputError if it is of another kind, or too large."""
-    if field.name == "track_memory_s" and value == math.inf:
+    if (field.name, value) in (("track_memory_s", math.inf), ("samples", AUTO)):
         return value
     return read_table(value, field.kind, where)
 

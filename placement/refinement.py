@@ -304,14 +304,17 @@ class _Search:
         found = objective_values(problem, solution.pose_index)
         if improves(found, self.values) and is_feasible(problem, solution.pose_index):
             rows, self.values = list(solution.pose_index), found
-        pose_index = tuple(sorted(rows))
         candidates = tuple(one.candidate for one in everyone)
+        rows = sorted(rows)
+        poses = [candidates[row] for row in rows]
         layout, moves = rename(
             placement.layout,
-            [candidates[row] for row in pose_index],
+            poses,
             named=[candidate.id for candidate in self.places.candidates],
-            name=f"refined-{len(pose_index)}",
+            name=f"refined-{len(rows)}",
         )
+        in_order = (new for _, new in pair_units(placement.layout.units, poses) if new is not None)
+        pose_index = tuple(rows[new] for new in in_order)  # as the layout has its units
         certificate = certify(
             self.values,
             solution.certificate,

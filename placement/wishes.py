@@ -316,7 +316,7 @@ def read_wishes(
         site_cost_eur=question.site_cost_eur,
         prices=load_prices() if counts_money and question.site_cost_eur is None else None,
         separation_m=question.separation_m,
-        tail=_tail(question.risk, question.samples),
+        tail=_tail(question.risk, question.n_samples),
     )
 
 
@@ -341,7 +341,7 @@ def _give_up(question: Question, survive: int) -> float:
         "target": bool(question.target),
         "min_case_apr": question.min_case_apr > 0.0,
         "survive": survive > 0,
-        "samples": question.samples > 0,
+        "samples": question.n_samples > 0,
     }
     asked = [name for name, is_asked in others.items() if is_asked]
     if question.give_up and asked:

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -29,6 +29,7 @@ _Columns = Mapping[str, tuple[str, ...]]
 
 
 class _Unfallatlas(Struct, frozen=True, kw_only=True):
+    columns: dict[str, tuple[str, ...]]
     events: _Codes
     unused: _Codes
     head_on: tuple[str, ...]
@@ -36,6 +37,7 @@ class _Unfallatlas(Struct, frozen=True, kw_only=True):
 
 
 class _Stats19(Struct, frozen=True, kw_only=True):
+    columns: dict[Literal["vehicles", "casualties", "collisions"], dict[str, tuple[str, ...]]]
     cars: tuple[str, ...]
     bicycles: tuple[str, ...]
     motorcycles: tuple[str, ...]
@@ -110,10 +112,8 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
     """Great circles from places to one place (haversine), (n,)."""
     latitude, longitude = np.radians(places_deg).T
     here_latitude, here_longitude = np.radians(place_deg)
-    chord = (
-        np.sin(0.5 * (latitude - here_latitude)) ** 2
-        + np.cos(latitude) * np.cos(here_latitude) * np.sin(0.5 * (longitude - here_longitude)) ** 2
-    )
+    up, across = 0.5 * (latitude - here_latitude), 0.5 * (longitude - here_longitude)
+    chord = np.sin(up) ** 2 + np.cos(latitude) * np.cos(here_latitude) * np.sin(across) ** 2
     return np.asarray(2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0))))
 
 
@@ -174,13 +174,8 @@ _UNFALLATLAS_USERS = {"istfuss": "on foot", "istrad": "bicycle", "istkrad": "mot
 
 def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().unfallatlas
-    columns = {name: (name,) for name in ("utyp1", *_UNFALLATLAS_USERS, "istpkw")} | {
-        "light": ("ulichtverh", "licht"),
-        "x": ("xgcswgs84",),
-        "y": ("ygcswgs84",),
-    }
     places, what = [], []
-    for row in _rows(path, columns, optional={"uart": ("uart",)}):
+    for row in _rows(path, rules.columns, optional={"uart": ("uart",)}):
         places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         users = [user for column, user in _UNFALLATLAS_USERS.items() if row[column] == "1"]
         code = row["utyp1"]
@@ -193,14 +188,8 @@ def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
             unused = "with several kinds of road users"
         elif not event:
             unused = rules.unused.get(code, f"of an unknown type (UTYP1 {code[:8]})")
-        what.append(
-            Accident(
-                road_user=users[0] if users else "car",
-                event=event,
-                light=rules.light.get(row["light"], ""),
-                unused=unused,
-            )
-        )
+        user, light = users[0] if users else "car", rules.light.get(row["light"], "")
+        what.append(Accident(road_user=user, event=event, light=light, unused=unused))
     return places, what
 
 
@@ -214,34 +203,19 @@ def _beside(path: Path) -> tuple[Path, Path]:
     raise InputError(str(path), Unquoted(f"the name {path.name}"), 'one with "collision" in it')
 
 
-_INDEX: _Columns = {"index": ("collision_index", "accident_index")}
-
-
 def _read_stats19(
     collisions: Path, vehicles: Path, casualties: Path
 ) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().stats19
-    of_vehicles = {
-        "reference": ("vehicle_reference",),
-        "type": ("vehicle_type",),
-        "manoeuvre": ("vehicle_manoeuvre",),
-        "to": ("vehicle_direction_to",),
-    }
     drivers: dict[str, dict[str, dict[str, str]]] = {}
-    for row in _rows(vehicles, {**_INDEX, **of_vehicles}):
+    for row in _rows(vehicles, rules.columns["vehicles"]):
         drivers.setdefault(row["index"], {})[row["reference"]] = row
     walkers: dict[str, list[dict[str, str]]] = {}
-    of_casualties = {
-        "reference": ("vehicle_reference",),
-        "class": ("casualty_class",),
-        "movement": ("pedestrian_movement",),
-    }
-    for row in _rows(casualties, {**_INDEX, **of_casualties}):
+    for row in _rows(casualties, rules.columns["casualties"]):
         if row["class"] == "3":
             walkers.setdefault(row["index"], []).append(row)
     places, what = [], []
-    of_collisions = {"x": ("longitude",), "y": ("latitude",), "light": ("light_conditions",)}
-    for row in _rows(collisions, {**_INDEX, **of_collisions}):
+    for row in _rows(collisions, rules.columns["collisions"]):
         places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
         index, light = row["index"], rules.light.get(row["light"], "")
         road_user, event, unused = _collision(drivers.get(index, {}), walkers.get(index, []), rules)
@@ -263,10 +237,8 @@ def _collision(
             event = rules.on_foot.get(walkers[0]["movement"], "")
         return "on foot", event, "" if event else unknown
     types = {"bicycle": rules.bicycles, "motorcycle": rules.motorcycles, "car": rules.cars}
-    kinds = {
-        user: [one for one in drivers.values() if one["type"] in known]
-        for user, known in types.items()
-    }
+    every = list(drivers.values())
+    kinds = {user: [one for one in every if one["type"] in types[user]] for user in types}
     if not kinds["car"]:
         return "car", "", "without a car"
     if len(drivers) != 2:

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError
+from geometry.errors import check_field
 from geometry.files import Table, load_data, read_table
 
 from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
@@ -33,19 +33,16 @@ class AebRule:
     track_memory_s: float = math.inf
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.frame_rate_hz) and self.frame_rate_hz > 0.0):
-            raise InputError("aeb.frame_rate_hz", self.frame_rate_hz, "a positive number")
-        for field, (low, high) in _load_limits().items():
-            if not low <= getattr(self, field) <= high:  # nor is it NaN
-                expected = f"a number, {low:g} to {high:g}"
-                raise InputError(f"aeb.{field}", getattr(self, field), expected)
+        check = partial(check_field, self, "aeb")
+        check("frame_rate_hz", 0.0 < self.frame_rate_hz < math.inf, "a positive number")
+        for field, (low, high) in _load_limits().items():  # none of them may be NaN
+            check(field, low <= getattr(self, field) <= high, f"a number, {low:g} to {high:g}")
         n_frames = self.n_confirmations
-        if not isinstance(n_frames, int) or isinstance(n_frames, bool):
-            raise InputError("aeb.n_confirmations", n_frames, "a whole number")
+        is_whole = isinstance(n_frames, int) and not isinstance(n_frames, bool)
+        check("n_confirmations", is_whole, "a whole number")
         frame_s = 1.0 / self.frame_rate_hz
-        if not self.track_memory_s >= frame_s - TIME_TOLERANCE_S:  # nor is it NaN
-            expected = f"seconds, at least {frame_s:g} (from one frame to the next), or inf"
-            raise InputError("aeb.track_memory_s", self.track_memory_s, expected)
+        expected = f"seconds, at least {frame_s:g} (from one frame to the next), or inf"
+        check("track_memory_s", self.track_memory_s >= frame_s - TIME_TOLERANCE_S, expected)
 
 
 @cache
@@ -133,8 +130,6 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
 
     It is at most 0, and minus infinity if even braking at the VUT's start does not help.
 
-    Notes
-    -----
     Swept, not solved: paths may bend, and contact may set in, vanish and set in again with later
     onsets. The sweep goes over onsets and times at once, coarsely where the bodies are far apart;
     see :func:`scenarios.encounters.find_first_touch`. An onset 10 microseconds later leads to
@@ -152,9 +147,9 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         onset, half_onset, half_time = cells.first_s, cells.half_first_s, cells.half_second_s
         times = np.stack([cells.second_s - half_time, cells.second_s + half_time])
         since_onset = times - onset
-        driven = vut.distance_m(np.minimum(onset, times)) + braking_distance_m(
-            np.maximum(since_onset, 0.0), speed_mps=vut.speed_mps, rule=rule
-        )
+        braking_s = np.maximum(since_onset, 0.0)
+        braked_m = braking_distance_m(braking_s, speed_mps=vut.speed_mps, rule=rule)
+        driven = vut.distance_m(np.minimum(onset, times)) + braked_m
         gaps = encounter.gaps_m(driven, vru.distance_m(times))  # (4, 2, n)
         separation = gaps.max(axis=0)
         fastest, slowest = braking_speed_mps(
@@ -177,9 +172,8 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         counts = (since_onset >= 0.0) & (since_onset <= standstill + TIME_TOLERANCE_S)
         touches = ((separation <= 0.0) & counts).any(axis=0)
         touches |= may_touch & (onset_moves + speed * half_time <= GRAZING_M)
-        return Measures(
-            may_touch=may_touch, touches=touches, is_cut_along_first=onset_moves >= mean - lowest
-        )
+        by_onset = onset_moves >= mean - lowest
+        return Measures(may_touch=may_touch, touches=touches, is_cut_along_first=by_onset)
 
     n_onsets = int(-start / _ONSET_STEP_S) + 1
     step = -start / n_onsets
@@ -209,8 +203,6 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
 
     An onset at or after the impact, or none, leaves the VUT its speed.
 
-    Notes
-    -----
     Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
     come nearest in between: no shortcut of :func:`last_brake_time_s` is used. The first look at
     which they touch is narrowed down to 4 microseconds.
@@ -246,9 +238,8 @@ def _target_ahead_mps(
     """Speed of the target along the heading that the braking VUT has, (n,)."""
     vut, target = encounter.vut_motion, encounter.vru_motion
     begun = np.minimum(onset_s, time_s)
-    driven = vut.distance_m(begun) + braking_distance_m(
-        time_s - begun, speed_mps=vut.speed_mps, rule=rule
-    )
+    braked_m = braking_distance_m(time_s - begun, speed_mps=vut.speed_mps, rule=rule)
+    driven = vut.distance_m(begun) + braked_m
     # By the speed along its path: what stands in a table of points is a little longer or shorter.
     speed = target.distance_m(time_s + _SHORT_S) - target.distance_m(time_s - _SHORT_S)
     turned = target.path.at(target.distance_m(time_s))[1] - vut.path.at(driven)[1]
@@ -288,9 +279,8 @@ def last_onsets_s(
     last = np.where(too_fast.any(axis=1), never, 0.0)
     inner = at > 0
     at = at[inner]
-    last[inner] = _narrowed_s(
-        encounter, rule, below[inner], grid[at - 1], grid[at], left[at - 1], left[at]
-    )
+    between = (grid[at - 1], grid[at], left[at - 1], left[at])
+    last[inner] = _narrowed_s(encounter, rule, below[inner], *between)
     order = np.argsort(below)  # what leaves less than a limit leaves less than a higher one
     last[order] = np.maximum.accumulate(last[order])
     return last
@@ -328,12 +318,10 @@ def _contact_looks(
     encounter: Encounter, onset_s: FloatArray, rule: AebRule
 ) -> tuple[FloatArray, FloatArray]:
     """Looks before and at a contact after onsets before the impact; infinite: none. (n,) each."""
-    closing_mps = (
-        encounter.vut_reach * encounter.vut_motion.speed_mps
-        + encounter.vru_reach * encounter.vru_motion.speed_mps
-    )
+    vut, vru = encounter.vut_motion, encounter.vru_motion
+    closing_mps = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
     # Times since the onset at which to look, until the VUT stands.
-    standstill_s = float(standstill_time_s(encounter.vut_motion.speed_mps, rule=rule))
+    standstill_s = float(standstill_time_s(vut.speed_mps, rule=rule))
     looks = np.linspace(0.0, standstill_s, int(standstill_s / _FINE_STEP_S) + 2)
     step_s = _FINE_STEP_S
     # A look in so many first: what is farther apart there cannot touch before the next one of them.

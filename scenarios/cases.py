@@ -371,8 +371,6 @@ def load_own_cases(path: str | Path) -> dict[str, Case]:
     cannot be read or has no case, a case has the name of one of the package's, or a field is
     missing or not of its kind.
 
-    Examples
-    --------
     A child that runs, met by cars at 30 and 40 km/h::
 
         [SCHOOL]
@@ -442,10 +440,8 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
             found = _named(name)
             if not found:
                 raise InputError(where, name, "the name of a case, or what several begin with")
-            driven += [
-                replace(case, vut_speeds_kmh=_speeds_kmh(speeds)) if speeds else case
-                for case in found
-            ]
+            own: dict[str, Any] = {"vut_speeds_kmh": _speeds_kmh(speeds)} if speeds else {}
+            driven += [replace(case, **own) for case in found]
         sets[set_name] = tuple(driven)
     for set_name, other in alike.items():
         sets[set_name] = pick(sets, other, f"case_sets.toml: {set_name}")
@@ -540,13 +536,11 @@ def _build_obstruction(
         return None
     fields: dict[str, Any] = structs.asdict(entry)
     if isinstance(entry, _Wall):
-        fields["wall_size_m"] = tuple(
-            fields.pop(name) for name in ("length_m", "thickness_m", "height_m")
-        )
+        sides = ("length_m", "thickness_m", "height_m")
+        fields["wall_size_m"] = tuple(fields.pop(name) for name in sides)
     else:
-        fields["bodies"] = tuple(
-            pick_actor(name, f"{where}.bodies[{index}]") for index, name in enumerate(entry.bodies)
-        )
+        names = enumerate(entry.bodies)
+        fields["bodies"] = tuple(pick_actor(one, f"{where}.bodies[{at}]") for at, one in names)
     return Obstruction(kind=str(type(entry).__struct_config__.tag), **fields)
 
 
@@ -578,12 +572,11 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
             known = ", ".join([*load_case_sets(), *families])
             expected = f"one of {known}, a .toml file, or several with commas between"
             raise InputError(where, word, expected)
-        within = [
-            one
-            for case in found
-            for is_named in [case.name == word and case.range == "extended"]
-            if (one := in_range(case, "extended" if is_named else case_range)) is not None
-        ]
+        within = []
+        for case in found:
+            is_named = case.name == word and case.range == "extended"
+            if (one := in_range(case, "extended" if is_named else case_range)) is not None:
+                within.append(one)
         for case in _each_once(within) if word == ALL_CASES else within:
             picked.setdefault(case.name, case)
     return tuple(picked.values())
@@ -593,11 +586,8 @@ def twins(cases: Iterable[Case]) -> dict[str, Case]:
     """By the name of a case of 2026 the one of 2023 that differs in speeds alone."""
     cases = tuple(cases)
     before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
-    return {
-        case.name: before[_alike(case)]
-        for case in cases
-        if case.source == "protocol-2026" and not case.pairs_kmh and _alike(case) in before
-    }
+    after = [case for case in cases if case.source == "protocol-2026" and not case.pairs_kmh]
+    return {case.name: before[_alike(case)] for case in after if _alike(case) in before}
 
 
 def _each_once(cases: Sequence[Case]) -> list[Case]:
@@ -616,10 +606,10 @@ def _each_once(cases: Sequence[Case]) -> list[Case]:
     for case in kept:
         points.setdefault(_but_for_the_point(case), []).append(case.name)
     names_of = [points[_but_for_the_point(case)] for case in kept]
-    return [
-        replace(case, impact_turn=(names.index(case.name), len(names)))
-        for case, names in zip(kept, names_of, strict=True)
+    turns = [
+        (names.index(case.name), len(names)) for case, names in zip(kept, names_of, strict=True)
     ]
+    return [replace(case, impact_turn=turn) for case, turn in zip(kept, turns, strict=True)]
 
 
 def _alike(case: Case) -> Case:
@@ -692,9 +682,8 @@ def select_cases(
     kept, left_out, beyond = [], [], []
     for case in laid:
         driven = {speed for speed in singles if force or _is_within(speed, case)}
-        driven |= {
-            speed for speed in case.vut_speeds_kmh for low, high in ranges if low <= speed <= high
-        }
+        usual = case.vut_speeds_kmh
+        driven |= {speed for speed in usual for low, high in ranges if low <= speed <= high}
         pairs = [
             (vut, vru)
             for vut, vru in pair_words

@@ -59,9 +59,8 @@ def time_to_collision_s(
     yaws = [np.radians(np.asarray(yaw, dtype=float)) for yaw in (yaw_a_deg, yaw_b_deg)]
     gaps = gaps_between(offset, yaw_a_deg, yaw_b_deg, sizes=sizes)
     first, last = np.full(gaps.shape[1:], -np.inf), np.full(gaps.shape[1:], np.inf)
-    normals = [
-        (np.cos(yaw + turn), np.sin(yaw + turn)) for yaw in yaws for turn in (0.0, 0.5 * np.pi)
-    ]
+    turns = [yaw + turn for yaw in yaws for turn in (0.0, 0.5 * np.pi)]
+    normals = [(np.cos(turn), np.sin(turn)) for turn in turns]
     for gap, (east, north) in zip(gaps, normals, strict=True):
         apart = offset[..., 0] * east + offset[..., 1] * north
         speed = closing[..., 0] * east + closing[..., 1] * north
@@ -99,7 +98,7 @@ def find_encounters(
     `ttc_s`, and others whose bodies come at most so near, `within_m`. Returned by vehicle, then by
     VRU, in the order of `tracks`; and how many cannot be replayed, by reasons.
 
-    Notes ----- Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
+    Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
     which they move. The least time to collision is looked for while the vehicle drives forwards,
     and until the bodies first touch: those who walk beside a car are thinner than these boxes.
     """
@@ -188,12 +187,15 @@ def _speed(track: Track, moment_s: float) -> float:
 
 
 def _yaw_deg(track: Track, time_s: FloatArray) -> FloatArray:
-    """Directions of motion; of who stands, the last one, or else the first one."""
+    """Directions of motion; of who stands, the last one, or else the first one.
+
+    Of who never moves, the file's headings; 0 where it has none.
+    """
     east, north = track.velocity_mps(time_s).T
     yaw = np.degrees(np.arctan2(north, east))
     moves = np.hypot(east, north) >= load_trajectory_rules().encounters.min_vru_mps
     if not moves.any():
-        return np.zeros(len(time_s))
+        return np.nan_to_num(track.yaw_deg[np.searchsorted(track.time_s, time_s)])
     last = np.maximum.accumulate(np.where(moves, np.arange(len(yaw)), -1))
     return np.asarray(yaw[np.where(last < 0, int(moves.argmax()), last)])
 
@@ -212,13 +214,9 @@ def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] |
     points = shapely.get_coordinates(shapely.intersection(*lines))
     if not len(points):
         return None
-    along = [along_m(way) for way in ways]
-    passed = np.array(
-        [
-            np.interp(line.project(shapely.points(points)), far, time_s)
-            for line, far in zip(lines, along, strict=True)
-        ]
-    )
+    at_m = [line.project(shapely.points(points)) for line in lines]
+    pairs = zip(at_m, map(along_m, ways), strict=True)
+    passed = np.array([np.interp(at, along, time_s) for at, along in pairs])
     first, second = passed[:, np.abs(passed[0] - passed[1]).argmin()].tolist()
     return first, second
 

@@ -85,13 +85,8 @@ class Course:
 
     def reversed(self) -> "Course":
         """Course driven the other way; the origin stays."""
-        return Course(
-            begin_m=-self.end_m,
-            points_m=freeze(self.points_m[::-1].copy()),
-            yaw_rad=freeze(self.yaw_rad[::-1] + np.pi),
-            max_bend_per_m=self.max_bend_per_m,
-            max_bend_change_per_m2=self.max_bend_change_per_m2,
-        )
+        points_m, yaw_rad = freeze(self.points_m[::-1].copy()), freeze(self.yaw_rad[::-1] + np.pi)
+        return replace(self, begin_m=-self.end_m, points_m=points_m, yaw_rad=yaw_rad)
 
     def crossings_m(self, line: Line) -> FloatArray:
         """Stations at which it crosses a straight line, ascending, (n,)."""
@@ -107,12 +102,9 @@ class Course:
 
     def between(self, begin_m: float, end_m: float) -> "Course":
         """The part between two stations; it goes straight on from there."""
-        first, last = self._index(begin_m), self._index(end_m) + 1
-        return _course(
-            self.begin_m + _STEP_M * first,
-            self.points_m[first : last + 1],
-            self.yaw_rad[first : last + 1],
-        )
+        first = self._index(begin_m)
+        part = slice(first, self._index(end_m) + 2)
+        return _course(self.begin_m + _STEP_M * first, self.points_m[part], self.yaw_rad[part])
 
     def _index(self, station_m: float) -> int:
         last = len(self.points_m) - 2
@@ -131,8 +123,6 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     into the junction: its mouth, the origin of stations, is its end. Else its start. Raises
     InputError: the line has no length.
 
-    Notes
-    -----
     A map's lane is a chain of chords; driven as it is, a body would jump in yaw at every point. The
     course is the cubic smoothing spline [1]_ of the chain's points, taken every half metre, which
     minimises the sum of (distance to the chain)^2 + L^4 (second derivative)^2 along the line with
@@ -185,9 +175,8 @@ def _follow(
 def _led_on(chain_m: FloatArray) -> FloatArray:
     """A chain that goes straight on beyond both its ends."""
     ahead, behind = _end_direction(chain_m), _end_direction(chain_m[::-1])
-    return np.concatenate(
-        [chain_m[:1] + _BEYOND_M * behind, chain_m, chain_m[-1:] + _BEYOND_M * ahead]
-    )
+    begin, end = chain_m[:1] + _BEYOND_M * behind, chain_m[-1:] + _BEYOND_M * ahead
+    return np.concatenate([begin, chain_m, end])
 
 
 def _smoothed(
@@ -207,11 +196,9 @@ def _smoothed(
     length = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)))
     even = np.interp(np.arange(0.0, length[-1], _STEP_M), length, fine)
     place, direction = spline(even) + origin, derivative(even)
-    return _course_of(
-        place,
-        np.unwrap(np.arctan2(direction[:, 1], direction[:, 0])),
-        int(np.hypot(*(place - np.asarray(origin_m)).T).argmin()),
-    )
+    yaw_rad = np.unwrap(np.arctan2(direction[:, 1], direction[:, 0]))
+    nearest = int(np.hypot(*(place - np.asarray(origin_m)).T).argmin())
+    return _course_of(place, yaw_rad, nearest)
 
 
 def _spline(
@@ -323,8 +310,6 @@ class Turn:
         Before the curve and behind its end the path is straight. The angle counts in degrees,
         counter-clockwise.
 
-        Notes
-        -----
         A clothoid that begins with a curvature is a piece of one that begins without; the points
         of that one are Fresnel's integrals.
         """
@@ -397,13 +382,8 @@ class TurnAtSpeed(Struct, frozen=True, kw_only=True):
     @property
     def turn(self) -> Turn:
         """The curve."""
-        return Turn(
-            first_radius_m=self.first_radius_m,
-            radius_m=self.radius_m,
-            clothoid_deg=self.clothoid_deg,
-            arc_deg=self.arc_deg,
-            side=_SIDES[self.side],
-        )
+        same = ("first_radius_m", "radius_m", "clothoid_deg", "arc_deg")
+        return Turn(side=_SIDES[self.side], **{name: getattr(self, name) for name in same})
 
 
 @cache
@@ -498,18 +478,13 @@ def follow_gently(
     leave each of them, > 0. `origin`: the lane at whose start its origin is; their number: where
     the last one ends.
 
-    Notes
-    -----
     The smoothing spline of :func:`follow_lane` with L = 16 m, whose points weigh more from round to
     round where it leaves the lanes farther than it may, and 5 m to both sides of there.
     """
     at_origin = chains_m[origin][0] if origin < len(chains_m) else chains_m[-1][-1]
     free = np.repeat(free_m, [len(chain) for chain in chains_m])
-    return _gentle(
-        tuple(map(tuple, np.concatenate(chains_m).tolist())),
-        tuple(free.tolist()),
-        tuple(at_origin.tolist()),
-    )
+    points = tuple(map(tuple, np.concatenate(chains_m).tolist()))
+    return _gentle(points, tuple(free.tolist()), tuple(at_origin.tolist()))
 
 
 @lru_cache(maxsize=256)  # as _follow

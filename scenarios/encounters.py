@@ -2,16 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from math import dist, isfinite
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from msgspec import Meta
 
 from geometry.actors import Actor, footprint_sizes
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, check_field
 from geometry.footprints import FootprintSizes, gaps_between
 
 from .courses import follow_way
@@ -41,11 +42,10 @@ class Encounter:
     _sizes: FootprintSizes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if got := self.vut_motion.acceleration_distance_m:
-            expected = "0: the VUT is up to speed when it sets off"
-            raise InputError("encounter.vut_motion.acceleration_distance_m", got, expected)
-        if self.vut_motion.speed_mps == 0.0:
-            raise InputError("encounter.vut_motion.speed_mps", 0.0, "> 0: the VUT drives")
+        check = partial(check_field, vut := self.vut_motion, "encounter.vut_motion")
+        is_steady = vut.acceleration_distance_m == 0.0
+        check("acceleration_distance_m", is_steady, "0: the VUT is up to speed when it sets off")
+        check("speed_mps", vut.speed_mps != 0.0, "> 0: the VUT drives")
         object.__setattr__(self, "_sizes", footprint_sizes(self.vut, self.vru))
 
     def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
@@ -84,8 +84,6 @@ class Encounter:
 
         `deceleration_mps2` is the most that the VUT brakes with.
 
-        Notes
-        -----
         A gap is n . d - r: d from middle to middle, the normal n turns with its body, the reach r
         of both bodies along n depends on the angle between them. Near means that d is at most
         three times the half diagonals of both together, and r once.
@@ -124,16 +122,13 @@ def first_contact_s(encounter: Encounter) -> float:
     after_s = np.expm1(np.arange(n_cells + 1) * np.log1p(_STEP_GROWTH))
     edges = min(vut.start_time_s, vru.start_time_s) + after_s * (_FIRST_STEP_S / _STEP_GROWTH)
     middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
-    nothing = np.zeros(n_cells)
-    cells = Cells(
-        first_s=middle, second_s=nothing, half_first_s=0.5 * np.diff(edges), half_second_s=nothing
-    )
+    half, nothing = 0.5 * np.diff(edges), np.zeros(n_cells)
+    cells = Cells(first_s=middle, second_s=nothing, half_first_s=half, half_second_s=nothing)
     _, touch_s = find_first_touch(cells, measure, tolerance_s=_CONTACT_TOLERANCE_S)
     return touch_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cells:
+class Cells(NamedTuple):
     """Rectangles in the plane of two times: the middle of each and half its size, (n,) each."""
 
     first_s: FloatArray
@@ -161,14 +156,11 @@ def find_first_touch(
     at, and `measure` must say of all small ones, by ``GRAZING_M``, that they do or do not touch:
     else the search might not end.
 
-    Notes
-    -----
     Branch and bound: a cell whose bodies are further apart than they can move within it holds no
     contact, so nothing is overlooked between two looks. The others are divided, the earliest
     first.
     """
-    pool = np.stack([cells.first_s, cells.second_s, cells.half_first_s, cells.half_second_s])
-    pool, touch_s = _look(pool, measure, np.inf)
+    pool, touch_s = _look(np.stack(cells), measure, np.inf)
     while pool.shape[1] > 0:
         begin = pool[0] - pool[2]
         safe_s = float(begin.min())
@@ -197,9 +189,7 @@ def _look(
     pool: FloatArray, measure: Callable[[Cells], Measures], touch_s: float
 ) -> tuple[FloatArray, float]:
     """Cells that may hold an earlier contact, as :func:`_divide` takes them; the earliest one."""
-    seen = measure(
-        Cells(first_s=pool[0], second_s=pool[1], half_first_s=pool[2], half_second_s=pool[3])
-    )
+    seen = measure(Cells(*pool[:4]))
     if seen.touches.any():
         touch_s = min(touch_s, float(pool[0][seen.touches].min()))
     kept = seen.may_touch & (pool[0] - pool[2] < touch_s)
@@ -261,10 +251,11 @@ class RecordedEncounter:
         early_s = first_contact_s(found)
         if not abs(early_s) <= _MAX_EARLY_S:
             return None
-        vut_motion, vru_motion = (
-            replace(motion, start_time_s=motion.start_time_s - early_s)
-            for motion in (found.vut_motion, found.vru_motion)
-        )
+
+        def later(motion: Motion) -> Motion:
+            return replace(motion, start_time_s=motion.start_time_s - early_s)
+
+        vut_motion, vru_motion = later(found.vut_motion), later(found.vru_motion)
         return replace(found, vut_motion=vut_motion, vru_motion=vru_motion)
 
 
@@ -272,6 +263,5 @@ def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
     course = follow_way(way.points_m, way.yaw_deg)
     start_m = course.station_of(way.points_m[0]) if speed_mps > 0.0 else 0.0
     start_s = way.end_s + start_m / speed_mps if speed_mps > 0.0 else -known_s
-    return Motion(
-        path=CoursePath(course=course, start_m=start_m), speed_mps=speed_mps, start_time_s=start_s
-    )
+    path = CoursePath(course=course, start_m=start_m)
+    return Motion(path=path, speed_mps=speed_mps, start_time_s=start_s)

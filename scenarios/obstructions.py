@@ -46,8 +46,6 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     Raises CannotCarryError: a body has no room; names it and what stands there. NoKerbError: lanes
     or the junction cover all places of the parked bodies.
 
-    Notes
-    -----
     Looked at with rays along the middle and both flanks of the ways, and around and across the
     parked bodies' footprints. A VRU passes next to a pole that stands on its line. What the map
     does not show does not stand in the way.
@@ -71,11 +69,11 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     if not (aside_m or back_m):
         return staging
     east, north = aside_m * staging.aside + back_m * staging.back
-    obstruction = tuple(
-        replace(body, pose=replace(body.pose, position_m=body.pose.position_m + [east, north, 0.0]))
-        for body in staging.obstruction
-    )
-    return replace(staging, obstruction=obstruction)
+    moved = []
+    for body in staging.obstruction:
+        position_m = body.pose.position_m + [east, north, 0.0]
+        moved.append(replace(body, pose=replace(body.pose, position_m=position_m)))
+    return replace(staging, obstruction=tuple(moved))
 
 
 def is_way_free(
@@ -343,9 +341,8 @@ def park(
     front bumper; `side` is +1 to the left of it, -1 to the right.
     """
     line = row_way.direction(bumper_m)
-    left_m = {
-        actor: side * (obstruction.side_gap_m + 0.5 * actor.width_m) for actor in obstruction.bodies
-    }
+    gap_m, bodies = obstruction.side_gap_m, obstruction.bodies
+    left_m = {actor: side * (gap_m + 0.5 * actor.width_m) for actor in bodies}
     return Staging(
         encounter=encounter,
         obstruction=_row(obstruction, row_way, bumper_m, left_m),
@@ -415,14 +412,8 @@ def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
 
 @cache
 def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
-    corners = np.array(
-        [
-            [x * length_m, y * thickness_m, z * height_m]
-            for z in (0.0, 1.0)
-            for y in (-0.5, 0.5)
-            for x in (-0.5, 0.5)
-        ]
-    )
+    unit = [[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
+    corners = np.array(unit) * [length_m, thickness_m, height_m]
     return Actor(
         name=f"wall {length_m:g} x {thickness_m:g} x {height_m:g} m",
         class_name="wall",
@@ -430,8 +421,4 @@ def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
         width_m=thickness_m,
         height_m=height_m,
         shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
-        cycle_m=0.0,
-        reference_ahead_m=0.0,
-        wheelbase_m=0.0,
-        front_axle_ahead_m=0.0,
     )

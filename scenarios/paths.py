@@ -1,7 +1,7 @@
 """Paths on the road plane and motion along them."""
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import sin
 from typing import ClassVar, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, freeze, set_arrays
-from geometry.errors import InputError
+from geometry.errors import InputError, check_field
 
 from .courses import Course, Turn
 
@@ -90,12 +90,9 @@ class TurnPath:
         beyond = on_turn - inside  # negative before the turn
         after = np.maximum(beyond, 0.0)
         exit_rad = table.exit_rad
-        body = _aligned_rad(
-            np.interp(inside, table.distance_m, table.body_rad),
-            exit_rad,
-            table.exit_half_lag_tan,
-            after / self.wheelbase_m,
-        )
+        on_curve = np.interp(inside, table.distance_m, table.body_rad)
+        lengths = after / self.wheelbase_m
+        body = _aligned_rad(on_curve, exit_rad, table.exit_half_lag_tan, lengths)
         ahead = (
             np.interp(inside, table.distance_m, table.ahead_m)
             + np.minimum(beyond, 0.0)
@@ -187,12 +184,10 @@ class TowedPath:
         station = self.start_m + np.asarray(distance_m, dtype=np.float64)
         front, _ = self.course.at(station)
         exit_rad = self.course.yaw_rad[-1]
-        body = _aligned_rad(
-            self.course.interpolate(station, self._body_rad),
-            exit_rad,
-            np.tan(0.5 * (exit_rad - self._body_rad[-1])),
-            np.maximum(station - self.course.end_m, 0.0) / self.wheelbase_m,
-        )
+        on_course = self.course.interpolate(station, self._body_rad)
+        half_lag_tan = np.tan(0.5 * (exit_rad - self._body_rad[-1]))
+        lengths = np.maximum(station - self.course.end_m, 0.0) / self.wheelbase_m
+        body = _aligned_rad(on_course, exit_rad, half_lag_tan, lengths)
         ahead = np.stack([np.cos(body), np.sin(body)], axis=-1)
         return front - self.front_axle_ahead_m * ahead, np.degrees(body)
 
@@ -259,17 +254,15 @@ class Motion:
     def __post_init__(self) -> None:
         if self.speed_mps != 0.0 or self.acceleration_distance_m != 0.0:
             _check_speed(self.speed_mps, self.acceleration_distance_m, "motion.")
-        if not np.isfinite(self.start_time_s):
-            raise InputError("motion.start_time_s", self.start_time_s, "a finite time")
+        check = partial(check_field, self, "motion")
+        check("start_time_s", bool(np.isfinite(self.start_time_s)), "a finite time")
         if np.isposinf(self.brake_time_s):
             return
-        if not 0.0 < self.deceleration_mps2 < np.inf:
-            raise InputError("motion.deceleration_mps2", self.deceleration_mps2, "> 0 m/s^2")
-        if not 0.0 <= self.final_speed_mps < self.speed_mps:
-            raise InputError("motion.final_speed_mps", self.final_speed_mps, "0 <= it < speed_mps")
-        up_to_speed_s = self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
-        if not up_to_speed_s <= self.brake_time_s:  # nor is it NaN
-            raise InputError("motion.brake_time_s", self.brake_time_s, f"from {up_to_speed_s:g} on")
+        check("deceleration_mps2", 0.0 < self.deceleration_mps2 < np.inf, "> 0 m/s^2")
+        is_slower = 0.0 <= self.final_speed_mps < self.speed_mps
+        check("final_speed_mps", is_slower, "0 <= it < speed_mps")
+        begin_s = self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
+        check("brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on")  # nor NaN
 
     @property
     def acceleration_mps2(self) -> float:
@@ -298,9 +291,8 @@ class Motion:
             return self.speed_mps * moving_s
         up_to_speed_s = 2.0 * self.acceleration_distance_m / self.speed_mps
         gaining_s = np.minimum(moving_s, up_to_speed_s)
-        return self.acceleration_distance_m * (gaining_s / up_to_speed_s) ** 2 + self.speed_mps * (
-            moving_s - gaining_s
-        )
+        gained_m = self.acceleration_distance_m * (gaining_s / up_to_speed_s) ** 2
+        return gained_m + self.speed_mps * (moving_s - gaining_s)
 
 
 def travel_time_s(
@@ -340,14 +332,9 @@ def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
     path_rad = np.radians(angle_deg)
     lag = turn.side * _lag_rad(turn, wheelbase_m, distance)
     exit_rad = float(path_rad[-1])
-    return _TurnTable(
-        freeze(distance),
-        freeze(point[:, 0].copy()),
-        freeze(point[:, 1].copy()),
-        freeze(path_rad - lag),
-        exit_rad,
-        float(np.tan(0.5 * lag[-1])),
-    )
+    ahead, left = (freeze(axis.copy()) for axis in point.T)
+    half_lag_tan = float(np.tan(0.5 * lag[-1]))
+    return _TurnTable(freeze(distance), ahead, left, freeze(path_rad - lag), exit_rad, half_lag_tan)
 
 
 def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:

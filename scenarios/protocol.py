@@ -12,14 +12,16 @@ from geometry.arrays import FloatArray
 from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
 from geometry.scene import Lane
+from geometry.scene import Turn as Movement
 
 from . import staging, ways
 from .cases import Case
 from .courses import follow_gently, follow_lane, pick_turn
-from .encounters import Encounter
+from .encounters import Encounter, first_contact_s
 from .obstructions import hide, park
-from .paths import MPS_PER_KMH, Path, travel_time_s
+from .paths import MPS_PER_KMH, Motion, Path, travel_time_s
 from .positions import AT_ZERO, Position, is_bound
+from .staging import CannotCarryError, NoRoadError, Staging
 
 
 def stage_by_protocol(
@@ -31,7 +33,7 @@ def stage_by_protocol(
     vut: Actor,
     position: Position = AT_ZERO,
     settle: staging.Settle = lambda laid: laid,
-) -> staging.Staging:
+) -> Staging:
     """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
     The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
@@ -52,23 +54,18 @@ def stage_by_protocol(
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
-        raise staging.NoRoadError(case.not_laid)
+        raise NoRoadError(case.not_laid)
     arm = junction.arms[approach]
     if not arm.entry_lanes:
-        raise staging.NoRoadError(f"no lane leads into the junction from the {approach}")
+        raise NoRoadError(f"no lane leads into the junction from the {approach}")
     if position != AT_ZERO and is_bound(case):
-        raise staging.CannotCarryError(
-            "the case is bound to the junction: it has no other positions"
-        )
+        raise CannotCarryError("the case is bound to the junction: it has no other positions")
     asked = _Asked(case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh)
     if case.kind == "turning":
         return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
-    places = (
-        _places_through(asked, position)
-        if position.is_behind or is_met_head_on
-        else _places_before(asked, position)
-    )
+    is_through = position.is_behind or is_met_head_on
+    places = (_places_through if is_through else _places_before)(asked, position)
     if _comes_through(case):
         return staging.first_that_fits(_crossings(asked, places), settle)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
@@ -116,7 +113,7 @@ class _Place:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise staging.NoRoadError("the mapped lane does not reach so far")
+            raise NoRoadError("the mapped lane does not reach so far")
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
@@ -159,9 +156,8 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
         lines.append(lambda: ways.CurvedWay(course=follow_gently([chain_m], [free_m], origin=1)))
     yield from (partial(place, way) for way in lines)
     if position == AT_ZERO and case.obstruction and case.obstruction.kind == "beside-vut":
-        for before_m in np.arange(
-            1.0, staging.load_obstruction_rules().max_before_m + 0.5
-        ).tolist():
+        most_m = staging.load_obstruction_rules().max_before_m
+        for before_m in np.arange(1.0, most_m + 0.5).tolist():
             yield from (partial(place, way, before_m) for way in lines)
 
 
@@ -170,7 +166,7 @@ def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
     arm = asked.arm
     ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
-        raise staging.NoRoadError("no lane leads straight on out of the junction")
+        raise NoRoadError("no lane leads straight on out of the junction")
     yield from _ways_through(
         asked.junction,
         arm,
@@ -214,34 +210,31 @@ def _ways_through(
 
 # ---------- crossing and longitudinal cases
 _MOUTH_M = 15.0  # of a lane, that tell where it leads
+_MAX_EARLY_S = 0.3  # a corner that touches before the impact position is a tenth of a second early
 
 
 def _side(asked: _Asked, line: Line) -> Arm:
     """The arm on the side from which the VRU comes."""
     side = ways.arm_at(asked.junction, line, to_left=asked.case.vru_side != "near")
     if side is None or not side.entry_lanes:
-        raise staging.NoRoadError(
-            f"no lane leads into the junction from the {asked.case.vru_side} side"
-        )
+        raise NoRoadError(f"no lane leads into the junction from the {asked.case.vru_side} side")
     return side
 
 
-def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], staging.Staging]]:
+def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], Staging]]:
     """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
     side = _side(asked, asked.entry_line)
     # What counts is how the other road leads into the junction, not where it comes from.
     mouth, _ = lane_line(side.entry_lanes[0], is_in=True, length_m=_MOUTH_M)
     ahead = ways.arm_ahead(asked.junction, side, mouth)
     if ahead is None or not ahead.exit_lanes:
-        raise staging.NoRoadError(
-            f"no road leads straight across from the {asked.case.vru_side} side"
-        )
+        raise NoRoadError(f"no road leads straight across from the {asked.case.vru_side} side")
     every = tuple(places)
     for across in _ways_through(asked.junction, side, ahead, asked.case.vru):
         yield from (partial(_lay_crossing, asked, place, across) for place in every)
 
 
-def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> staging.Staging:
+def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Staging:
     """A crossing; of a vehicle with its way, `across`."""
     place = laid()
     case, vut, vut_way = asked.case, asked.vut, place.way
@@ -264,12 +257,9 @@ def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> stag
     place.check_straight(driven_m)
     vut_path = vut_way.vut_path(vut_m - behind_m + vut_distance_m - driven_m, vut)
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m + (vru_distance_m - travel_m))
-    obstruction = case.obstruction
-    is_too_fast = obstruction and max(asked.vut_speed_kmh, case.vru_speed_kmh) > (
-        obstruction.max_speed_kmh
-    )
-    if obstruction is None or is_too_fast:
-        return staging.Staging(encounter=encounter, obstruction=())
+    obstruction, fastest_kmh = case.obstruction, max(asked.vut_speed_kmh, case.vru_speed_kmh)
+    if obstruction is None or fastest_kmh > obstruction.max_speed_kmh:
+        return Staging(encounter=encounter, obstruction=())
     if obstruction.kind == "beside-road":
         row_way, bumper_m, side = _beside_road(asked, place, vut_m)
         return park(encounter, obstruction, row_way=row_way, bumper_m=bumper_m, side=side)
@@ -286,20 +276,47 @@ def _set_off(
     vru_begin_s: float | None = None,
     brakes_s: float = np.inf,
 ) -> Encounter:
-    """Both set off at `begin_s`, or the VRU at its own time, from a station of its way."""
-    vru = asked.case.vru
-    return staging.set_off(
-        asked.case,
-        vut=asked.vut,
-        vut_path=vut_path,
-        vut_start_s=begin_s,
-        vut_speed_kmh=asked.vut_speed_kmh,
-        vru_path=vru_way.vut_path(vru_m, vru)
-        if staging.is_vehicle(vru)
-        else vru_way.vru_path(vru_m),
-        vru_start_s=begin_s if vru_begin_s is None else vru_begin_s,
-        vru_brakes_s=brakes_s,
-    )
+    """Encounter whose bodies first touch at time 0.
+
+    Both set off at `begin_s`, or the VRU at its own time, from a station of its way; at `brakes_s`
+    it brakes as the case says. Where the corner of a turning VUT would touch a moment before the
+    impact position is reached, both set off that moment later. Raises CannotCarryError: the bodies
+    do not touch, or do so long before, somewhere else.
+    """
+    case, vru = asked.case, asked.case.vru
+    vru_path = vru_way.vut_path(vru_m, vru) if staging.is_vehicle(vru) else vru_way.vru_path(vru_m)
+    vru_start_s = begin_s if vru_begin_s is None else vru_begin_s
+    braking = {}
+    if case.braking is not None:
+        braking["deceleration_mps2"] = case.braking.deceleration_mps2
+        braking["final_speed_mps"] = case.braking.final_speed_kmh * MPS_PER_KMH
+
+    def later(seconds: float) -> Encounter:
+        return Encounter(
+            vut=asked.vut,
+            vut_motion=Motion(
+                path=vut_path,
+                speed_mps=asked.vut_speed_kmh * MPS_PER_KMH,
+                start_time_s=begin_s + seconds,
+            ),
+            vru=vru,
+            vru_motion=Motion(
+                path=vru_path,
+                speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
+                start_time_s=seconds + vru_start_s,
+                acceleration_distance_m=case.acceleration_distance_m,
+                brake_time_s=seconds + brakes_s,
+                **braking,
+            ),
+        )
+
+    encounter = later(0.0)
+    early_s = first_contact_s(encounter)
+    if not np.isfinite(early_s):
+        raise CannotCarryError("the bodies do not touch")
+    if abs(early_s) > _MAX_EARLY_S:
+        raise CannotCarryError(f"the bodies would touch {-early_s:.1f} s before they should")
+    return later(-early_s)
 
 
 def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[ways.Way, float, float]:
@@ -350,7 +367,7 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
         begin = lane.centreline_m[0]
         is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
         if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
-            raise staging.NoRoadError("another junction lies there: nobody crosses in its middle")
+            raise NoRoadError("another junction lies there: nobody crosses in its middle")
 
 
 def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]:
@@ -376,7 +393,7 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
     return outer, min(left_m, most_m)
 
 
-def _lay_longitudinal(asked: _Asked, laid: _Lay) -> staging.Staging:
+def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
     place = laid()
     case, vut, vut_way = asked.case, asked.vut, place.way
     impact_m, _ = place.meeting_point()
@@ -386,9 +403,7 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> staging.Staging:
     if before_lane_m > 0.0 and not is_led_on:
         # At other positions than 0 one reason for many of them.
         how_far = f"{before_lane_m:.1f} m " if place.ahead_m == 0.0 else ""
-        raise staging.CannotCarryError(
-            f"the VRU would set off {how_far}before the mapped lane begins"
-        )
+        raise CannotCarryError(f"the VRU would set off {how_far}before the mapped lane begins")
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
@@ -398,7 +413,7 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> staging.Staging:
     vut_path = vut_way.vut_path(impact_m - gap_m - driven_m, vut)
     vru_m += 0.0 - travel_m
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, brakes_s=brakes_s)
-    return staging.Staging(encounter=encounter, obstruction=())
+    return Staging(encounter=encounter, obstruction=())
 
 
 def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]:
@@ -427,14 +442,14 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
 
 
 # ---------- turning cases
-def _turnings(asked: _Asked) -> Iterator[Callable[[], staging.Staging]]:
+def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
     """The VUT's ways into another arm: along the junction's lanes, then on the protocol's curve."""
     case, junction, arm = asked.case, asked.junction, asked.arm
     is_far = case.turn == "far"
     entry = ways.straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
     target = ways.arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
-        raise staging.NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
+        raise NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
     lines = _turnings_into(asked, target)
     if _comes_through(case):
         oncoming = tuple(_oncoming(asked, entry))
@@ -450,10 +465,9 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
     try:
         turn = pick_turn(asked.case.turn, asked.vut_speed_kmh)
     except InputError as error:
-        raise staging.CannotCarryError(str(error)) from None
-    joined = ways.joints(
-        junction, asked.arm, target, "left" if asked.case.turn == "far" else "right"
-    )
+        raise CannotCarryError(str(error)) from None
+    movement: Movement = "left" if asked.case.turn == "far" else "right"
+    joined = ways.joints(junction, asked.arm, target, movement)
     found = [(junction.followed(before), connection, after) for before, connection, after in joined]
     lines: list[Callable[[], ways.Turning]] = [
         partial(ways.along_connection, before, connection, after, vut)
@@ -467,7 +481,7 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
     return lines
 
 
-def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> staging.Staging:
+def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> Staging:
     case, turning = asked.case, turn()
     vru_way, vru_m = _turning_way(asked, target, turning)
     vut_distance_m, vru_distance_m = staging.find_meeting(
@@ -482,7 +496,7 @@ def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> s
     vut_path, begin_s = _turned(asked, turning, vut_distance_m, -vru_begin_s)
     vru_m += vru_distance_m - travel_m
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, vru_begin_s=vru_begin_s)
-    return staging.Staging(encounter=encounter, obstruction=())
+    return Staging(encounter=encounter, obstruction=())
 
 
 def _turned(
@@ -490,9 +504,8 @@ def _turned(
 ) -> tuple[Path, float]:
     """The VUT's path through a turn with a straight part before it, and when it begins."""
     speed_mps = asked.vut_speed_kmh * MPS_PER_KMH
-    begin_s = -max(
-        vru_s, vut_distance_m / speed_mps + staging.load_way_rules().start_before_curve_s
-    )
+    curve_s = vut_distance_m / speed_mps + staging.load_way_rules().start_before_curve_s
+    begin_s = -max(vru_s, curve_s)
     straight_m = -begin_s * speed_mps - vut_distance_m
     if turning.is_straight:
         ways.check_straight(ways.StraightWay(line=turning.entry), turning.entry_lane, straight_m)
@@ -503,15 +516,13 @@ def _oncoming(asked: _Asked, entry: Line) -> Iterator[_Lay]:
     """Ways of a vehicle that comes towards the VUT and drives straight on past it."""
     ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
     if ahead is None or not ahead.entry_lanes:
-        raise staging.NoRoadError("no lane leads towards the VUT from straight ahead")
+        raise NoRoadError("no lane leads towards the VUT from straight ahead")
     if not asked.arm.exit_lanes:
-        raise staging.NoRoadError(f"no lane leads out of the junction to the {asked.arm.name}")
+        raise NoRoadError(f"no lane leads out of the junction to the {asked.arm.name}")
     yield from _ways_through(asked.junction, ahead, asked.arm, asked.case.vru)
 
 
-def _lay_turn_across(
-    asked: _Asked, turn: Callable[[], ways.Turning], across: _Lay
-) -> staging.Staging:
+def _lay_turn_across(asked: _Asked, turn: Callable[[], ways.Turning], across: _Lay) -> Staging:
     """A turn across the way of an oncoming vehicle.
 
     Its front is where the VUT's front axle will cross its way, when the VUT's front is short of
@@ -520,9 +531,8 @@ def _lay_turn_across(
     """
     case, vut, turning, vru_way = asked.case, asked.vut, turn(), across().way
     path = turning.path_with(0.0)
-    crossing_m, vru_m = staging.find_crossing(
-        vut, path, vru_way.tangent, turning.turn_m + vut.length_m
-    )
+    search_m = turning.turn_m + vut.length_m
+    crossing_m, vru_m = staging.find_crossing(vut, path, vru_way.tangent, search_m)
     short_m = case.vru.width_m / np.sqrt(2.0) if case.meets_corner else 0.0
     vut_distance_m = crossing_m - (0.5 * vut.length_m - vut.front_axle_ahead_m) - short_m
     vru_s = _travel_s(case, _travel_m(case, 0.0))
@@ -530,7 +540,7 @@ def _lay_turn_across(
     travel_m = -begin_s * case.vru_speed_kmh * MPS_PER_KMH
     vru_m = vru_m - case.vru_reference_m - travel_m
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m)
-    return staging.Staging(encounter=encounter, obstruction=())
+    return Staging(encounter=encounter, obstruction=())
 
 
 def _turning_way(asked: _Asked, target: Arm, turning: ways.Turning) -> tuple[ways.Way, float]:
@@ -586,7 +596,7 @@ def _ridden_lane(asked: _Asked, entry: Line) -> ways.Way:
         ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
         lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
         if ahead is None or not lanes:
-            raise staging.NoRoadError("no lane lies ahead from which the cyclist could come")
+            raise NoRoadError("no lane lies ahead from which the cyclist could come")
         is_against = case.turn == "near"
         is_in = not is_against
         lane, left_m = lanes[0], -(0.5 * lanes[0].width_m + case.vru_line.left_m)
@@ -619,9 +629,7 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     assert case.start_distance_m is not None
     travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
     if travel_m <= 0.0:
-        raise staging.CannotCarryError(
-            "the VUT would come to the VRU's way before the VRU sets off"
-        )
+        raise CannotCarryError("the VUT would come to the VRU's way before the VRU sets off")
     return travel_m
 
 
@@ -629,8 +637,5 @@ def _travel_s(case: Case, travel_m: float) -> float:
     if case.vru_speed_kmh == 0.0:
         assert case.steady_time_s is not None
         return case.steady_time_s
-    return travel_time_s(
-        travel_m,
-        speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
-        acceleration_distance_m=case.acceleration_distance_m,
-    )
+    speed_mps, run_up_m = case.vru_speed_kmh * MPS_PER_KMH, case.acceleration_distance_m
+    return travel_time_s(travel_m, speed_mps=speed_mps, acceleration_distance_m=run_up_m)

@@ -63,11 +63,8 @@ def load_placements() -> tuple[CasePlacement, ...]:
     """Where the study's cases are driven at its junction, from ``data/town05_runs.toml``."""
     where = "town05_runs.toml"
     table = read_table(load_data(__package__, where), _File, where)
-    parked = tuple(
-        body
-        for index, row in enumerate(table.parked_rows)
-        for body in row.bodies(f"{where}: parked_rows[{index}]")
-    )
+    rows = enumerate(table.parked_rows)
+    parked = tuple(one for at, row in rows for one in row.bodies(f"{where}: parked_rows[{at}]"))
     return tuple(
         _build_placement(entry, f"{where}: placements[{index}]", table.scene, parked)
         for index, entry in enumerate(table.placements)
@@ -76,11 +73,9 @@ def load_placements() -> tuple[CasePlacement, ...]:
 
 def find_placement(scene_name: str, case: Case, approach: str) -> CasePlacement | None:
     """Where a case is driven from an approach of a scene; None if no file says."""
-    wanted = scene_name, case.name, approach
-    found = (
-        one for one in load_placements() if (one.scene_name, one.case.name, one.approach) == wanted
-    )
-    return next(found, None)
+    wanted, every = (scene_name, case.name, approach), load_placements()
+    keys = ((one.scene_name, one.case.name, one.approach) for one in every)
+    return next((one for one, key in zip(every, keys, strict=True) if key == wanted), None)
 
 
 def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Actor) -> Staging:

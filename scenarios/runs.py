@@ -226,11 +226,8 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
         (known_s == onset_s.repeat(n_frames)) & (is_live | ~has_live.repeat(n_frames)),
         np.isfinite(known_s),
     )
-    return Onsets(
-        confirmation_s=_earliest(np.where(is_first, axis.time_s, np.inf), axis),
-        onset_s=onset_s,
-        is_in_time=has_live,
-    )
+    confirmation_s = _earliest(np.where(is_first, axis.time_s, np.inf), axis)
+    return Onsets(confirmation_s=confirmation_s, onset_s=onset_s, is_in_time=has_live)
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:

@@ -77,10 +77,8 @@ def bands_kmh(
     criteria = load_criteria(score)
     # The criterion that names the case, or the most of what its name begins with.
     for criterion in [one for name in names for one in criteria if name in one.cases][:1]:
-        bands = max(
-            (one for one in criterion.bands if one.vut_from_kmh <= vut_speed_kmh),
-            key=lambda one: one.vut_from_kmh,
-        )
+        reached = [one for one in criterion.bands if one.vut_from_kmh <= vut_speed_kmh]
+        bands = max(reached, key=lambda one: one.vut_from_kmh)
         for limit_kmh, share in bands.limits:
             closing_kmh = vut_speed_kmh if unbraked_kmh is None else unbraked_kmh
             below_kmh = closing_kmh - limit_kmh if criterion.measure == "lost" else limit_kmh

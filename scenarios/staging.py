@@ -15,14 +15,13 @@ from geometry.junction import Line
 from geometry.poses import Pose
 
 from .cases import Case
-from .encounters import Encounter, first_contact_s
+from .encounters import Encounter
 from .paths import MPS_PER_KMH, NORTH_TO_SOUTH, Motion, MovedPath, Path
 
 _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
 _MEETS_M = 1.0e-6
 _MAX_STEPS = 60
-_MAX_EARLY_S = 0.3  # a corner that touches before the impact position is a tenth of a second early
 
 
 class CannotCarryError(Exception):
@@ -145,59 +144,6 @@ def impact_offset_m(case: Case, vut: Actor) -> float:
     return vut.width_m * (case.impact_percent - 50.0) / 100.0
 
 
-def set_off(
-    case: Case,
-    *,
-    vut: Actor,
-    vut_path: Path,
-    vut_start_s: float,
-    vut_speed_kmh: float,
-    vru_path: Path,
-    vru_start_s: float,
-    vru_brakes_s: float = np.inf,
-) -> Encounter:
-    """Encounter whose bodies first touch at time 0.
-
-    The paths begin where the VUT is at `vut_start_s`, and the VRU at `vru_start_s`; at
-    `vru_brakes_s` that one brakes as the case says. Where the corner of a turning VUT would touch a
-    moment before the impact position is reached, both set off that moment later. Raises
-    CannotCarryError: the bodies do not touch, or do so long before, somewhere else.
-    """
-    braking = {}
-    if case.braking is not None:
-        braking = {
-            "deceleration_mps2": case.braking.deceleration_mps2,
-            "final_speed_mps": case.braking.final_speed_kmh * MPS_PER_KMH,
-        }
-
-    def later(seconds: float) -> Encounter:
-        return Encounter(
-            vut=vut,
-            vut_motion=Motion(
-                path=vut_path,
-                speed_mps=vut_speed_kmh * MPS_PER_KMH,
-                start_time_s=vut_start_s + seconds,
-            ),
-            vru=case.vru,
-            vru_motion=Motion(
-                path=vru_path,
-                speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
-                start_time_s=seconds + vru_start_s,
-                acceleration_distance_m=case.acceleration_distance_m,
-                brake_time_s=seconds + vru_brakes_s,
-                **braking,
-            ),
-        )
-
-    encounter = later(0.0)
-    early_s = first_contact_s(encounter)
-    if not np.isfinite(early_s):
-        raise CannotCarryError("the bodies do not touch")
-    if abs(early_s) > _MAX_EARLY_S:
-        raise CannotCarryError(f"the bodies would touch {-early_s:.1f} s before they should")
-    return later(-early_s)
-
-
 def _gap_to_front(
     case: Case, vut: Actor, vut_path: Path, vru_line: Line, distance_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -308,25 +254,20 @@ def mirror_staging(staging: Staging) -> Staging:
     side of a parked car stays.
     """
     encounter = staging.encounter
-    vut_motion, vru_motion = (
-        replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
-        for motion in (encounter.vut_motion, encounter.vru_motion)
-    )
-    obstruction = tuple(
-        replace(
-            placed,
-            pose=Pose(
-                position_m=placed.pose.position_m * [1.0, -1.0, 1.0],
-                yaw_deg=-placed.pose.yaw_deg,
-                pitch_deg=placed.pose.pitch_deg,
-            ),
-        )
-        for placed in staging.obstruction
-    )
+
+    def in_mirror(motion: Motion) -> Motion:
+        return replace(motion, path=MovedPath(path=motion.path, is_mirrored=True))
+
+    def turned_over(pose: Pose) -> Pose:
+        position_m = pose.position_m * [1.0, -1.0, 1.0]
+        return replace(pose, position_m=position_m, yaw_deg=-pose.yaw_deg)
+
+    vut_motion, vru_motion = in_mirror(encounter.vut_motion), in_mirror(encounter.vru_motion)
+    obstruction = (replace(one, pose=turned_over(one.pose)) for one in staging.obstruction)
     return replace(
         staging,
         encounter=replace(encounter, vut_motion=vut_motion, vru_motion=vru_motion),
-        obstruction=obstruction,
+        obstruction=tuple(obstruction),
         aside=staging.aside * NORTH_TO_SOUTH,
         back=staging.back * NORTH_TO_SOUTH,
     )

@@ -192,15 +192,10 @@ def _csv_samples(
             for name, index in at.items()
             if name not in ("id", "class")
         }
-        yield _Sample(
-            place,
-            row[at["id"]],
-            row[at["class"]] if "class" in at else class_name,
-            value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0),
-            value["x"],
-            value["y"],
-            value.get("heading", math.degrees(value.get("heading_rad", math.nan))),
-        )
+        word = row[at["class"]] if "class" in at else class_name
+        time_s = value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0)
+        yaw_deg = value.get("heading", math.degrees(value.get("heading_rad", math.nan)))
+        yield _Sample(place, row[at["id"]], word, time_s, value["x"], value["y"], yaw_deg)
 
 
 def _find_columns(
@@ -267,17 +262,21 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
                 yield _Sample(place, name, word, time_s, x, y, math.degrees(yaw))
     elif root.tag == "commonRoad":
         step_s = _number(root.get("timeStepSize"), f"{path}: commonRoad: timeStepSize")
-        for thing in root.iter("dynamicObstacle"):
-            here = f"{path}: dynamicObstacle {thing.get('id')}"
+        # Until version 2018b obstacles of all roles had one name.
+        for thing in (*root.iter("dynamicObstacle"), *root.iterfind("obstacle[role='dynamic']")):
+            here = f"{path}: {thing.tag} {thing.get('id')}"
+            name, word = f"{thing.get('id')}", (thing.findtext("type") or "").strip()
             states = [*thing.findall("initialState"), *thing.findall("trajectory/state")]
+            first: tuple[float, ...] = ()
             for number, state in enumerate(states):
                 place = f"{here}, state {number}"
-                time, x, y, yaw = (
+                time, x, y, yaw = values = tuple(
                     _number(state.findtext(name), f"{place}: {name.split('/')[0]}")
                     for name in _COMMONROAD_STATE
                 )
-                word = (thing.findtext("type") or "").strip()
-                name = f"{thing.get('id')}"
+                if number == 1 and values == first:
+                    continue  # some trajectories begin with the initial state, others after it
+                first = first or values
                 yield _Sample(place, name, word, time * step_s, x, y, math.degrees(yaw))
     else:
         raise InputError(str(path), root.tag, "an element <commonRoad> or <fcd-export>")

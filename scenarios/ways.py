@@ -204,10 +204,8 @@ def way_across(
     if connection is not None:
         chains.insert(1, connection.centreline_m)
     line = straight_line(entry, is_in=True)
-    if (
-        np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max()
-        <= load_way_rules().max_lane_bend_m
-    ):
+    aside_m = np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max()
+    if aside_m <= load_way_rules().max_lane_bend_m:
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
         return way, -mouth_m - lane_length_m(entry)
@@ -215,9 +213,8 @@ def way_across(
     before, after = entry.centreline_m, leaving.centreline_m
     if free_m is not None:
         aside_m = _CUT_OFF_M if connection is None else free_m
-        course = courses.follow_gently(
-            [before, between, after], [free_m, aside_m, free_m], origin=2
-        )
+        room_m = [free_m, aside_m, free_m]
+        course = courses.follow_gently([before, between, after], room_m, origin=2)
     elif connection is None:
         course = courses.follow_lanes([np.concatenate([before, between]), after])
     else:
@@ -229,11 +226,10 @@ def way_across(
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
     before = courses.follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
     after = courses.follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
+    begin = replace(before, point_m=entry.centreline_m[-1])
+    end = replace(after, point_m=leaving.centreline_m[0])
     try:
-        return curve_between(
-            replace(before, point_m=entry.centreline_m[-1]),
-            replace(after, point_m=leaving.centreline_m[0]),
-        )
+        return curve_between(begin, end)
     except ValueError:
         why = f"lane {leaving.id} does not lie ahead of lane {entry.id}"
         raise CannotCarryError(why) from None

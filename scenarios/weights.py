@@ -122,10 +122,9 @@ def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
     of_case = [run for run in runs if run.case.name == row["case"]]
     if not of_case:
         return "a case that is driven: " + ", ".join(dict.fromkeys(run.case.name for run in runs))
-    ways = ", ".join(
-        dict.fromkeys(f"{run.approach} at {run.position} by {run.weather}" for run in of_case)
-    )
-    return f"an approach, position and weather in which {row['case']} is driven: {ways}"
+    ways = [f"{run.approach} at {run.position} by {run.weather}" for run in of_case]
+    known = ", ".join(dict.fromkeys(ways))
+    return f"an approach, position and weather in which {row['case']} is driven: {known}"
 
 
 # ---------- weights by Euro NCAP's points of 2026; needs the extra `rating`
@@ -181,9 +180,8 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
         if score.name not in TOTAL_SCORES:
             got = Unquoted(f"{score.name!r}, unknown to the installed {RATING}")
             raise InputError(f"{where}: scores[{index}]", got, "a score of it")
-        points[score.cases, score.weather] = float(
-            sum(part or 0.0 for part in TOTAL_SCORES[score.name].values())
-        )
+        parts = TOTAL_SCORES[score.name].values()
+        points[score.cases, score.weather] = float(sum(part or 0.0 for part in parts))
     return points
 
 
@@ -292,7 +290,8 @@ def weight_by_accidents(
 
 
 # ---------- weights by a word
-_BY_WORD = ("run", "case", CRASH_TYPES, RATING)
+WEIGHT_WORDS = ("run", "case", CRASH_TYPES, RATING)
+"""Of :func:`weigh`, but for files."""
 
 
 def default_weights(cases: str) -> str:
@@ -308,31 +307,19 @@ def weigh(
     near: tuple[float, float] | None = None,
     within_m: float | None = None,
 ) -> FloatArray:
-    """Weights by the word of a user, (n_runs,); they sum to 1.
+    """Weights of runs, at least one, by the word of a user, (n_runs,); they sum to 1.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        At least one.
-    how : str
-        "run": every run the same, as in the study; "case": every case the same, see
-        :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
-        :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points, see
-        :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the
-        accidents around a place, see :func:`scenarios.weights.weight_by_accidents`; else a CSV
-        file, see :func:`scenarios.weights.weight_from_csv`.
-    refused : sequence of Refusal
-        What was asked for next to the runs, and could not be laid: "case" alone looks at it.
-    near, within_m : (float, float), float, optional
-        Latitude and longitude of the place [deg], and how far from there accidents count [m];
-        default: that of ``data/accidents.toml``.
+    `how`: "run": every run the same, as in the study; "case": every case the same, see
+    :func:`weight_per_case`; "fhwa-crash-types": by accident statistics, see
+    :func:`weight_by_crash_types`; "euroncap-rating-2026": by its points, see
+    :func:`weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the accidents around a place,
+    see :func:`weight_by_accidents`; else a CSV file, see :func:`weight_from_csv`. `refused`: what
+    was asked for next to the runs, and could not be laid: "case" alone looks at it. `near`:
+    latitude and longitude of the place [deg]. `within_m`: how far from there accidents count [m];
+    default: that of ``data/accidents.toml``.
 
-    Raises
-    ------
-    InputError
-        The word is unknown and no file, the weights do not fit the runs, or nobody knows the place.
-    MissingExtraError
-        What the word needs is not installed.
+    Raises InputError: the word is unknown and no file, the weights do not fit the runs, or nobody
+    knows the place. MissingExtraError: what the word needs is not installed.
     """
     if how == "run":
         return weight_per_run(runs)
@@ -355,7 +342,7 @@ def check_weights(how: str) -> None:
     """Check the word of a user as far as it goes without runs; raises as :func:`weigh`."""
     if how == RATING:
         load_points()
-    if how in _BY_WORD:
+    if how in WEIGHT_WORDS:
         return
     if source := split_source(how):
         read_accidents(*source)
@@ -367,7 +354,7 @@ def check_weights(how: str) -> None:
 
 def weight_files(how: str) -> tuple[Path, ...]:
     """Files that the weights by a word of a user are read from, see :func:`weigh`."""
-    if how in ("", *_BY_WORD):
+    if how in ("", *WEIGHT_WORDS):
         return ()
     source = split_source(how)
     return (Path(how),) if source is None else accident_files(*source)
@@ -376,7 +363,7 @@ def weight_files(how: str) -> tuple[Path, ...]:
 def _weights_file(how: str) -> Path:
     path = Path(how)
     if not how or not path.exists():
-        words = ", ".join([*_BY_WORD, *(f"{form}:FILE" for form in FORMATS)])
+        words = ", ".join([*WEIGHT_WORDS, *(f"{form}:FILE" for form in FORMATS)])
         raise InputError("weights", how, f"{words}, or a CSV file that exists")
     return path
 
@@ -423,10 +410,8 @@ def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> 
     n_positions = Counter(key[:2] for key in n_runs)
     asked = {(one.case.name, one.approach) for one in refused} | set(n_positions)
     n_approaches = Counter(case for case, _ in asked)
-    weight = np.array(
-        [1.0 / (n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key]) for key in keys]
-    )
-    return _shares(weight)
+    alike = [n_approaches[key[0]] * n_positions[key[:2]] * n_runs[key] for key in keys]
+    return _shares(1.0 / np.array(alike))
 
 
 def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:

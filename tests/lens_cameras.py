@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geometry.lenses import BrownConrady, Fisheye, Lens, TsaiRadial, widest_rad
+from geometry.lenses import BrownConrady, Fisheye, Lens, TsaiRadial
 
 MODELS = ("brown-conrady", "tsai", "fisheye")
 
@@ -22,7 +22,7 @@ def random_lens(rng, model: str) -> Lens:
 def random_camera(rng, base, model: str):
     """A camera of a size and a kind, with a random lens, principal point, aspect and roll."""
     lens = random_lens(rng, model)
-    most_deg = min(np.degrees(2.0 * widest_rad(lens)), 175.0 if model == "fisheye" else 120.0)
+    most_deg = min(np.degrees(2.0 * lens.widest_rad), 175.0 if model == "fisheye" else 120.0)
     return replace(
         base,
         horizontal_fov_deg=float(rng.uniform(0.3, 0.98) * most_deg),

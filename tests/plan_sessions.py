@@ -16,7 +16,7 @@ from placement.question import Question
 
 
 class InThread:
-    """As :class:`experiments.planner.tasks.Worker`, on a setting that is at hand."""
+    """As :class:`experiments.planner.tasks.Worker`, on a setting that is at hand, if any."""
 
     def __init__(self, work, setting):
         self._tasks = None
@@ -38,7 +38,7 @@ class InThread:
             self.is_stopped.clear()
             if self._tasks is None:
                 self._tasks = Tasks(self._work, tell)
-                if not self._work.question.scene:
+                if self._setting is not None and not self._work.question.scene:
                     self._tasks.setting = self._setting
             try:
                 return await asyncio.to_thread(getattr(self._tasks, method), *args, **kwargs)
@@ -59,7 +59,10 @@ def small_work(folder, **asked):
 def small_session(folder, setting, *, variants=(), asked=None, **given):
     work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {}))
     plan = Plan(variants=tuple(variants)) if variants else None
-    given.setdefault("make_worker", lambda work: InThread(work, setting))
+    begun = work.question  # another question has other runs
+    given.setdefault(
+        "make_worker", lambda work: InThread(work, setting if work.question == begun else None)
+    )
     return Session(work, setting, begun=plan, **given)
 
 

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from camera_rays import pixel_rays
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.image_boxes import mask_box
 from geometry.poses import Pose, body_rotation
 from geometry.raycast import FloatRays, ray_lengths_m
-from geometry.sensors import CameraModel, pixel_rays
+from geometry.sensors import CameraModel
 from placement.evaluator.surroundings import Solid, Surroundings
 
 STATIC, VRU, VUT = 0, 1, 2  # instance codes; STATIC also where nothing is hit

@@ -779,7 +779,7 @@ def _read_calibration(path: Path) -> Any:
     from geometry.calibrations import read_cameras, read_opencv_camera
 
     if path.name == "intrinsic.xml":
-        read_opencv_camera(path, path.with_name("extrinsic.xml"), width_px=1242, height_px=375)
+        read_opencv_camera(path, path.with_name("extrinsic.xml"), (1242, 375))
     return read_cameras(path, size_px=(1242, 375))
 
 

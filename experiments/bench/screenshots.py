@@ -148,6 +148,11 @@ def _photograph_dialogs(page: Any, stem: Path) -> None:
     page.wait_for_selector("p:has(> #apr:not(.old)) + #source.evaluator")
     _save(page, stem.with_name(f"{stem.name}-side-view.png"))
     page.keyboard.press("Escape")
+    for opens in ("#danger", "#question summary", "#own-poles summary"):
+        page.locator(opens).click()
+    _save(page, stem.with_name(f"{stem.name}-question.png"))
+    for closes in ("#danger", "#question summary", "#own-poles summary"):
+        page.locator(closes).click()
     page.locator("#lost button").first.click()
     page.wait_for_selector("#played")
     _save(page, stem.with_name(f"{stem.name}-run-on-plan.png"))

@@ -7,29 +7,49 @@
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from msgspec import Meta
 from msgspec.structs import replace
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
-from placement.city.choose import Phases, choose, city_front, plan_phases
+from placement.city.choose import choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.timing import TOLERANCE
 
-from ..results.numbers import euros, percent, several
+from ..language import language, mark, tr, trn
+from ..results.numbers import euros, joined, percent
 from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
-from .inputs import JUNCTIONS, City, CityMapRecord, CitySearch, CityValues, CityWish
+from .inputs import JUNCTIONS, PROXY, City, CityMapRecord, CitySearch, CityValues, CityWish
 
 SCHEMA = "place-rsus/city/1"
 MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
 _CHOICE_S = 120.0
+_CAUSES = {
+    "no lane": mark("No car can drive into it: the map has no lane that leads in."),
+    "no road": mark("On the map no road ends at it."),
+    "no site": mark("There is no pole or other place that could carry another sensor."),
+    "no run": mark("None of the collisions asked for can happen there: roads or room are missing."),
+    "no accident": mark(
+        "No known accident near it is like one of its collisions: nothing weighs them."
+    ),
+    "time": mark("It took longer than it was given (--max-junction-seconds)."),
+    "memory": mark("It took more memory than it was given (--worker-memory)."),
+}
+"""Why a junction is left out, in plain words."""
+_CAUSE_OF = {
+    **{"junction": "no lane", "lanes": "no road", "sites": "no site", "candidates": "no site"},
+    **dict.fromkeys(("runs", "cases", "approaches"), "no run"),
+    **dict.fromkeys(("near", "weights"), "no accident"),
+}
 _MAX_STEPS = 200
 
 _T = TypeVar("_T")
@@ -46,13 +66,15 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     name: str  # streets that meet
     map: str
     scene: str
-    reason: str = ""  # why there is no front
+    reason: str = ""  # why there is no front, as the program says it
+    cause: str = ""  # the same as a kind of cause, where it is one of those foreseen
     is_final: bool = True  # False where another try may end otherwise
     front: JunctionFront | None = None
     layouts: tuple[tuple[UnitRecord, ...], ...] = ()  # of each point, with the existing units
     sites: Count = 0
     poses: Count = 0
     runs: Count = 0
+    possible_runs: Count = 0  # these, and those for which there is no room
     frames: Count = 0
     seconds: dict[str, float] = msgspec.field(default_factory=dict)  # processor time by stage
     peak_memory_mib: Amount
@@ -66,6 +88,11 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     def without_layouts(self) -> "CityFrontRecord":
         """A record without the parts that take memory: its layouts and notes."""
         return replace(self, layouts=(), notes=())
+
+
+def cause_of(error: InputError) -> str:
+    """The kind of cause for which a junction is left out, by the field that an error names."""
+    return _CAUSE_OF.get(error.where.rpartition(": ")[2].partition(" ")[0], "")
 
 
 def load_front(path: Path) -> CityFrontRecord | None:
@@ -147,7 +174,8 @@ class CityJunctionRecord(Record, frozen=True, kw_only=True):
     y: float
     weight: Amount  # its accidents, as a share of the city's
     district: str = ""
-    reason: str = ""  # why it has no front
+    reason: str = ""  # why it has no front, as the program says it
+    cause: str = ""  # the same as a kind of cause, where it is one of those foreseen
     units: Count = 0  # new ones
     cost_eur: Amount = 0.0  # of these and their sites
     year: Count = 0  # in which it is ready, from 1; 0: not known, or nothing
@@ -167,11 +195,19 @@ class CityJunctionRecord(Record, frozen=True, kw_only=True):
         """Weighted accidents that the new units prevent."""
         return self.weight * (self.apr - self.apr_before)
 
+    @property
+    def why(self) -> str:
+        """Why it has no front, in plain words."""
+        if self.cause in _CAUSES:
+            return tr(_CAUSES[self.cause])
+        return tr("It could not be computed: {reason}.", reason=self.reason.rstrip("."))
+
 
 class CityStepRecord(Record, frozen=True, kw_only=True):
     """A step of the city's front: a junction gets more."""
 
     junction: str
+    folder: str = ""  # of the junction
     units: Count  # new ones at it from here on
     taken: Amount  # by all junctions together: EUR, or units
     apr: Share  # accidents prevented at all junctions together, by weight
@@ -201,10 +237,12 @@ class CityResult(Record, frozen=True, kw_only=True):
 
     schema: str = SCHEMA
     command: str = ""
+    language: str = "en"  # of its sentences and pages
     maps: tuple[CityMapRecord, ...]
     budget_units: int | None
     budget_eur: float | None
     weights: str  # their source, in words
+    warnings: tuple[str, ...] = ()  # what must not be overlooked
     units: Count
     cost_eur: Amount
     apr_before: Share  # of the existing units, by weight
@@ -214,17 +252,39 @@ class CityResult(Record, frozen=True, kw_only=True):
     is_proven: bool
     junctions: tuple[CityJunctionRecord, ...]
     not_done: Count  # junctions without a front
+    runs: Count = 0  # at all junctions with a front
+    possible_runs: Count = 0  # these, and those for which there is no room
     computed: Count = 0  # fronts that this call has found
     by: Literal["units", "cost"]  # counted by the city's front
     front: tuple[CityStepRecord, ...]
     cheapest: str = ""  # useful choice, in words
     gain_years: float | None = None  # gain times years of what is mounted earlier
+    # accidents, where it is known in how many years they were counted: of all junctions, those
+    # prevented when all is mounted, and those prevented in the years that were asked about
+    accidents_per_year: Amount | None = None
+    prevented_per_year: Amount | None = None
+    prevented_in_years: Amount | None = None
     purchases: tuple[CityPurchaseRecord, ...] = ()
     search: CitySearchRecord
     sentences: tuple[str, ...] = ()
+    not_counted: tuple[str, ...] = ()  # junctions of the maps that were not asked about, and why
     notes: tuple[str, ...]
     seconds: dict[str, float] = msgspec.field(default_factory=dict)
     versions: dict[str, str] = msgspec.field(default_factory=dict)
+
+    @property
+    def is_proven_best(self) -> bool:
+        """No choice prevents more."""
+        return self.stages[0].gap == 0.0
+
+    def of_all(self, name: str) -> float:
+        """A share that each junction has, such as its APR, as that of all of them, by weight."""
+        return sum(one.weight * float(getattr(one, name)) for one in self.junctions)
+
+    @property
+    def map_names(self) -> str:
+        """Names of the maps with roads, in words."""
+        return joined([one.name for one in self.maps if one.has_roads])
 
 
 def choose_for_city(
@@ -272,10 +332,12 @@ def choose_for_city(
     got_at = dict(zip(solved, got, strict=True))
     junctions = _junctions(out, city, values, records, existing, got=got_at)
     result = CityResult(
+        language=language(),
         maps=city.records,
         budget_units=wish.budget_units,
         budget_eur=wish.budget_eur,
         weights=values.source,
+        warnings=says("warnings", wish, search, wish.weights_file == PROXY),
         units=sum(one.units for one in junctions),
         cost_eur=sum(one.cost_eur for one in junctions),
         apr_before=float(share @ options.apr[first]),
@@ -285,10 +347,13 @@ def choose_for_city(
         is_proven=choice.certificate.is_proven,
         junctions=tuple(junctions),
         not_done=len(records) - len(solved),
+        runs=sum(records[index].runs for index in solved),
+        possible_runs=sum(records[index].possible_runs for index in solved),
         by="cost" if by_cost else "units",
         front=tuple(
             CityStepRecord(
                 junction=city.junctions[solved[step.junction]].label,
+                folder=f"{JUNCTIONS}/{city.junctions[solved[step.junction]].folder}",
                 units=int(options.units[step.row]),
                 taken=step.taken,
                 apr=step.apr,
@@ -304,9 +369,30 @@ def choose_for_city(
             radius_m=search.radius_m,
             sites=search.sites,
         ),
+        not_counted=city.notes,
         notes=(*city.notes, *values.notes),
     )
-    return replace(result, sentences=_sentences(result, wish, phases))
+    result = replace(result, **_accidents(values, junctions, wish.years))
+    head = " ".join([*says("head", result), *says("undone", result)])
+    return replace(result, sentences=(head, *says("rest", result, wish, phases, TOLERANCE)))
+
+
+def _accidents(
+    values: CityValues, junctions: Sequence[CityJunctionRecord], years: int | None
+) -> dict[str, float]:
+    """Accidents in a year, and those prevented: in a year, and in the years asked about."""
+    if values.per_year is None:
+        return {}
+    prevented = values.per_year * [one.apr - one.apr_before for one in junctions]
+    found = {
+        "accidents_per_year": float(values.per_year.sum()),
+        "prevented_per_year": float(prevented.sum()),
+    }
+    if years is None:
+        return found
+    # What is mounted in a year prevents from then on.
+    there = [max(years + 1 - max(one.year, 1), 0) for one in junctions]
+    return found | {"prevented_in_years": float(prevented @ there)}
 
 
 def _junctions(
@@ -321,7 +407,7 @@ def _junctions(
     """All junctions; those with a front with the point that was chosen: its number and year."""
     junctions = []
     for index, record in enumerate(records):
-        head = _junction_head(city, values, index, record.reason)
+        head = _junction_head(city, values, index, record)
         if record.front is not None and index in got:
             number, year = got[index]
             has_units = city.junctions[index].scene_name in existing
@@ -330,7 +416,9 @@ def _junctions(
     return junctions
 
 
-def _junction_head(city: City, values: CityValues, index: int, reason: str) -> CityJunctionRecord:
+def _junction_head(
+    city: City, values: CityValues, index: int, record: CityFrontRecord
+) -> CityJunctionRecord:
     """A junction, without what it gets."""
     one = city.junctions[index]
     x, y = one.surveyed.position.tolist()
@@ -343,7 +431,8 @@ def _junction_head(city: City, values: CityValues, index: int, reason: str) -> C
         y=y,
         weight=float(values.weight[index] / values.weight.sum()),
         district=", ".join(name for name, members in values.districts if index in members),
-        reason=reason,
+        reason=record.reason,
+        cause=record.cause,
     )
 
 
@@ -404,70 +493,25 @@ def _cheapest(
     gain = share[options.junction] * (options.apr - options.apr[first][options.junction])
     useful = np.flatnonzero(gain > TOLERANCE)
     if not len(useful):
-        return "No unit at any junction prevents anything."
+        return says("cheapest", 0, "", 0.0, 0.0)[0]
     order = np.lexsort((-gain[useful], options.units[useful], options.cost_eur[useful]))
     best = int(useful[order[0]])
-    one = city.junctions[solved[int(options.junction[best])]]
-    return (
-        f"The cheapest useful choice is {several(int(options.units[best]), 'unit', 'units')} at "
-        f"{one.label} for {euros(options.cost_eur[best])}: it would prevent "
-        f"{percent(float(gain[best]))} of the city's accidents."
+    label = city.junctions[solved[int(options.junction[best])]].label
+    sizes = int(options.units[best]), float(options.cost_eur[best]), float(gain[best])
+    return says("cheapest", sizes[0], label, *sizes[1:])[0]
+
+
+@cache
+def _templates() -> Any:
+    loader = PackageLoader(__package__, "")
+    words = {"tr": tr, "trn": trn, "percent": percent, "euros": euros}
+    environment = Environment(
+        loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    return environment.get_template("sentences.txt.j2", globals=words).module
 
 
-def _sentences(result: CityResult, wish: CityWish, phases: Phases | None) -> tuple[str, ...]:
-    """The answer in words, the most important sentence first."""
-    apr = result.stages[0]
-    served = sum(one.units > 0 for one in result.junctions)
-    n_fronts = len(result.junctions) - result.not_done
-    of_all = sum(one.weight * one.apr for one in result.junctions)
-    head = (
-        f"{several(result.units, 'unit', 'units')} at {served} of {len(result.junctions)} "
-        f"junctions for {euros(result.cost_eur)}: {percent(of_all)} of the accidents at all of "
-        "them are prevented"
-    )
-    if result.units == 0:
-        budget = several(result.budget_units or 0, "unit", "units")
-        if result.budget_eur is not None:
-            budget = euros(result.budget_eur)
-        head = f"Nothing at {several(n_fronts, 'junction', 'junctions')} for at most {budget}"
-    if result.not_done:
-        head += f"; {several(result.not_done, 'junction is', 'junctions are')} not done"
-    lines = [head + "."]
-    if result.units == 0:
-        lines.append(result.cheapest)
-    lines.append(_proof(apr, result.bound_of_fronts))
-    if result.apr_before > 0.0:
-        lines.append(
-            f"Units mounted already prevent {percent(result.apr_before)} of the accidents."
-        )
-    if phases is not None:
-        n_years = int(phases.year.max(initial=0))
-        lines.append(
-            f"At most {wish.units_per_year} units a year: all are mounted after "
-            f"{several(n_years, 'year', 'years')}, those that gain most per unit first"
-            + (" (proven)." if phases.bound <= phases.gain_years else ".")
-        )
-    if result.not_done:
-        lost = sum(one.weight for one in result.junctions if one.reason)
-        lines.append(
-            f"Junctions that are not done have {percent(lost)} of the accidents and count as if "
-            f"nothing were prevented there; of those at the others {percent(apr.objective)} are "
-            "prevented. The table says why."
-        )
-    return tuple(lines)
-
-
-def _proof(apr: StageRecord, of_fronts: float) -> str:
-    if apr.gap == 0.0:
-        return (
-            "Proven: no other units for the same budget, at these sites and in these poses, "
-            "prevent more."
-        )
-    rest = f", none among the layouts found more than {percent(of_fronts)}."
-    if of_fronts <= apr.objective + TOLERANCE:
-        rest = (
-            "; among the layouts found this choice is the best one, what is open are the fronts "
-            "of the junctions."
-        )
-    return f"No choice prevents more than {percent(apr.bound)}{rest}"
+def says(macro: str, *values: object) -> tuple[str, ...]:
+    """Sentences of a macro of ``sentences.txt.j2``, as the language that is spoken has them."""
+    lines = str(getattr(_templates(), macro)(*values)).splitlines()
+    return tuple(line for line in map(str.strip, lines) if line)

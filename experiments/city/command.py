@@ -1,6 +1,7 @@
 """``place-rsus city``: units for the junctions of a city under one budget."""
 
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import click
 from ..cli import options
 from ..cli.running import Job, command_line
 from ..cli.terminal import sentences, table
+from ..language import localized, tr
 from ..results.numbers import percent
 from ..scene.command import reading_options
 
@@ -25,12 +27,13 @@ _DRIVEN = tuple(
     if name not in (*options.OF_SCENE, "near", "vut_sensors", "packet_loss", "vam_rate", "strict")
 )
 _MAX_LISTED = 12
+_STAGGERED_M = 40.0  # a driver crosses both side roads in one go
 
 
 @click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["city"])
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
 @options.from_table("city")
-@reading_options
+@partial(reading_options, staggered_m=_STAGGERED_M)
 @options.asking(
     *_MOUNTED,
     *_SOUGHT,
@@ -82,20 +85,30 @@ def city_text(result: "CityResult", out: Path) -> str:
     failed = [one for one in result.junctions if one.reason]
     lines = sentences(*result.sentences)
     rows = [
-        [one.label, str(one.units), f"{one.cost_eur:,.0f}", percent(one.apr), percent(one.gain)]
+        [
+            one.label,
+            str(one.units),
+            localized(f"{one.cost_eur:,.0f}"),
+            percent(one.apr),
+            percent(one.gain),
+        ]
         for one in served[:_MAX_LISTED]
     ]
     if served:
-        lines += ["", *table(["junction", "units", "EUR", "APR", "of the city"], rows)]
+        heads = [tr("junction"), tr("sensors"), "EUR", tr("prevented"), tr("of the city")]
+        lines += ["", *table(heads, rows)]
         lines += _more(len(served))
     if failed:
-        lines += ["", "Not done:"]
+        lines += ["", tr("Left out:")]
         for one in failed[:_MAX_LISTED]:
-            lines += sentences(f"{one.label}: {one.reason}", indent=2, hanging=2)
+            lines += sentences(f"{one.label}: {one.why}", indent=2, hanging=2)
         lines += _more(len(failed))
-    lines += ["", *sentences(f"Weights: {result.weights}."), *sentences(*result.notes)]
-    return "\n".join([*lines, f"Written to {out}: report.html, city.gpkg, poles.csv and more."])
+    weights = tr("Weights: {source}.", source=result.weights)
+    lines += ["", *sentences(weights, *result.notes, *result.warnings)]
+    written = tr("Written to {folder}: report.html, city.gpkg, poles.csv and more.", folder=out)
+    return "\n".join([*lines, written])
 
 
 def _more(n: int) -> list[str]:
-    return [f"  and {n - _MAX_LISTED} more: junctions.csv"] if n > _MAX_LISTED else []
+    left = n - _MAX_LISTED
+    return ["  " + tr("and {n} more: junctions.csv", n=left)] if left > 0 else []

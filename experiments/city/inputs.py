@@ -10,7 +10,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_text
+from geometry.files import load_data, read_text
 from geometry.maps import importing
 from geometry.maps.georeferences import transform
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
@@ -18,11 +18,15 @@ from geometry.maps.source_map import SourceMap
 from placement.city.choose import CityWishes, District
 from placement.layout import Layout, load_layout
 
+from ..language import tr
 from ..results.folders import LAYOUT_FILE, sha256
 from ..results.record import Record
 
 JUNCTIONS = "junctions"
 """Folder of the junctions in that of a city, and the layer of them in its GeoPackage."""
+
+PROXY = Path("proxy")
+"""In place of a file of counts: an estimate by class and lanes of the roads, and signals."""
 
 _SAME_M = 15.0  # two junctions of different maps that are one
 
@@ -37,8 +41,10 @@ class CityWish:
     junctions: str = ""  # ids or names with semicolons between, or a file with one a line
     min_arms: int = 3
     signals_only: bool = False
-    weights_file: Path | None = None  # counts: geometry.maps.place_lists.read_counts
+    # counts: geometry.maps.place_lists.read_counts; or PROXY
+    weights_file: Path | None = None
     weight_column: str = ""
+    counted_years: float | None = None  # in which the accidents of `weights_file` happened
     snap_m: float = 50.0  # from a place that counts to its junction, at most
     districts: Path | None = None  # areas that each reach `min_district_apr`
     min_district_apr: float = 0.0
@@ -46,21 +52,26 @@ class CityWish:
     near_m: float = 0.0  # a junction belongs to such an area if it is no farther away
     keep: tuple[Path, ...] = ()  # layouts, or folders of a city, of the units mounted already
     units_per_year: int | None = None
-    years: int | None = None
+    years: int | None = None  # that money is for, and in which everything is mounted
 
     def __post_init__(self) -> None:
         for name, other in _TOGETHER.items():
             value = getattr(self, name)
             if value and not getattr(self, other):
                 raise InputError(name, value, f"`{other}` as well")
+        if self.years and not (self.units_per_year or self.counted_years):
+            raise InputError("years", self.years, "`units_per_year` or `counted_years` as well")
+        for name in ("weight_column", "counted_years"):
+            if self.weights_file == PROXY and getattr(self, name):
+                raise InputError(name, getattr(self, name), "a file of --junction-weights")
 
 
 # Wishes that need another one.
 _TOGETHER = {
-    "years": "units_per_year",
     "min_district_apr": "districts",
     "districts": "min_district_apr",
     "weight_column": "weights_file",
+    "counted_years": "weights_file",
 }
 
 
@@ -214,17 +225,21 @@ def _counting(
         if not left:
             expected = f"an area with some of the {len(found)} junctions"
             raise InputError("--within", str(wish.within), expected)
-        notes.append(f"{len(found) - len(left)} junctions lie outside {wish.within.name}")
+        n_outside = len(found) - len(left)
+        notes.append(tr("Junctions outside {file}: {n}.", file=wish.within.name, n=n_outside))
     if wish.junctions:
-        return _named(left, roads, wish.junctions), notes
+        named = _named(left, roads, wish.junctions)
+        return named, [*notes, tr("Junctions not named: {n}.", n=len(left) - len(named))]
     large = [one for one in left if len(one.surveyed.arms) >= wish.min_arms]
     lit = [one for one in large if one.surveyed.n_signals or not wish.signals_only]
-    if len(large) < len(left):
-        notes.append(f"{len(left) - len(large)} junctions have fewer than {wish.min_arms} arms")
-    if len(lit) < len(large):
-        notes.append(f"{len(large) - len(lit)} junctions have no traffic lights")
+    for few, all_of_them, said in (
+        (large, left, tr("Junctions with fewer than {n} arms", n=wish.min_arms)),
+        (lit, large, tr("Junctions without traffic lights")),
+    ):
+        if len(few) < len(all_of_them):
+            notes.append(f"{said}: {len(all_of_them) - len(few)}.")
     if not lit:
-        got = Unquoted("no junction that counts: " + "; ".join(notes))
+        got = Unquoted("no junction that counts: " + " ".join(notes))
         raise InputError(roads.name, got, "some")
     return lit, notes
 
@@ -255,6 +270,7 @@ class CityValues:
     least_apr: FloatArray  # (n,)
     districts: tuple[tuple[str, tuple[int, ...]], ...]  # names and junctions
     notes: tuple[str, ...]  # Rows and districts that were not used
+    per_year: FloatArray | None = None  # (n,): accidents, where it is known in how many years
 
     def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
         """The wishes for the junctions that have a front, by their indices."""
@@ -283,10 +299,19 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     """
     places = np.array([one.position_m for one in city.junctions])
     crs = city.roads[0].crs
-    weight, source, notes = np.ones(len(places)), "every junction counts the same", []
-    if wish.weights_file is not None:
+    weight, source, notes = np.ones(len(places)), tr("every junction counts the same"), []
+    if wish.weights_file == PROXY:
+        weight = np.array([estimated_accidents(one.surveyed) for one in city.junctions])
+        source = tr("estimated from class and lanes of the roads and from traffic lights")
+        roads = [name for one in city.junctions for name, _ in one.surveyed.roads]
+        if "" in roads:
+            notes.append(
+                tr("The map does not say the class of all roads: there lanes count alone.")
+            )
+    elif wish.weights_file is not None:
         weight, source, more = _weights(city, wish.weights_file, wish, places)
         notes += more
+    per_year = weight / wish.counted_years if wish.counted_years else None
     least = np.zeros(len(places))
     if wish.areas is not None:
         areas = read_areas(wish.areas, crs=crs)
@@ -310,7 +335,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
             if members:
                 districts.append((area.name, members))
             else:
-                notes.append(f"district {area.name}: no junction in it")
+                notes.append(tr("District {name}: no junction in it.", name=area.name))
         if not districts:
             raise InputError("--districts", str(wish.districts), "areas with junctions in them")
     if not weight.sum() > 0.0:
@@ -321,7 +346,31 @@ def load_values(city: City, wish: CityWish) -> CityValues:
         least_apr=least,
         districts=tuple(districts),
         notes=tuple(notes),
+        per_year=per_year,
     )
+
+
+def estimated_accidents(surveyed: importing.Surveyed) -> float:
+    """Accidents at a junction in a year by its roads and signals, to compare it with others.
+
+    Formula, coefficients and traffic by class: ``experiments/data/junction_accidents.toml``.
+    """
+    table = load_data("experiments", "junction_accidents.toml")
+    per_lane = table["vehicles_per_day_and_lane"]
+    flows = sorted(
+        (
+            n_lanes * per_lane.get(name.removesuffix("_link"), per_lane["unknown"])
+            for name, n_lanes in surveyed.roads
+        ),
+        reverse=True,
+    )
+    if not flows:
+        return 0.0
+    kind = "3 arms" if len(flows) <= 3 else "4 arms"
+    model = table["model"][f"{kind}, signals" if surveyed.n_signals else kind]
+    # The two busiest arms are those of the major road.
+    major, minor = max(flows[0], 1), max(flows[min(2, len(flows) - 1)], 1)
+    return float(np.exp(model["a"]) * major ** model["b"] * minor ** model["c"])
 
 
 def _weights(
@@ -330,7 +379,7 @@ def _weights(
     """Weights, their source in words, and notes on what was not used."""
     counts = read_counts(path, crs=city.roads[0].crs, column=wish.weight_column)
     weight = np.zeros(len(places))
-    what = f"column {counts.column}" if counts.column else "each place counts 1"
+    said = {"file": path.name, "column": counts.column, "snap_m": wish.snap_m}
     if counts.positions_m is None:
         known: dict[str, int] = {}
         for index, one in enumerate(city.junctions):
@@ -344,9 +393,17 @@ def _weights(
                 lost.append(name)
         if len(lost) == len(counts.junctions):
             raise InputError(f"{path}: junction", lost[0], "ids or names of junctions that count")
-        source = f"{path.name}, {what}, by junction"
-        notes = [f"{path.name}: {len(lost)} rows of junctions that do not count, such as {lost[0]}"]
-        return weight, source, notes if lost else []
+        source = tr("{file}, each row counts 1, by junction", **said)
+        if counts.column:
+            source = tr("{file}, column {column}, by junction", **said)
+        if not lost:
+            return weight, source, []
+        said |= {"n": len(lost), "first": lost[0]}
+        return (
+            weight,
+            source,
+            [tr("{file}: rows of junctions that do not count, such as {first}: {n}.", **said)],
+        )
     nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
     is_near = nearest >= 0
     if not is_near.any():
@@ -354,18 +411,28 @@ def _weights(
         expected = f"places within {wish.snap_m:g} m (--snap) of a junction that counts"
         raise InputError("--junction-weights", got, expected)
     np.add.at(weight, nearest[is_near].astype(np.int64), counts.values[is_near])
-    source = f"{path.name}, {what}, at the nearest junction within {wish.snap_m:g} m"
+    source = tr("{file}, each place counts 1, at the nearest junction within {snap_m:g} m", **said)
+    if counts.column:
+        source = tr("{file}, column {column}, at the nearest junction within {snap_m:g} m", **said)
     notes = []
     if not is_near.all():
-        gone = float(counts.values[~is_near].sum())
         notes.append(
-            f"{path.name}: {int((~is_near).sum())} of {len(is_near)} places, which count "
-            f"{gone:g} of {float(counts.values.sum()):g}, are farther than {wish.snap_m:g} m from "
-            "every junction that counts: not used"
+            tr(
+                "{file}: {n} of {all} places, which count {lost:g} of {total:g}, are farther than "
+                "{snap_m:g} m from every junction that counts: not used.",
+                n=int((~is_near).sum()),
+                all=len(is_near),
+                lost=float(counts.values[~is_near].sum()),
+                total=float(counts.values.sum()),
+                file=path.name,
+                snap_m=wish.snap_m,
+            )
         )
     n_zero = int((weight == 0.0).sum())
     if n_zero:
-        notes.append(f"{n_zero} junctions have no weight and get nothing for themselves")
+        notes.append(
+            tr("Junctions without a weight, which get nothing for themselves: {n}.", n=n_zero)
+        )
     return weight, source, notes
 
 

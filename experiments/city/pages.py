@@ -15,18 +15,30 @@ from geometry.maps.source_map import SourceMap
 from geometry.scene import Scene
 from placement.city.fronts import JunctionFront
 from placement.layout import Layout
+from placement.optimiser.timing import TOLERANCE
 
-from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_axes
+from ..figures.axes import (
+    BLUE,
+    VERMILION,
+    WIDTH_IN,
+    Style,
+    finish_axes,
+    new_axes,
+    root_figure,
+)
+from ..figures.labels import Label, draw_labels
+from ..language import localized, tr, trn
 from ..parts.section import Bullets, Code, Html, Section, build_picture
 from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
-from ..scene.pictures import HALO, new_map_axes, plot_scene_plan
-from .answer import CityFrontRecord, CityJunctionRecord, CityResult
+from ..scene.pictures import new_map_axes, plot_scene_plan
+from .answer import CityFrontRecord, CityJunctionRecord, CityResult, says
 
 MAX_ROWS = 400
 """Junctions and poles that are listed, and junctions that get pages."""
 
 _MAX_STEPS = 60
+_SAME = 0.5  # euros, or units
 _ARROW_M = 9.0
 
 
@@ -34,7 +46,11 @@ _ARROW_M = 9.0
 def _templates() -> Any:
     """Sections of the pages, as macros by the ids of the sections."""
     source = (files(__package__) / "sections.html.j2").read_text(encoding="utf-8")
-    words = {"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS}
+    words = {
+        **{"percent": percent, "euros": euros, "number": number, "most": MAX_ROWS},
+        "undone": partial(says, "undone"),
+        "whole": lambda value: localized(f"{value:,.0f}"),
+    }
     return page_environment().from_string(source, globals=words).module
 
 
@@ -46,39 +62,84 @@ def _section(name: str, title: str, *values: object, macro: str = "") -> Section
 def render_city_report(
     result: CityResult,
     city_map: Axes,
+    narrow_map: Axes,
     front: Axes,
     *,
+    sums: Mapping[str, Any],
     poles: Sequence[Mapping[str, Any]],
     paged: Container[str],
 ) -> str:
     """The city's report as one HTML page; it links the pages of the folders that have one."""
     by_cost = result.by == "cost"
-    counted, budget = ("euros", result.budget_eur) if by_cost else ("units", result.budget_units)
+    budget = result.budget_eur if by_cost else result.budget_units
     steps = result.front[:_MAX_STEPS]
     n_within = 0
     if budget is not None:
         n_within = sum(step.taken <= budget + 1e-6 for step in result.front)
     failed = [one for one in result.junctions if one.reason]
+    more = tr("What more money buys") if by_cost else tr("What more sensors buy")
     sections = [
-        _section("map", "Where", result, partial(build_picture, city_map)),
-        _section("junctions", "What each junction gets", result, paged),
-        _section(
-            *("front", f"What more {counted} buy"),
-            *(result, partial(build_picture, front), counted, steps, n_within),
-        ),
-        _section("proof", "How good it is proven to be", result),
-        *([_section("order", "What to order", result, poles)] if result.purchases else []),
-        *([_section("not-done", "What was not done", failed)] if failed else []),
-        _section("assumptions", "What this rests on", result, result.search),
-        Section("again", "Make it again", [Code(result.command)]),
+        _section("junctions", tr("What each junction gets"), result, paged),
+        _section("front", more, result, partial(build_picture, front), steps, n_within, sums),
+        _section("proof", tr("How good it is proven to be"), result),
+        *([_section("order", tr("What to order"), result, poles)] if result.purchases else []),
+        *([_section("not-done", tr("What was not done"), failed)] if failed else []),
+        _section("assumptions", tr("What this rests on"), result, result.search),
+        Section("again", tr("Make it again"), [Code(result.command)]),
     ]
-    names = " and ".join(one.name for one in result.maps if one.has_roads)
     return page_template().render(
-        title=f"Roadside units for {names}",
-        answer=list(result.sentences),
+        title=tr("Roadside sensors for {maps}", maps=result.map_names),
+        overview=_templates().overview(result, partial(build_picture, city_map, narrow=narrow_map)),
+        answer=list(result.sentences[1:]),
         sections=sections,
         interactive=None,
     )
+
+
+def build_sums(
+    maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
+) -> dict[str, Any]:
+    """What each sum of money or number of sensors buys, for a slider beside an empty map.
+
+    ``stops`` are the steps of the city's front and the choice itself: what each says, and what it
+    changes at junctions, by their index, against the stop before. ``spots`` are the places of
+    these in the map: % of its width and height.
+    """
+    places = np.array(positions_m).reshape(-1, 2)
+    axes = new_map_axes(maps, places)
+    picture = build_picture(axes, title="", caption="", alt=tr("Streets and buildings of the maps"))
+    width, height = root_figure(axes).canvas.get_width_height()
+    x, y = axes.transData.transform(places).T
+    spots = np.round(np.column_stack([100.0 * x / width, 100.0 - 100.0 * y / height]), 2)
+    index = {one.folder: number for number, one in enumerate(result.junctions)}
+    is_done = sum(one.weight for one in result.junctions if not one.reason)
+    got: dict[int, int] = {}
+    states = [(0.0, result.apr_before, got)]
+    for step in result.front:
+        got = got | {index[step.folder]: step.units}
+        states.append((step.taken, step.apr, got))
+    chosen = {number: one.units for number, one in enumerate(result.junctions) if one.units}
+    own = result.cost_eur if result.by == "cost" else float(result.units)
+    best = result.stages[0].objective
+    states = [one for one in states if abs(one[0] - own) > _SAME or one[1] > best + TOLERANCE]
+    states = sorted([*states, (own, best, chosen)], key=lambda one: one[:2])
+    stops: list[dict[str, Any]] = []
+    before: dict[int, int] = {}
+    for taken, apr, now in states:
+        sets = {key: now.get(key, 0) for key in before | now if now.get(key) != before.get(key)}
+        at = {"taken": taken, "share": is_done * apr, "n": sum(now.values()), "served": len(now)}
+        stops.append({**at, "sets": sets, "is_chosen": now is chosen})
+        before = now
+    used = sorted({number for stop in stops for number in stop["sets"]})
+    return {
+        "picture": picture,
+        "stops": stops,
+        "shown": {
+            "spots": {number: spots[number].tolist() for number in used},
+            "names": {number: result.junctions[number].label for number in used},
+        },
+        "chosen": next(n for n, one in enumerate(stops) if one["is_chosen"]),
+    }
 
 
 def render_junction_page(
@@ -88,13 +149,6 @@ def render_junction_page(
 
     `question` is the name of the file of the runs that are driven, in the page's folder.
     """
-    answer = [
-        f"{one.units} new units for {euros(one.cost_eur)}: APR {percent(one.apr)}"
-        + (f", before {percent(one.apr_before)}." if one.kept else ".")
-        if one.units
-        else "This junction gets no new unit.",
-        f"{record.runs} runs, {record.sites} sites, {record.poses} poses.",
-    ]
     again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
     assert record.front is not None
     points = record.front.points
@@ -105,19 +159,22 @@ def render_junction_page(
     )
     plan = partial(build_picture, _plot_units(scene, layout))
     front = partial(build_picture, plot_junction_front(record.front, chosen=chosen))
+    look = tr("In this folder, full perception and emergency braking:")
     sections = [
-        _section("plan", "Plan", one, plan),
-        _section("front", "What money buys here", points, points[chosen], front, macro="layouts"),
-        Section(
-            "closer",
-            "Look closer",
-            ["In this folder, full perception and emergency braking:", Code(again)],
+        _section("plan", tr("Plan"), one, plan),
+        _section(
+            *("front", tr("What money buys here"), points, points[chosen], front), macro="layouts"
         ),
+        Section("closer", tr("Look closer"), [look, Code(again)]),
     ]
     if record.notes:
-        sections.append(Section("notes", "Left out or assumed", [Bullets(record.notes[:60])]))
+        notes = Bullets(record.notes[:60])
+        sections.append(Section("notes", tr("Left out or assumed"), [notes]))
     return page_template().render(
-        title=one.label, answer=answer, sections=sections, interactive=None
+        title=one.label,
+        answer=[_templates().gets(one), _templates().sizes(record)],
+        sections=sections,
+        interactive=None,
     )
 
 
@@ -143,12 +200,16 @@ _MAX_NAMED = 12
 _DOT: Style = {"linestyle": "none", "marker": "o"}
 _CHOSEN: Style = {
     **{"linestyle": "none", "marker": "D", "ms": 7.5, "mfc": VERMILION, "mec": "black", "mew": 0.6},
-    **{"label": "chosen", "gid": "chosen", "zorder": 5},
+    **{"gid": "chosen", "zorder": 5},
 }
 
 
 def plot_city_map(
-    maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
+    maps: Sequence[SourceMap],
+    positions_m: Sequence[FloatArray],
+    result: CityResult,
+    *,
+    width_in: float = WIDTH_IN,
 ) -> Axes:
     """Streets and buildings of the maps, and what each junction gets.
 
@@ -157,7 +218,7 @@ def plot_city_map(
     circle gets nothing, a cross was not done.
     """
     places, junctions = np.array(positions_m).reshape(-1, 2), result.junctions
-    axes = new_map_axes(maps, places)
+    axes = new_map_axes(maps, places, width_in=width_in)
     gain = np.array([max(one.gain, 0.0) for one in junctions])
     units = np.array([one.units for one in junctions])
     failed = np.array([bool(one.reason) for one in junctions])
@@ -183,23 +244,44 @@ def plot_city_map(
         )
         dark = units[index] > 0.45 * most
         _write(axes, units[index], places[index], fontsize=6.5, color="white" if dark else "black")
-    for rank, index in enumerate(order[:_MAX_NAMED], start=1):
-        away = (0.6 * np.sqrt(size[index]) + 1.0, 4.0)
-        style: Style = {"fontsize": 7.5, "fontweight": "bold", "color": BLUE, "ha": "left"}
-        _write(axes, rank, places[index], xytext=away, va="baseline", path_effects=[HALO], **style)
+    names = [
+        Label(
+            text=f"{rank} {junctions[index].label}",
+            point_m=(float(places[index, 0]), float(places[index, 1])),
+            gap=0.6 * float(np.sqrt(size[index])),
+            size=7.0,
+            style={"color": BLUE, "zorder": 8},
+        )
+        for rank, index in enumerate(order[:_MAX_NAMED], start=1)
+    ]
+    draw_labels(axes, names, marks_m=places)
     circle: Style = {**_DOT, "ms": 7.0, "mec": "black", "mew": 0.6}
     handles = [
-        Line2D([], [], mfc=shade(n), label=f"{n} unit{'s' if n > 1 else ''}", **circle)
+        Line2D([], [], mfc=shade(n), label=trn("{n} sensor", "{n} sensors", n), **circle)
         for n in sorted(set(units[served].tolist()))
     ]
     for mask, style in (
         (
             ~served & ~failed,
-            {**_DOT, "mfc": "white", "mec": "#444444", "mew": 0.9, "ms": 4.0, "label": "nothing"},
+            {
+                **_DOT,
+                "mfc": "white",
+                "mec": "#444444",
+                "mew": 0.9,
+                "ms": 4.0,
+                "label": tr("nothing"),
+            },
         ),
         (
             failed,
-            {**_DOT, "marker": "x", "mec": VERMILION, "mew": 1.4, "ms": 5.0, "label": "not done"},
+            {
+                **_DOT,
+                "marker": "x",
+                "mec": VERMILION,
+                "mew": 1.4,
+                "ms": 5.0,
+                "label": tr("left out"),
+            },
         ),
     ):
         if mask.any():
@@ -234,18 +316,19 @@ def plot_city_front(result: CityResult) -> Axes:
     axes.plot(x, y, ms=3.5, color=BLUE, zorder=3, gid="steps", **_DOT)
     taken = result.cost_eur if by_cost else float(result.units)
     stage = result.stages[0]
-    axes.plot([taken], [100.0 * stage.objective], **_CHOSEN)
+    axes.plot([taken], [100.0 * stage.objective], label=tr("chosen"), **_CHOSEN)
     if stage.bound is not None and stage.gap:
         bar: Style = {"linestyle": "none", "marker": "_", "ms": 12.0, "mec": VERMILION, "mew": 2.0}
         axes.vlines(taken, 100.0 * stage.objective, 100.0 * stage.bound, color=VERMILION, lw=2.0)
-        axes.plot([taken], [100.0 * stage.bound], label="no choice is above", **bar)
+        axes.plot([taken], [100.0 * stage.bound], label=tr("no choice is above"), **bar)
     budget = result.budget_eur if by_cost else result.budget_units
     if budget is not None:
-        axes.axvline(budget, color="black", lw=0.8, linestyle=(0, (2, 2)), label="budget")
+        dotted: Style = {"color": "black", "lw": 0.8, "linestyle": (0, (2, 2))}
+        axes.axvline(budget, label=tr("budget"), **dotted)
     axes.set_ylim(0.0, 104.0)
     axes.set_xlim(left=0.0)
-    label = "cost of units and sites (EUR)" if by_cost else "new units"
-    return _finish_front(axes, label, "accidents prevented (%)", by_cost=by_cost)
+    label = tr("cost of sensors and poles (EUR)") if by_cost else tr("new sensors")
+    return _finish_front(axes, label, tr("accidents prevented (%)"), by_cost=by_cost)
 
 
 def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
@@ -261,20 +344,21 @@ def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
         color="#777777",
         lw=1.0,
         linestyle=(0, (3, 2)),
-        label="no layout is above",
+        label=tr("no layout is above"),
     )
-    axes.plot(cost, apr_percent, ms=5.0, color=BLUE, label="layouts", gid="points", **_DOT)
+    axes.plot(cost, apr_percent, ms=5.0, color=BLUE, label=tr("layouts"), gid="points", **_DOT)
     for x, y, point in zip(cost, apr_percent, front.points, strict=True):
         _write(axes, point.units, np.array([x, y]), xytext=(0.0, -9.0), va="baseline", fontsize=6.5)
-    axes.plot([cost[chosen]], [apr_percent[chosen]], **_CHOSEN)
+    axes.plot([cost[chosen]], [apr_percent[chosen]], label=tr("chosen"), **_CHOSEN)
     axes.set_ylim(-8.0, 104.0)
     axes.set_xlim(-0.03 * end, end)
-    return _finish_front(axes, "cost (EUR); below each point its units", "APR (%)", by_cost=True)
+    label = tr("cost (EUR); below each point its sensors")
+    return _finish_front(axes, label, tr("accidents prevented (%)"), by_cost=True)
 
 
 def _finish_front(axes: Axes, x: str, y: str, *, by_cost: bool) -> Axes:
     finish_axes(axes, x=x, y=y, grid="y")
     if by_cost:
-        axes.xaxis.set_major_formatter(lambda value, _position: f"{value:,.0f}")
+        axes.xaxis.set_major_formatter(lambda value, _: localized(f"{value:,.0f}"))
     axes.legend(fontsize=8, frameon=False, loc="lower right")
     return axes

@@ -37,12 +37,12 @@ from scenarios.weights import weight_files
 
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
-from ..figures.axes import to_png
+from ..figures.axes import NARROW_IN, to_png
+from ..language import speaking, tr
 from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress, follow_parent
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
-from ..results.numbers import several
 from ..results.record import Record, to_plain
 from ..results.tables import csv_text
 from . import inputs, pages
@@ -67,7 +67,7 @@ from .answer import (
 from .workers import JunctionTask, check_memory, run_junctions, start_workers
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
-JUNCTION_TABLE, POLE_TABLE, UNITS = "junctions.csv", "poles.csv", "units"
+JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
 CITY_VERSION = 3
 """Counts up when the same inputs give another front: older ones in a folder are made anew."""
 
@@ -116,10 +116,8 @@ def run_city(
     task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
     done = _find_done(out, city, task_of)
     n_todo = len(city.junctions) - len(done)
-    tell(
-        f"{several(len(city.junctions), 'junction', 'junctions')} of {city.n_all}; "
-        f"{len(done)} {'is' if len(done) == 1 else 'are'} done already. {values.source}."
-    )
+    said = {"n": len(city.junctions), "all": city.n_all, "done": len(done), "source": values.source}
+    tell(tr("Junctions: {n} of {all}; done already: {done}. Weights: {source}.", **said))
     progress.kept = f"junctions that are done are kept in {out}; the same command goes on"
     if n_todo:
         todo = {one.scene_name: one for one in city.junctions if one.folder not in done}
@@ -285,6 +283,7 @@ class ServedTask:
     existing: Layout | None
     has_page: bool
     is_new: bool
+    language: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -329,7 +328,8 @@ def write_served(task: ServedTask) -> Served:
         if task.has_page:
             record = load_front(folder / FRONT)
             assert record is not None
-            page = pages.render_junction_page(one, record, scene, layout, question=QUESTION)
+            with speaking(task.language):  # it may be in another process
+                page = pages.render_junction_page(one, record, scene, layout, question=QUESTION)
             files[REPORT] = page.encode()
         write_files(folder, files)
     head = {"junction": one.id, "name": one.name, "year": one.year}
@@ -375,8 +375,9 @@ def _served_tasks(
     for layout in existing.values():
         sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
     last = load_summary(out / SUMMARY)
-    chosen = () if last is None or last.versions != result.versions else last.junctions
-    same = {one.folder: one for one in chosen if one.folder in same_fronts}
+    same = {}
+    if last is not None and (last.versions, last.language) == (result.versions, result.language):
+        same = {one.folder: one for one in last.junctions if one.folder in same_fronts}
     asked = question_text(question).encode()
     served = [one for one in result.junctions if one.layout and not one.reason]
     by_gain = sorted(served, key=lambda one: -one.gain)[: pages.MAX_ROWS]
@@ -403,6 +404,7 @@ def _served_tasks(
             question=question,
             existing=existing.get(f"{Path(one.map).stem}/{one.id}"),
             has_page=one.folder in paged,
+            language=result.language,
             is_new=one.folder not in right
             or (one.folder in paged and not (out / one.folder / REPORT).exists()),
         )
@@ -450,16 +452,21 @@ def write_city(
     }
     (out / GEOPACKAGE).unlink(missing_ok=True)
     if city.roads[0].crs:
-        tables[GEOPACKAGE] = _to_geopackage(units, result.junctions, crs=city.crs)
+        tables[GEOPACKAGE] = _to_geopackage(units, poles, result.junctions, crs=city.crs)
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
-    drawn = pages.plot_city_map([*city.roads, *city.others], position, result)
+    maps = [*city.roads, *city.others]
+    drawn = pages.plot_city_map(maps, position, result)
+    narrow = pages.plot_city_map(maps, position, result, width_in=NARROW_IN)
     front = pages.plot_city_front(result)
     tables["map.png"] = to_png(drawn)
     tables["front.png"] = to_png(front)
     write_files(out, tables)
     paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
-    report = pages.render_city_report(result, drawn, front, poles=poles, paged=paged)
+    sums = pages.build_sums(maps, position, result)
+    report = pages.render_city_report(
+        result, drawn, narrow, front, sums=sums, poles=poles, paged=paged
+    )
     result = replace(result, seconds=finish())
     write_files(out, {REPORT: report.encode(), SUMMARY: to_json_text(result).encode()})
     write_manifest(out)
@@ -490,12 +497,16 @@ def _poles(
 
 
 def _to_geopackage(
-    units: Sequence[Mapping[str, Any]], junctions: Sequence[CityJunctionRecord], *, crs: str
+    units: Sequence[Mapping[str, Any]],
+    poles: Sequence[Mapping[str, Any]],
+    junctions: Sequence[CityJunctionRecord],
+    *,
+    crs: str,
 ) -> bytes:
-    """Layers "units" (points with height) and "junctions" in the coordinates of the map.
+    """Layers "units" (points with height), "poles" and "junctions" in the coordinates of the map.
 
-    Units may be of maps with other reference systems. Format: OGC 12-128, "GeoPackage Encoding
-    Standard".
+    Units and poles may be of maps with other reference systems. Format: OGC 12-128, "GeoPackage
+    Encoding Standard".
     """
     import geopandas as gpd
     import pandas as pd
@@ -503,21 +514,23 @@ def _to_geopackage(
 
     columns = (
         *("id", "name", "map", "weight", "district", "units", "cost_eur", "year"),
-        *("apr_before", "apr", "apr_one_failed", "gain", "reason"),
+        *("apr_before", "apr", "apr_one_failed", "gain", "reason", "cause"),
     )
+
+    def places(rows: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
+        for row in rows:
+            here = [row["map_x"], row["map_y"]]
+            yield here if row["map_crs"] == crs else transform(here, row["map_crs"], crs)
+
     rows = [{name: getattr(one, name) for name in columns} for one in junctions]
     points = gpd.points_from_xy([one.x for one in junctions], [one.y for one in junctions])
     layers = [(inputs.JUNCTIONS, "Point", rows, points)]
     if units:
-        places = [
-            transform([unit["map_x"], unit["map_y"]], unit["map_crs"], crs)
-            if unit["map_crs"] != crs
-            else (unit["map_x"], unit["map_y"])
-            for unit in units
-        ]
         heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
-        points = gpd.points_from_xy(*zip(*places, strict=True), z=heights_m)
-        layers.append((UNITS, "Point Z", [dict(unit) for unit in units], points))
+        points = gpd.points_from_xy(*zip(*places(units), strict=True), z=heights_m)
+        layers.append(("units", "Point Z", [dict(unit) for unit in units], points))
+        points = gpd.points_from_xy(*zip(*places(poles), strict=True))
+        layers.append(("poles", "Point", [dict(pole) for pole in poles], points))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / GEOPACKAGE
         for name, kind, records, geometry in layers:
@@ -532,7 +545,7 @@ def _to_geopackage(
 
 _GOT = (
     *("id", "name", "map", "x", "y", "weight", "district", "units", "cost_eur", "year"),
-    *("apr_before", "apr", "apr_one_failed", "reason", "folder"),
+    *("apr_before", "apr", "apr_one_failed", "reason", "cause", "folder"),
 )
 _TOOK = ("sites", "poses", "runs", "frames", "cpu_s", "peak_memory_mib")
 

@@ -25,10 +25,10 @@ from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
 from placement.compute import Compute
 from placement.question import Question
 
+from ..language import tr
 from ..progress import follow_parent
-from ..results.numbers import several
 from ..results.record import build_unit_records
-from .answer import CityFrontRecord
+from .answer import CityFrontRecord, cause_of
 
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""
@@ -73,7 +73,9 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
     except (InputError, TimeUpError) as error:
         # Another time, the machine may be less busy, and what it compiles once is compiled.
         is_final = isinstance(error, InputError)
-        return JunctionAnswer(_failed(task, str(error), is_final=is_final, notes=notes), files)
+        cause = cause_of(error) if isinstance(error, InputError) else "time"
+        failed = _failed(task, str(error), cause=cause, is_final=is_final, notes=notes)
+        return JunctionAnswer(failed, files)
     found = {one.name: getattr(solved, one.name) for one in fields(solved)}
     found["layouts"] = tuple(build_unit_records(one) if one else () for one in solved.layouts)
     return JunctionAnswer(_record(task, scene=imported.scene.name, notes=notes, **found), files)
@@ -213,7 +215,7 @@ def start_workers(
 ) -> Iterator[LocalWorkers]:
     """Processes on this machine, each with at most so much memory."""
     with LocalWorkers(n_workers, max_bytes=check_memory(memory)) as processes:
-        tell(f"{several(n_workers, 'worker', 'workers')} of at most {memory} memory each.")
+        tell(tr("Workers: {n}, of at most {memory} memory each.", n=n_workers, memory=memory))
         yield processes
 
 
@@ -263,10 +265,10 @@ def run_junctions(
                     hand_over(task, attempt + 1)
                     continue
                 text = " ".join(str(error).split())[:200]  # it begins with the kind
-                reason = f"an unexpected error, {TRIES} times: {text}"
+                reason, cause = f"an unexpected error, {TRIES} times: {text}", ""
                 if isinstance(error, WorkerDiedError):
-                    cause = f" of {error}" if str(error) else ""
+                    of, cause = (f" of {error}", "memory") if str(error) else ("", "")
                     remedy = "more --worker-memory, or fewer poses"
-                    reason = f"its worker died{cause}, {TRIES} times: {remedy}"
-                answer = JunctionAnswer(_failed(task, reason, is_final=False), {})
+                    reason = f"its worker died{of}, {TRIES} times: {remedy}"
+                answer = JunctionAnswer(_failed(task, reason, cause=cause, is_final=False), {})
             yield task, answer

@@ -13,6 +13,7 @@ from placement.explain.agreement import Disagreement
 from placement.explain.unavoided import Unavoided
 from scenarios.scores import AVOIDED
 
+from ..language import localized, mark, said, say, tr
 from ..parts import (
     Part,
     added,
@@ -33,12 +34,15 @@ from ..parts.comparison import HIGHEST
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
-from ..results.numbers import cars_words, first_of, number, percent, several, shortened
+from ..results.numbers import first_of, number, percent, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
+from .terminal import basis, more_reasons
 
-_TOGETHER = "fused: in each frame, any of the units may detect"
 _MAX_UNITS, _MAX_SHORT_UNITS = 24, 12
 _NAME_WIDTH = 40
+_VUT_ALONE = mark("VUT alone")
+_EVALUATED = mark("Evaluated by full perception and emergency braking:")
+_NO_RUNS = mark("none")
 _MOST_ASSUMED, _MOST_REASONS, _MAX_DISAGREEMENTS = 4, 5, 5
 _Apr = PartyAprRecord | Score
 
@@ -46,16 +50,17 @@ _Apr = PartyAprRecord | Score
 def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     """The best layout, its proof, and what it is compared with."""
     n_units = len(result.layout)
-    parties: dict[str, _Apr] = {"these, fused": result.evaluation.judged}
+    parties: dict[str, _Apr] = {tr("these, fused"): result.evaluation.judged}
     parties |= {
         **dict([_other_view(result.evaluation)]),
-        "VUT alone": result.evaluation.vut,
-        "greedy, fused": result.greedy.evaluation.judged,
+        tr(_VUT_ALONE): result.evaluation.vut,
+        tr("greedy, fused"): result.greedy.evaluation.judged,
     }
     if result.baseline is not None:
-        parties[f"{result.baseline.name} fused"] = result.baseline.evaluation.judged
+        name = tr("{name} fused", name=result.baseline.name)
+        parties[name] = result.baseline.evaluation.judged
     if result.baselines.expert is not None:
-        parties["expert rule, fused"] = result.baselines.expert.score
+        parties[tr("expert rule, fused")] = result.baselines.expert.score
     compared: list[tuple[str, comparison.Compared]] = [("greedy", result.greedy)]
     if result.highest is not None and result.highest.compared is not None:
         compared.insert(0, (HIGHEST, result.highest.compared))
@@ -68,24 +73,23 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     return [
         *_head(result),
         Part(
-            title=f"Best {n_units} of {result.candidates} poses on {result.runs} runs "
-            f"(fusion {result.fusion}{cars_words(result.cars)}):",
+            title=say("terminal.best", n=n_units, poses=result.candidates, **basis(result)),
             table=_units_table(result.layout),
             notes=[*unit_notes(result.layout), _cost(result)],
             is_short=True,
         ),
-        Part(notes=result.assumed_prices),
+        Part(notes=[*map(said, result.assumed_prices)]),
         _said(f"{proof.words(result)}."),
         Part(table=proof.table(result)),
         Part(
-            title="Evaluated by full perception and emergency braking:",
+            title=tr(_EVALUATED),
             table=_summary_table(result, others, units, result.baselines),
             notes=failure_notes(result.evaluation),
             is_short=True,
         ),
         Part(
             table=_apr_table(parties | _announced(result.evaluation)),
-            notes=[f"{_together(result)}; greedy: units chosen one by one."],
+            notes=[tr("{fused}; greedy: units chosen one by one.", fused=_together(result))],
         ),
         _impacts(result, others),
         _said(*([] if further == "." else [further])),
@@ -94,10 +98,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         _without_optimiser(result.baselines, n_units=n_units),
         _study_part(result.study_cases),
         Part(
-            words=[
-                f"Table and evaluator disagree on {percent(result.surrogate_disagreement)} of the "
-                "runs."
-            ],
+            words=[say("terminal.disagree", share=percent(result.surrogate_disagreement))],
             notes=_disagreements(result.disagreements),
         ),
         _last(out),
@@ -112,25 +113,37 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
         alone.sort(key=lambda item: item[1].all or 0.0, reverse=True)
     shown = dict(alone[:_MAX_UNITS])
     n_left = len(alone) - len(shown)
-    place = "apr.csv" if out is not None else "apr.csv with --out"
-    more = f"and {n_left} more units, none of a higher APR by itself: in {place}"
-    units = [unit for unit in result.layout if unit.id in shown]
+    more = tr("and {n} more units, none of a higher APR by itself: in apr.csv", n=n_left)
+    if out is None:
+        more = tr(
+            "and {n} more units, none of a higher APR by itself: in apr.csv with --out", n=n_left
+        )
+    units, n_units = [unit for unit in result.layout if unit.id in shown], len(result.layout)
     is_long = len(units) > _MAX_SHORT_UNITS
     return [
         *_head(result),
         Part(
-            title=f"{result.name} on {result.runs} runs{cars_words(result.cars)}:",
+            title=tr("{name} on {runs} runs{cars}:", name=result.name, **basis(result)),
             table=_units_table(units),
             notes=[*([more] if n_left else []), *unit_notes(units), _cost(result)],
             is_short=not is_long,
         ),
         *(
-            [_said(f"{result.name}: {len(result.layout)} units; {_cost(result)}.")]
+            [
+                _said(
+                    tr(
+                        "{name}: {n} units; {cost}.",
+                        n=n_units,
+                        name=result.name,
+                        cost=_cost(result),
+                    )
+                )
+            ]
             if is_long
             else []
         ),
         Part(
-            title="Evaluated by full perception and emergency braking:",
+            title=tr(_EVALUATED),
             table=_summary_table(result, {}, {}, None),
             notes=failure_notes(evaluation),
             is_short=True,
@@ -139,13 +152,13 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
             table=_apr_table(
                 {
                     **shown,
-                    "all, fused": evaluation.judged,
+                    tr("all, fused"): evaluation.judged,
                     **dict([_other_view(evaluation)]),
-                    "VUT alone": evaluation.vut,
+                    tr(_VUT_ALONE): evaluation.vut,
                     **_announced(evaluation),
                 }
             ),
-            notes=[f"each unit by itself; {_together(result)}."],
+            notes=[tr("each unit by itself; {fused}.", fused=_together(result))],
         ),
         _impacts(result, {}),
         _said(*answer.doubts(result)),
@@ -160,15 +173,19 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     others = {other.name: other.evaluation for other in result.compared}
     for name, evaluation in {result.name: result.evaluation, **others}.items():
         parties[name] = evaluation.judged
-        words = "alone" if result.cars else "and VUT"
-        parties[f"{name} {words}"] = _other_view(evaluation)[1]
+        alone = tr("{name} alone", name=name)
+        other_view = alone if result.cars else tr("{name} and VUT", name=name)
+        parties[other_view] = _other_view(evaluation)[1]
     if result.baselines and result.baselines.expert is not None:
-        parties["expert rule"] = result.baselines.expert.score
+        parties[tr(comparison.EXPERT)] = result.baselines.expert.score
     names = ", ".join(other.name for other in result.compared)
     return [
         *_head(result),
         Part(
-            title=f"{result.name} against {names} on {result.runs} runs{cars_words(result.cars)}:",
+            title=tr(
+                "{name} against {names} on {runs} runs{cars}:",
+                **{"name": result.name, "names": names, **basis(result)},
+            ),
             table=_summary_table(
                 result,
                 others,
@@ -178,8 +195,8 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
             is_short=True,
         ),
         Part(
-            table=_apr_table(parties | {"VUT alone": result.evaluation.vut}),
-            notes=[f"each layout's units are {_together(result)}."],
+            table=_apr_table(parties | {tr(_VUT_ALONE): result.evaluation.vut}),
+            notes=[tr("each layout's units are {fused}.", fused=_together(result))],
         ),
         _impacts(result, others),
         _said(*(f"{text}." for text in comparison.words(result.name, result.compared))),
@@ -189,12 +206,14 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
         _without_optimiser(result.baselines, n_units=len(result.layout)),
         _study_part(result.study_cases),
         *(
-            Part(title=f"Runs {words}{f' over {other.name}' if many else ''}:", words=[runs])
-            for many in [len(result.compared) > 1]
+            Part(
+                title=tr(over if len(result.compared) > 1 else alone, name=other.name),
+                words=[", ".join(runs) or tr(_NO_RUNS)],
+            )
             for other in result.compared
-            for words, runs in (
-                ("gained", ", ".join(other.runs_gained) or "none"),
-                ("lost", ", ".join(other.runs_lost) or "none"),
+            for over, alone, runs in (
+                (mark("Runs gained over {name}:"), mark("Runs gained:"), other.runs_gained),
+                (mark("Runs lost over {name}:"), mark("Runs lost:"), other.runs_lost),
             )
         ),
         _last(out),
@@ -205,16 +224,18 @@ def _impacts(result: Result, others: Mapping[str, EvaluationRecord]) -> Part:
     """What is left of the impacts, and with a score what the runs count."""
     parties = {
         result.name: result.evaluation.judged,
-        **{name: other.judged for name, other in others.items()},
-        "VUT alone": result.evaluation.vut,
+        **{said(name): other.judged for name, other in others.items()},
+        tr(_VUT_ALONE): result.evaluation.vut,
     }
     left = ", ".join(
         f"{name} {number(party.mean_impact_speed_kmh, 1)}" for name, party in parties.items()
     )
-    words = [f"Mean speed of the VUT at contact, avoided runs as 0: {left} km/h."]
+    words = [tr("Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.", speeds=left)]
     if result.score != AVOIDED:
         scores = ", ".join(f"{name} {percent(party.score)}" for name, party in parties.items())
-        words.append(f"Score ({result.score}) by the evaluator: {scores}.")
+        words.append(
+            tr("Score ({score}) by the evaluator: {scores}.", score=result.score, scores=scores)
+        )
     return Part(words=words, is_short=result.score != AVOIDED)
 
 
@@ -229,8 +250,7 @@ def _head(result: Result) -> list[Part]:
     reasons = [*result.driven[1 : 1 + _MOST_REASONS]]
     n_reasons = len(result.driven) - 1 - len(reasons)
     if n_reasons > 0:
-        more = several(n_reasons, "more reason", "more reasons")
-        reasons.append(f"and {more} in the report's list")
+        reasons.append(more_reasons(n_reasons))
     return [
         _said(
             answer.lead(result),
@@ -251,14 +271,15 @@ def assumption_parts(result: Result) -> list[Part]:
     assumed = assumption_sentences(result)
     if not assumed:
         return []
-    things = several(len(assumed), "thing is", "things are")
     n_left = len(assumed) - _MOST_ASSUMED
     return [
-        _said(f"{things} assumed of the map."),
+        _said(say("terminal.assumed", len(assumed))),
         Part(
-            title="Assumed, for the map does not say it:",
+            title=tr("Assumed, for the map does not say it:"),
             words=assumed[:_MOST_ASSUMED],
-            notes=[f"and {n_left} more: in the report and `scene show`"] if n_left > 0 else [],
+            notes=[tr("and {n} more: in the report and `scene show`", n=n_left)]
+            if n_left > 0
+            else [],
         ),
     ]
 
@@ -267,7 +288,7 @@ def _explained(result: PlacementResult) -> list[Part]:
     """Why these units, what each buys; what was asked for besides."""
     return [
         Part(
-            title="What each unit buys:",
+            title=tr("What each unit buys:"),
             words=result.front.sentences,
             table=front.table(result.front),
             notes=front.notes(result.front),
@@ -290,7 +311,7 @@ def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
 
 def _without_optimiser(found: Baselines | None, *, n_units: int) -> Part:
     words = baselines.words(found, n_units=n_units)
-    return Part(title="Without an optimiser:", words=words) if words else Part()
+    return Part(title=tr("Without an optimiser:"), words=words) if words else Part()
 
 
 def _study_part(found: StudyCases | None) -> Part:
@@ -298,29 +319,36 @@ def _study_part(found: StudyCases | None) -> Part:
     if found is None:
         return Part()
     return Part(
-        title="On the study's cases, as the study reads them, by the evaluator:",
+        title=tr("On the study's cases, as the study reads them, by the evaluator:"),
         table=study_cases.table(found),
     )
 
 
 def _last(out: Path | None) -> Part:
     """Where the rest is."""
-    written = [] if out is None else [f"Written to {out}: report.html and more."]
-    return _said(*written, "--verbose prints why, APR by case, and all else.")
+    written = [] if out is None else [tr("Written to {out}: report.html and more.", out=out)]
+    return _said(*written, tr("--verbose prints why, APR by case, and all else."))
 
 
 def _units_table(units: Sequence[UnitRecord]) -> Table:
     """Units, where they are mounted and look."""
     rows = []
     for unit in units:
-        site = f"{unit.site} (assumed)" if unit.assumed else unit.site
-        bearing = f"{compass_bearing_deg(unit.yaw_deg):.1f}"
-        tilt = f"{abs(unit.pitch_deg):.1f} {'down' if unit.pitch_deg < 0.0 else 'up'}"
-        looks = [f"{unit.z_m:.2f}", bearing, tilt if unit.pitch_deg else "level"]
-        stands = [f"{unit.x_m:.2f}", f"{unit.y_m:.2f}", ", ".join(filter(None, (site, unit.place)))]
-        rows.append([unit.id, unit.kind or "-", *looks, *stands])
-    heads = ["unit", "kind", "height m", "bearing", "tilt", "east m", "north m", "at"]
-    return Table(caption="Units", columns=heads, rows=rows, numeric=range(1, 7))
+        site = tr("{site} (assumed)", site=unit.site) if unit.assumed else unit.site
+        angle = abs(unit.pitch_deg)
+        tilt = tr("{angle:.1f} up", angle=angle) if angle else tr("level")
+        if unit.pitch_deg < 0.0:
+            tilt = tr("{angle:.1f} down", angle=angle)
+        bearing = compass_bearing_deg(unit.yaw_deg)
+        looks = [localized(f"{unit.z_m:.2f}"), localized(f"{bearing:.1f}"), tilt]
+        stands = [localized(f"{unit.x_m:.2f}"), localized(f"{unit.y_m:.2f}")]
+        place = ", ".join(filter(None, (site, said(unit.place or ""))))
+        rows.append([unit.id, said(unit.kind or "-"), *looks, *stands, place])
+    heads = [
+        *(tr("unit"), tr("kind"), tr("height m"), tr("bearing"), tr("tilt"), tr("east m")),
+        *(tr("north m"), tr("at")),
+    ]
+    return Table(caption=tr("Units"), columns=heads, rows=rows, numeric=range(1, 7))
 
 
 def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
@@ -330,19 +358,20 @@ def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
         units_of.setdefault(unit.camera or unit.lidar or "", []).append(unit.id)
     models = "; ".join(f"{model} ({', '.join(ids)})" for model, ids in units_of.items())
     is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
-    bearing = "bearing: degrees clockwise from north"
-    return [bearing] if is_default else [bearing, f"models: {models}"]
+    bearing = tr("bearing: degrees clockwise from north")
+    return [bearing] if is_default else [bearing, tr("models: {models}", models=models)]
 
 
 def _cost(result: Result) -> str:
     """Cost of the sensors, and of making their sites ready as far as it is known."""
-    sensors = f"sensors {result.cost_eur:,.0f} EUR by the catalogue"
     if result.sites_eur is None:
-        return f"{sensors}, without poles or mounting"
+        return say("terminal.cost_of_sensors", sensors=result.cost_eur)
     n_sites = len({unit.site for unit in result.layout})
-    by = "by prices assumed for their kinds" if result.assumed_prices else "by their own prices"
-    sites = f"{several(n_sites, 'site', 'sites')} {result.sites_eur:,.0f} EUR {by}"
-    return f"cost: {result.cost_eur + result.sites_eur:,.0f} EUR: {sensors}, {sites}"
+    values = {"sensors": result.cost_eur, "sites": result.sites_eur}
+    values["total"] = result.cost_eur + result.sites_eur
+    if result.assumed_prices:
+        return say("terminal.cost_assumed", n_sites, **values)
+    return say("terminal.cost", n_sites, **values)
 
 
 def _summary_table(
@@ -358,12 +387,12 @@ def _summary_table(
 
     def row_of(name: str, n_units: int, judged: EvaluationRecord) -> list[str | None]:
         shares = percent(judged.judged.all), percent(judged.apr_without_worst_unit)
-        return [name, str(n_units), *shares, study.get(name)]
+        return [said(name), str(n_units), *shares, study.get(name)]
 
     rows = [
         row_of(result.name, len(result.layout), evaluation),
         _other_row(evaluation),
-        ["VUT alone", "", percent(evaluation.vut.all), "", study.get("VUT alone")],
+        [tr(_VUT_ALONE), "", percent(evaluation.vut.all), "", study.get(_VUT_ALONE)],
         *(
             [name, "", percent(party.all), "", None]
             for name, party in _announced(evaluation).items()
@@ -375,15 +404,15 @@ def _summary_table(
             rows.append(_other_row(other))
     if found is not None and (expert := found.expert) is not None:
         shares = percent(expert.score.all), percent(expert.apr_without_worst_unit)
-        name = "expert rule"
-        rows.append([name, str(len(expert.layout)), *shares, study.get(name)])
+        name = comparison.EXPERT
+        rows.append([tr(name), str(len(expert.layout)), *shares, study.get(name)])
     if found is not None and found.random is not None:
-        name = f"random, mean of {found.random.layouts} on the table"
+        name = tr("random, mean of {n} on the table", n=found.random.layouts)
         rows.append([name, str(found.random.units), percent(found.random.mean), "", None])
-    heads = ["", "units", "APR", "if one fails", "on the study's cases"]
+    heads = ["", tr("units"), tr("APR"), tr("if one fails"), tr("on the study's cases")]
     n_columns = len(heads) if study else len(heads) - 1
     return Table(
-        caption="APR",
+        caption=tr("APR"),
         columns=heads[:n_columns],
         rows=[
             [shortened(row[0] or "", _NAME_WIDTH), *(cell or "" for cell in row[1:n_columns])]
@@ -396,8 +425,8 @@ def _summary_table(
 def _other_view(evaluation: EvaluationRecord) -> tuple[str, PartyAprRecord]:
     """Units with the VUT where cars are blind, else units alone."""
     if evaluation.headline is None:
-        return "with the VUT", evaluation.vut_and_rsus
-    return "units alone", evaluation.rsu_all
+        return tr("with the VUT"), evaluation.vut_and_rsus
+    return tr("units alone"), evaluation.rsu_all
 
 
 def _other_row(evaluation: EvaluationRecord) -> list[str | None]:
@@ -408,14 +437,15 @@ def _other_row(evaluation: EvaluationRecord) -> list[str | None]:
 def _together(result: Result) -> str:
     """What it means that units are fused, and who else is one."""
     if not result.cars:
-        return _TOGETHER
-    who = "the VUT" if result.cars == 1.0 else f"the VUT in {percent(result.cars)} of the cars"
-    return f"{_TOGETHER}, and {who}"
+        return tr("fused: in each frame, any of the units may detect")
+    if result.cars == 1.0:
+        return tr("fused: in each frame, any of the units may detect, and the VUT")
+    return say("terminal.fused_with_some_cars", share=percent(result.cars))
 
 
 def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
     """Road users who announce themselves, where there are any."""
-    parties = {"VAM alone": evaluation.vam, "all and VAM": evaluation.all_sources}
+    parties = {tr("VAM alone"): evaluation.vam, tr("all and VAM"): evaluation.all_sources}
     return {name: party for name, party in parties.items() if party is not None}
 
 
@@ -424,14 +454,17 @@ def _apr_table(parties: Mapping[str, _Apr]) -> Table:
     all_of = list(parties.values())
     first = all_of[0]
     positions = list(first.by_position) if len(first.by_position) > 1 else []
-    rows = [["all runs", *(percent(party.all) for party in all_of)]]
+    rows = [[tr("all runs"), *(percent(party.all) for party in all_of)]]
     rows += [[case, *(percent(party.by_case[case]) for party in all_of)] for case in first.by_case]
     rows += [
-        [f"at {at} m", *(percent(party.by_position.get(at)) for party in all_of)]
+        [
+            tr("at {position} m", position=at),
+            *(percent(party.by_position.get(at)) for party in all_of),
+        ]
         for at in positions
     ]
     numeric = range(1, 1 + len(parties))
-    return Table(caption="APR", columns=["APR", *parties], rows=rows, numeric=numeric)
+    return Table(caption=tr("APR"), columns=[tr("APR"), *parties], rows=rows, numeric=numeric)
 
 
 def failure_notes(evaluation: EvaluationRecord) -> list[str]:
@@ -439,18 +472,23 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
     share = evaluation.apr_without_worst_site
     if share is None:
         return []
-    return [f"if the worst pole fails with all its units, the others have {percent(share)}."]
+    return [say("terminal.worst_pole", share=percent(share))]
 
 
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:
     """Runs that table and evaluator see differently, the first few."""
+    by_table = mark("{one.party} in {one.run_id}: only the table avoids; {cause}")
+    by_evaluator = mark("{one.party} in {one.run_id}: only the evaluator avoids; {cause}")
     lines = [
-        f"{one.party} in {one.run_id}: only the {'table' if one.on_table else 'evaluator'} "
-        f"avoids; {one.cause}"
+        tr(by_table if one.on_table else by_evaluator, one=one, cause=said(one.cause))
         for one in found[:_MAX_DISAGREEMENTS]
     ]
     n_left = len(found) - _MAX_DISAGREEMENTS
-    return lines + ([f"and {n_left} more in summary.json"] if n_left > 0 else [])
+    return lines + ([_more(n_left)] if n_left > 0 else [])
+
+
+def _more(n_left: int) -> str:
+    return tr("and {n} more in summary.json", n=n_left)
 
 
 _MAX_RUNS, _MAX_MISSED = 3, 8
@@ -462,7 +500,7 @@ def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
     n_left = sum(map(len, groups[_MAX_MISSED:]))
     return [
         Part(
-            title="Why these units, on the detection table:",
+            title=tr("Why these units, on the detection table:"),
             words=explanation.contribution_sentences(explained),
             table=explanation.contribution_table(explained),
         ),
@@ -470,7 +508,7 @@ def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
             words=[" ".join(explanation.missed_sentences(explained))],
             notes=[
                 *map(_missed_in_short, groups[:_MAX_MISSED]),
-                *([f"and {n_left} more in summary.json"] if n_left else []),
+                *([_more(n_left)] if n_left else []),
             ],
         ),
     ]
@@ -489,7 +527,17 @@ def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
 def _missed_in_short(group: Sequence[Unavoided]) -> str:
     first = group[0]
     runs = first_of([entry.run for entry in group], _MAX_RUNS)
-    words = f"{runs}: {explanation.OUTCOMES[first.outcome]}"
+    values = {
+        "runs": runs,
+        "outcome": tr(explanation.OUTCOMES[first.outcome]),
+        "unit": first.unit,
+        "cause": explanation.cause(first.reasons[0]) if first.reasons else "",
+        "rescue": first.rescue.unit if first.rescue else "",
+    }
+    if first.reasons and first.rescue:
+        return say("terminal.missed", **values)
     if first.reasons:
-        words += f"; for {first.unit} {explanation.cause(first.reasons[0])}"
-    return f"{words}; would be saved by {first.rescue.unit}" if first.rescue else words
+        return tr("{runs}: {outcome}; for {unit} {cause}", **values)
+    if first.rescue:
+        return tr("{runs}: {outcome}; would be saved by {rescue}", **values)
+    return tr("{runs}: {outcome}", **values)

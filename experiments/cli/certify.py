@@ -7,6 +7,8 @@ import click
 
 from placement.question import N_BLOCKS, N_JUDGED, N_SAMPLES
 
+from ..language import tr
+from ..results.numbers import joined
 from . import options
 from .running import Job, command_line
 from .terminal import driven_lines, sentences, table
@@ -85,5 +87,6 @@ def certified_text(result: "CertifiedResult", out: Path | None) -> str:
         *table(pool.columns, rows, n_left=1),
     ]
     if out is not None:
-        lines += ["", f"Written to {out}: layout.json and certified.json."]
+        files = joined(("layout.json", "certified.json"))
+        lines += ["", tr("Written to {out}: {files}.", out=out, files=files)]
     return "\n".join(lines)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMAT_NAMES
+from ..language import localized, tr
 from ..progress import StageProgress, tell
 from . import options
 from .running import Job, load_one_layout, write_result
@@ -93,6 +94,9 @@ Examples:
 @options.option(
     "--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons."
 )
+@options.option(
+    "--pictures", is_flag=True, needs="run_id", help="mcap: what each camera sees, frame by frame."
+)
 @options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
 @options.quiet_option
 @click.pass_obj
@@ -108,11 +112,14 @@ def export(
     release: str | None,
     vam_rate: float | None,
     views: bool,
+    pictures: bool,
     out: Path | None,
     quiet: bool,
 ) -> None:
     """Write a layout in a format that other programs read."""
     progress.start(quiet=quiet)
+    from placement.compute import Compute
+
     from ..export.calibration import lidar_ids
     from ..export.formats import load_format
     from ..export.watched import export_layout
@@ -129,9 +136,16 @@ def export(
     else:
         needs_layout = bool(layout_names) or chosen.has_units
         layout = load_one_layout(layout_names) if needs_layout else None
+        compute = Compute(progress=progress)
+        drawn = compute if pictures else None
         asked = {"release": release, "vam_rate": vam_rate, "views": views or None}
-        given = {name: value for name, value in asked.items() if value is not None}
-        content = export_layout(layout, format_name, scene_path=scene, run_id=run_id, options=given)
+        content = export_layout(
+            *(layout, format_name),
+            scene_path=scene,
+            run_id=run_id,
+            compute=compute,
+            options={k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None},
+        )
         missing = [] if chosen.has_lidars or layout is None else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
@@ -144,15 +158,13 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
     """Cameras of a calibration in another format."""
     from geometry.calibrations import read_cameras
 
-    from ..export.calibration import of_calibrated
     from ..export.opencv import opencv_text
     from ..export.ros import ros_text
 
     if format_name not in ("opencv", "ros"):
         got = f"got {format_name} beside --calibration; expected opencv or ros"
         raise click.UsageError(f"--format: {got}")
-    cameras = read_cameras(path, size_px=size_px or None)
-    found = [of_calibrated(name, camera) for name, camera in cameras.items()]
+    found = read_cameras(path, size_px=size_px or None)
     return opencv_text(found, path.stem) if format_name == "opencv" else ros_text(found)
 
 
@@ -189,13 +201,21 @@ def sheet_text(summary: "SheetResult") -> str:
     for unit in summary.units:
         (right, left), (down, up) = unit.yaw_deg, unit.pitch_deg
         lower_m, higher_m = unit.height_m
-        degrees = [f"{value:g}\N{DEGREE SIGN}" for value in (left, right, up, down)]
+        degrees = [localized(f"{value:g}\N{DEGREE SIGN}") for value in (left, right, up, down)]
         rows.append([unit.unit_id, *degrees, f"{100 * higher_m:.0f} cm", f"{100 * lower_m:.0f} cm"])
     lines = [
-        *sentences(f"What the units of {summary.layout} may be off before a run is lost:"),
-        *table(["unit", "left", "right", "up", "down", "higher", "lower"], rows),
-        "  One thing at a time; the largest of the steps tried.",
+        *sentences(
+            tr("What the units of {name} may be off before a run is lost:", name=summary.layout)
+        ),
+        *table(
+            [
+                *(tr("unit"), tr("left"), tr("right"), tr("up"), tr("down"), tr("higher")),
+                tr("lower"),
+            ],
+            rows,
+        ),
+        *sentences(tr("One thing at a time; the largest of the steps tried."), indent=2),
         "",
-        f"Written to {summary.written}.",
+        tr("Written to {file}.", file=summary.written),
     ]
     return "\n".join(lines)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..results.numbers import percent
+from ..language import localized, mark, said, say, tr
+from ..results.numbers import joined, percent
 from . import options
 from .running import Job
 from .terminal import driven_lines, sentences, table
@@ -39,13 +40,13 @@ def latency(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **aske
     job.print(summary, lambda: latency_text(summary, out))
 
 
-_COLUMNS = {"rsu_all": "RSUs, fused", "vut_and_rsus": "VUT and RSUs", "vut": "VUT alone"}
-_OTHERS = {"vam": "VAM alone", "all_sources": "all and VAM"}
+_COLUMNS = {
+    "rsu_all": mark("RSUs, fused"),
+    "vut_and_rsus": mark("VUT and RSUs"),
+    "vut": mark("VUT alone"),
+}
+_OTHERS = {"vam": mark("VAM alone"), "all_sources": mark("all and VAM")}
 _SHOWN_S = (0.0, 0.025, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
-_NOTE = (
-    "fused: in each frame, any of the units may detect. A run counts as avoided if its last moment "
-    "to brake is not over, and a confirmed track is alive then."
-)
 
 
 def latency_text(summary: "LatencyResult", out: Path | None) -> str:
@@ -61,61 +62,77 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         if row < len(latencies_s)
     ]
     longest = [
-        [f"{100.0 * level:g} %", *(_longest(one.longest_s(latencies_s, level)) for one in main)]
+        [
+            localized(f"{100.0 * level:g} %"),
+            *(_longest(one.longest_s(latencies_s, level)) for one in main),
+        ]
         for level in APR_LEVELS
     ]
     names = _COLUMNS | {name: _OTHERS.get(name, name) for name in parties if name not in _COLUMNS}
+    heads = [*map(tr, _COLUMNS.values())]
     within = [
-        [words, *map(percent, (party.at_best, party.at_mean, party.at_worst))]
+        [tr(words), *map(percent, (party.at_best, party.at_mean, party.at_worst))]
         for name, words in names.items()
         for party in [parties[name]]
     ]
     lines = [
         *driven_lines(summary.driven, summary.without_effect),
-        *sentences(f"{summary.name} on {summary.runs} runs:"),
-        *table(["APR at a latency of", *_COLUMNS.values()], at),
+        *sentences(tr("{name} on {runs} runs:", name=summary.name, runs=summary.runs)),
+        *table([tr("APR at a latency of"), *heads], at),
         "",
-        *table(["longest latency that leaves an APR of", *_COLUMNS.values()], longest),
+        *table([tr("longest latency that leaves an APR of"), *heads], longest),
         "",
         *_budget_lines(budget),
         "",
-        *table(["APR within the budget", "at the least", "at the mean", "at the most"], within),
-        *sentences(_NOTE + _own_latencies(summary), indent=2),
+        *table(
+            [
+                *(tr("APR within the budget"), tr("at the least"), tr("at the mean")),
+                tr("at the most"),
+            ],
+            within,
+        ),
+        *sentences(" ".join([say("latency.note"), *_own_latencies(summary)]), indent=2),
     ]
     if out is not None:
-        lines += ["", f"Written to {out}: latency.csv and latency.png."]
+        files = joined(("latency.csv", "latency.png"))
+        lines += ["", tr("Written to {out}: {files}.", out=out, files=files)]
     return "\n".join(lines)
 
 
 def _ms(latency_s: float) -> str:
-    return f"{1000.0 * latency_s:.4g} ms"
+    return localized(f"{1000.0 * latency_s:.4g} ms")
 
 
 def _longest(latency_s: float) -> str:
     if math.isinf(latency_s):
-        return "all shown" if latency_s > 0.0 else "none"
+        return tr("all shown") if latency_s > 0.0 else tr("none")
     return _ms(latency_s)
 
 
 def _budget_lines(budget: "LatencyBudget") -> list[str]:
     rows = [
         [
-            part.name + (" (assumption)" if part.is_assumption else ""),
+            tr("{part} (assumption)", part=said(part.name))
+            if part.is_assumption
+            else said(part.name),
             *map(_ms, (part.low_s, 0.5 * (part.low_s + part.high_s), part.high_s)),
         ]
         for part in budget.parts
     ]
     if len(rows) > 1:
-        rows.append(["all together", *map(_ms, (budget.best_s, budget.mean_s, budget.worst_s))])
-    return table(["latency budget " + budget.name, "least", "mean", "most"], rows)
+        rows.append([tr("all together"), *map(_ms, (budget.best_s, budget.mean_s, budget.worst_s))])
+    head = tr("latency budget {name}", name=budget.name)
+    return table([head, tr("least"), tr("mean"), tr("most")], rows)
 
 
-def _own_latencies(summary: "LatencyResult") -> str:
+def _own_latencies(summary: "LatencyResult") -> list[str]:
     own = {unit.id: unit.latency_s for unit in summary.layout if unit.latency_s is not None}
     if summary.vut_latency_s is not None:
-        own["the VUT"] = summary.vut_latency_s
-    note = "" if "the VUT" in own else " The VUT's own sensors take as long; see --vut-latency."
-    if not own:
-        return note
-    words = ", ".join(f"{name} {_ms(latency_s)}" for name, latency_s in own.items())
-    return f"{note} Kept at every latency, as their own: {words}."
+        own[tr("the VUT")] = summary.vut_latency_s
+    notes = []
+    if summary.vut_latency_s is None:
+        notes.append(tr("The VUT's own sensors take as long; see --vut-latency."))
+    if own:
+        words = ", ".join(f"{name} {_ms(latency_s)}" for name, latency_s in own.items())
+        notes.append(tr("Kept at every latency, as their own: {latencies}.", latencies=words))
+    return notes

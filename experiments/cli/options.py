@@ -25,6 +25,7 @@ from placement.question import (
     save_question,
 )
 
+from ..language import LANGUAGES, speaking
 from .running import Call, Job, cache_folder, check_address_space
 
 _TABLES = load_data("experiments", "options.toml")
@@ -65,8 +66,8 @@ class WordedOption(click.Option):
 
     The `section` is a title in the help; empty: a command's own options, which stand before all
     sections. The short help shows only `is_common` ones. `expected` is what a value must be, for
-    the message about another one; a number `takes_infinity` as "inf". Without the parameter that it
-    `needs`, or beside the one that it `excludes`, the option is refused.
+    the message about another one; a number `takes_infinity` as "inf", or a `word`. Without the
+    parameter that it `needs`, or beside the one that it `excludes`, the option is refused.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class WordedOption(click.Option):
         expected: str = "",
         is_path: bool = False,
         takes_infinity: bool = False,
+        word: str = "",
         needs: str = "",
         excludes: str = "",
         **kwargs: Any,
@@ -84,7 +86,8 @@ class WordedOption(click.Option):
         if is_path:
             kwargs["shell_complete"] = complete_paths
         super().__init__(*args, **kwargs)
-        self.takes_infinity, self.needs, self.excludes = takes_infinity, needs, excludes
+        self.takes_infinity, self.word = takes_infinity, word
+        self.needs, self.excludes = needs, excludes
         self.section, self.is_common, self.expected = section, is_common, expected
         if isinstance(self.type, click.Choice):
             self.expected = "one of " + ", ".join(map(str, self.type.choices))
@@ -111,6 +114,8 @@ class WordedOption(click.Option):
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
         """The value, checked by its type."""
+        if self.word and value == self.word:
+            return value
         try:
             typed = super().type_cast_value(ctx, value)
         except click.BadParameter:
@@ -318,10 +323,17 @@ def _show_traceback(context: click.Context, _param: click.Parameter, is_shown: b
         context.obj.shows_tracebacks = True
 
 
+def _speak(context: click.Context, _param: click.Parameter, code: str | None) -> None:
+    """Speak a language until the command ends; that of the group, where none is said."""
+    if code is not None:
+        context.with_resource(speaking(code))
+
+
 _SHARED = table_options(
     "shared",
     verbose={"callback": lambda context, _, is_given: is_given and context.obj.tell_more()},
     debug={"callback": _show_traceback},
+    language={"type": LANGUAGES, "callback": _speak},
     workers={"default": os.cpu_count() or 1},
     rays={"type": RAYS, "default": RAYS[0]},
     question={"callback": _read_question},
@@ -330,6 +342,7 @@ json_option = _SHARED["as_json"]
 layout_option = _SHARED["layout_names"]
 quiet_option = combined(_SHARED["quiet"], _SHARED["verbose"], _SHARED["debug"])
 """Options ``--quiet``, which the command gets, ``--verbose`` and ``--debug``."""
+language_option = _SHARED["language"]
 
 
 def compute_options(*, has_cache: bool = False) -> Decorator:
@@ -393,7 +406,7 @@ def asking(
             return command(job, **values)
 
         asked = question_options(*names, defaults=defaults)
-        return combined(asked, job_options(has_cache=has_cache))(with_job)
+        return combined(asked, language_option, job_options(has_cache=has_cache))(with_job)
 
     return decorate
 

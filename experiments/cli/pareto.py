@@ -1,15 +1,17 @@
 """``place-rsus pareto``: what each further unit, or more money, buys."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..language import said, say, tr
 from ..parts import Part
-from ..results.numbers import cars_words, several
+from ..results.numbers import joined
 from . import options
 from .running import Job, command_line
-from .terminal import answer_text, driven_lines
+from .terminal import answer_text, basis, driven_lines
 
 if TYPE_CHECKING:
     from ..parts.front import FrontResult
@@ -53,25 +55,29 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     """A front: a row per layout, and what is proven of it."""
     from ..parts import front
 
-    buys = "money buys" if summary.by == "cost" else "units buy"
+    key = "pareto.more_money" if summary.by == "cost" else "pareto.more_units"
+    title = say(key, poses=summary.candidates, **basis(summary))
     parts = [
         Part(
-            title=f"The best of {summary.candidates} poses on {summary.runs} runs (fusion "
-            f"{summary.fusion}{cars_words(summary.cars)}), and what more {buys}:",
+            title=title,
             table=front.table(summary),
             notes=front.notes(summary),
         ),
         Part(words=summary.sentences),
     ]
-    return _with_head(summary, parts, out, "pareto.csv, pareto.json and pareto.png")
+    return _with_head(summary, parts, out, ("pareto.csv", "pareto.json", "pareto.png"))
 
 
 def _with_head(
-    summary: "FrontResult | RetrofitResult", parts: list[Part], out: Path | None, files: str
+    summary: "FrontResult | RetrofitResult",
+    parts: list[Part],
+    out: Path | None,
+    files: Sequence[str],
 ) -> str:
     """An answer with what is driven before it, and the files that were written behind it."""
     if out is not None:
-        parts.append(Part(words=[f"Written to {out}: {files}."]))
+        words = tr("Written to {out}: {files}.", out=out, files=joined(files))
+        parts.append(Part(words=[words]))
     head = driven_lines(summary.driven, summary.without_effect)
     return "\n".join([*head, "", answer_text(parts, is_verbose=True)])
 
@@ -115,15 +121,12 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
     labour = summary.labour
     parts = [
         Part(
-            title=f"What to change about {summary.name} "
-            f"({several(len(summary.layout), 'unit', 'units')}) on {summary.runs} runs, on "
-            f"the detection table (fusion {summary.fusion}{cars_words(summary.cars)}):",
+            title=say(
+                "pareto.what_to_change", len(summary.layout), name=summary.name, **basis(summary)
+            ),
             table=retrofit.table(summary),
-            notes=[
-                "One fails: APR that is left when the most needed unit fails; proven: nothing of "
-                f"its kind is better. A visit costs {labour.re_aim_eur:,.0f} EUR: {labour.source}."
-            ],
+            notes=[say("pareto.columns", cost=labour.re_aim_eur, source=said(labour.source))],
         ),
         Part(words=summary.sentences),
     ]
-    return _with_head(summary, parts, out, "retrofit.csv and retrofit.json")
+    return _with_head(summary, parts, out, ("retrofit.csv", "retrofit.json"))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..language import said, say, tr
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
@@ -20,11 +21,6 @@ _WITH_RECORDING = frozenset(
     + ("budget", "fusion", "solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
     + ("track_memory_s",)
-)
-_NOTE = (
-    "Unit folder 3 is RSU3, car is the VUT's camera. In Eval, cam_index is a unit's folder; "
-    "12 (where no unit has that number) and -1 mean car, too. The last moment follows from speeds "
-    "and distances alone: a VUT that turns is taken as crossing."
 )
 
 
@@ -58,21 +54,27 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
     from ..parts.proof import stage_table
     from ..parts.recording import ALL_UNITS
 
-    drives = f"{summary.runs} drives"
-    lines = sentences(f"{summary.recording} on {drives}:")
+    lines = sentences(tr("{recording} on {n} drives:", recording=summary.recording, n=summary.runs))
     parties = _parties_text(summary.evaluation, summary.detected_share, summary.cases)
     if summary.stages is not None and summary.baseline is not None:
         chosen = ", ".join(unit.id for unit in summary.layout)
-        words = (
-            f"Best {len(summary.layout)} of {summary.candidates} recorded units on {drives} "
-            f"(fusion {summary.fusion}): {chosen}"
+        words = say(
+            "recording.best",
+            n=len(summary.layout),
+            all=summary.candidates,
+            drives=summary.runs,
+            fusion=said(summary.fusion),
+            chosen=chosen,
         )
         best = Part(words=[words], table=stage_table(summary.stages))
         lines = [answer_text([best], is_verbose=True), ""]
-        parties.append(
-            f"  {ALL_UNITS} of all {summary.candidates} recorded units: "
-            f"{percent(summary.baseline.rsu_all.all)} of the accidents prevented."
+        all_units = say(
+            "recording.all_units",
+            fused=ALL_UNITS,
+            n=summary.candidates,
+            share=percent(summary.baseline.rsu_all.all),
         )
+        parties.append(f"  {all_units}")
     return "\n".join([*lines, *parties, *_footer(summary, out)])
 
 
@@ -85,13 +87,13 @@ def _parties_text(
     parties = [
         *((name, evaluation.units[name], share) for name, share in shares.units.items()),
         (ALL_UNITS, evaluation.rsu_all, shares.rsu_all),
-        ("car", evaluation.vut, shares.vut),
-        (f"car + {ALL_UNITS}", evaluation.vut_and_rsus, shares.vut_and_rsus),
+        (tr("car"), evaluation.vut, shares.vut),
+        (tr("car + {units}", units=ALL_UNITS), evaluation.vut_and_rsus, shares.vut_and_rsus),
     ]
     rows = [(name, ratios, share) for name, ratios, share in parties if ratios is not None]
     columns = {
-        "accidents prevented": [percent(ratios.all) for _, ratios, _ in rows],
-        "frames detected": [percent(share) for _, _, share in rows],
+        tr("accidents prevented"): [percent(ratios.all) for _, ratios, _ in rows],
+        tr("frames detected"): [percent(share) for _, _, share in rows],
     }
     for case in cases:
         columns[case.replace("-", " ")] = [percent(ratios.by_case[case]) for _, ratios, _ in rows]
@@ -101,17 +103,18 @@ def _parties_text(
 def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
     """Lines on what was read, and what was left out and why."""
     frames = summary.frames
-    read = (
-        f"Read: {frames.recorded} frames; {summary.runs} drives with {frames.in_drives} "
-        f"frames, {frames.missing_in_drives} of them missing and so not detected."
+    read = say(
+        "recording.read",
+        recorded=frames.recorded,
+        drives=summary.runs,
+        frames=frames.in_drives,
+        missing=frames.missing_in_drives,
     )
     if frames.several_vrus_in_view:
-        read += (
-            f" In {frames.several_vrus_in_view} frames a roadside unit has several VRUs of the "
-            "drive's class in view: they count only if each of them is detected."
-        )
-    skipped = "; ".join(f"{number} {reason}" for reason, number in summary.skipped.items())
-    lines = ["", *sentences(read, f"Skipped: {skipped or 'nothing'}.", _NOTE)]
+        read += " " + say("recording.several_in_view", n=frames.several_vrus_in_view)
+    reasons = "; ".join(f"{number} {said(reason)}" for reason, number in summary.skipped.items())
+    skipped = tr("Skipped: {reasons}.", reasons=reasons) if reasons else tr("Skipped: nothing.")
+    lines = ["", *sentences(read, skipped, say("recording.note"))]
     if out is not None:
-        lines += ["", f"Written to {out}: summary.json."]
+        lines += ["", tr("Written to {out}: {files}.", out=out, files="summary.json")]
     return lines

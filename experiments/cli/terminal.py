@@ -4,10 +4,11 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ..language import said, say
 from ..parts import Part
-from ..results.numbers import several
+from ..results.numbers import cars_words
 
 if TYPE_CHECKING:
     from ..parts.section import Table
@@ -18,7 +19,8 @@ _GAP = 2
 _MOST_REASONS = 5
 _HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
 _NUMBER_AND_UNIT = re.compile(
-    r"(?<=\d) (?=(?:%|m|cm|s|ms|km/h|m/s|EUR|deg|degrees|px|Hz|runs?|points?|units?)(?![\w/]))"
+    r"(?<=\d) (?=(?:%|m|cm|s|ms|km/h|m/s|EUR|deg|degrees|px|Hz|runs?|points?|units?"
+    r"|Grad|Läufen?|Lauf|Prozentpunkten?|Sensor(?:en)?)(?![\w/]))"
 )
 
 
@@ -89,14 +91,28 @@ def _table_lines(shown: "Table", width: int) -> list[str]:
     return wide_table(heads[0], [row[0] for row in rows], columns, width=width)
 
 
+def basis(result: Any) -> dict[str, Any]:
+    """What a result rests on, as titles put it in."""
+    return {
+        "runs": result.runs,
+        "fusion": said(result.fusion),
+        "cars": cars_words(result.cars),
+    }
+
+
 def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:
     """How many possible runs are driven, reasons of most others, and what changes nothing."""
     lines = sentences(*driven[:1])
     lines += sentences(*driven[1 : 1 + _MOST_REASONS], indent=2, hanging=2)
     n_left = len(driven) - 1 - _MOST_REASONS
     if n_left > 0:
-        lines.append(f"  and {several(n_left, 'more reason', 'more reasons')} in the report's list")
+        lines.append(f"  {more_reasons(n_left)}")
     return lines + sentences(*without_effect)
+
+
+def more_reasons(n_left: int) -> str:
+    """How many reasons are not printed."""
+    return say("terminal.more_reasons", n_left)
 
 
 def table(

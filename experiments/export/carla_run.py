@@ -24,7 +24,7 @@ from placement.recordings.files import load_format
 from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import Run
 
-from .calibration import calibrations
+from .calibration import calibrations, refuse_lenses
 from .carla import camera_attributes, carla_points
 from .formats import ExportFormat
 
@@ -58,6 +58,7 @@ def build_scenario(layout: Layout, scene: Scene, run: Run) -> dict[str, Any]:
         expected = "a run with somebody on foot or on a bicycle, as recordings have"
         raise InputError("carla-run", Unquoted(f"a road user by {run.road_user}"), expected)
     calibrations(layout, "carla-run")  # refuses a layout without cameras
+    refuse_lenses(layout, "carla-run")
     cameras: list[dict[str, Any]] = []
     for unit in layout.units:
         if isinstance(unit.sensor, CameraModel):

@@ -3,22 +3,28 @@
 import importlib
 import io
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from geometry.actors import Actor
-from geometry.errors import MissingExtraError
+from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.terrain import on_ground
+from geometry.weather import pick_weather
 from placement.candidates import CandidatePose
+from placement.compute import Compute
 from placement.evaluation import earliest_arrival_s
+from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
-from .calibration import Calibration, calibrations, lens_coefficients, plain, sensor_quaternion
+from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
 from .formats import ExportFormat
 from .watched import WatchedRun
 
@@ -31,18 +37,31 @@ _COLOURS = {
 }  # fmt: skip
 _FRUSTUM_M = 4.0  # how far ahead its far side is drawn
 _WIDEST_DEG = 150.0  # of what is drawn: the sides of wider ones would be kilometres away
+_WIDEST_PX, _JPEG_QUALITY = 640, 85  # of pictures
 _NANO = 1_000_000_000
 
 
-def to_mcap(layout: Layout | None, scene: Scene, watched: WatchedRun | None = None) -> bytes:
+def to_mcap(
+    layout: Layout | None,
+    scene: Scene,
+    watched: WatchedRun | None = None,
+    *,
+    pictures: Compute | None = None,
+) -> bytes:
     """Layout, if any, as an MCAP file; with a run its frames, from time 0 on.
 
     Topics: /scene (meshes), /units (a frustum per camera, a ball per LiDAR), /tf and
     /calibration/UNIT (cameras); of a run /bodies (boxes), /detections (a line from each unit that
     detects) and /state (JSON: time to the impact, units that detect, whether a track is confirmed
-    and braking would have begun). Frame "map": x east, y north, z up. Nobody brakes in it. Not in
-    it: pictures, point clouds. Raises MissingExtraError if foxglove-sdk is not installed.
+    and braking would have begun). Frame "map": x east, y north, z up. Nobody brakes in it. With
+    `pictures`, what to draw with, /image/UNIT has what each camera sees of a run, reduced, and
+    /calibration/UNIT is of these pictures. Not in it: point clouds. Raises InputError for pictures
+    without a run, MissingExtraError if foxglove-sdk is not installed.
     """
+    if pictures is not None:
+        if watched is None or layout is None:
+            raise InputError("--pictures", Unquoted("no run"), "--run RUN, whose frames are drawn")
+        layout = replace(layout, units=tuple(_reduced(unit) for unit in layout.units))
     try:
         foxglove = importlib.import_module("foxglove")
     except ImportError:
@@ -79,10 +98,13 @@ def to_mcap(layout: Layout | None, scene: Scene, watched: WatchedRun | None = No
         ]
         log("/tf", m.FrameTransforms(transforms=transforms), 0.0)
         if layout is not None and any(isinstance(unit.sensor, CameraModel) for unit in units):
-            for camera in calibrations(layout, "mcap"):
-                log(f"/calibration/{camera.id}", _calibration(m, camera), 0.0)
+            for name, camera in calibrations(layout, "mcap").items():
+                log(f"/calibration/{name}", _calibration(m, name, camera), 0.0)
         for topic, message, time_s in [] if watched is None else _frames(m, units, watched):
             log(topic, message, time_s)
+        if pictures is not None and watched is not None:
+            for topic, message, time_s in _pictures(m, units, scene, watched.run, pictures):
+                log(topic, message, time_s)
     return file.getvalue()
 
 
@@ -163,18 +185,18 @@ def _pose(m: Any, position_m: Any, quaternion: Sequence[float] = (0.0, 0.0, 0.0,
     return m.Pose(position=_vector(m, position_m), orientation=_turn(m, quaternion))
 
 
-def _calibration(m: Any, camera: Calibration) -> Any:
-    is_fisheye, terms = lens_coefficients(camera)
+def _calibration(m: Any, name: str, camera: CalibratedCamera) -> Any:
+    is_fisheye, terms = lens_coefficients(name, camera)
     return m.CameraCalibration(
         timestamp=m.Timestamp(0),
-        frame_id=camera.id,
+        frame_id=name,
         width=camera.width_px,
         height=camera.height_px,
         distortion_model="kannala_brandt" if is_fisheye else "plumb_bob",
         D=plain(terms),
-        K=plain(camera.camera_matrix),
+        K=plain(camera.K),
         R=plain(np.eye(3)),
-        P=plain(np.column_stack([camera.camera_matrix, np.zeros(3)])),
+        P=plain(np.column_stack([camera.K, np.zeros(3)])),
     )
 
 
@@ -226,6 +248,37 @@ def _frames(
         yield "/state", state, time_s
 
 
+def _reduced(unit: CandidatePose) -> CandidatePose:
+    """A unit with a camera of fewer pixels that sees the same."""
+    if not isinstance(unit.sensor, CameraModel) or unit.sensor.width_px <= _WIDEST_PX:
+        return unit
+    height_px = round(unit.sensor.height_px * _WIDEST_PX / unit.sensor.width_px)
+    return replace(unit, sensor=replace(unit.sensor, width_px=_WIDEST_PX, height_px=height_px))
+
+
+def _pictures(
+    m: Any, units: Sequence[CandidatePose], scene: Scene, run: Run, compute: Compute
+) -> Iterator[tuple[str, Any, float]]:
+    backdrop, weather = build_backdrop(scene, run.obstruction), pick_weather(run.weather, "weather")
+    cameras = [(unit, unit.sensor) for unit in units if isinstance(unit.sensor, CameraModel)]
+    for frame, to_impact_s in enumerate(run.time_s.tolist()):
+        compute.progress("draw pictures", frame, len(run.time_s))
+        time_s = to_impact_s - float(run.time_s[0])
+        for unit, camera in cameras:
+            picture = draw_picture(
+                *(backdrop, run, frame, unit.pose, camera), weather=weather, compute=compute
+            )
+            file = io.BytesIO()
+            Image.fromarray(picture.rgb).save(file, format="jpeg", quality=_JPEG_QUALITY)
+            image = m.CompressedImage(
+                timestamp=m.Timestamp.from_epoch_secs(time_s),
+                frame_id=unit.id,
+                data=file.getvalue(),
+                format="jpeg",
+            )
+            yield f"/image/{unit.id}", image, time_s
+
+
 def _box(m: Any, run: Run, name: str, actor: Actor, position_m: Any, yaw_deg: float) -> Any:
     half_rad = 0.5 * np.radians(yaw_deg)
     turn = (0.0, 0.0, float(np.sin(half_rad)), float(np.cos(half_rad)))
@@ -240,4 +293,5 @@ FORMAT = ExportFormat(
     content="scene, bodies, detections; Foxglove; extra: mcap",
     is_binary=True,
     shows_runs=True,
+    options=("pictures",),
 )

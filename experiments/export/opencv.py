@@ -1,16 +1,17 @@
 """Cameras of a layout for OpenCV: the YAML of cv::FileStorage."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation
 
 from geometry.arrays import FloatArray
+from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .calibration import Calibration, calibrations, comments, lens_coefficients, plain
+from .calibration import calibrations, comments, lens_coefficients, plain
 from .formats import ExportFormat
 
 
@@ -26,23 +27,26 @@ def to_opencv(layout: Layout, scene: Scene | None = None) -> str:
     return opencv_text(calibrations(layout, "opencv"), layout.name, comments(layout, scene))
 
 
-def opencv_text(cameras: Sequence[Calibration], name: str, comment: str = "") -> str:
+def opencv_text(cameras: Mapping[str, CalibratedCamera], name: str, comment: str = "") -> str:
     """Calibrations as such a file; fisheyes have `distortion_model` "fisheye", and k1 to k4."""
-    document = {"layout": _Quoted(name), "cameras": [_camera_record(one) for one in cameras]}
+    document = {
+        "layout": _Quoted(name),
+        "cameras": [_camera_record(*one) for one in cameras.items()],
+    }
     form = {"allow_unicode": True, "sort_keys": False, "width": float("inf")}
     text: str = yaml.dump(document, Dumper=_Dumper, **form)
     # The format's own first lines: FileStorage tells YAML from XML and JSON by them.
     return "%YAML:1.0\n---\n" + comment + text
 
 
-def _camera_record(camera: Calibration) -> dict[str, object]:
-    rotation = camera.world_to_camera
-    is_fisheye, coefficients = lens_coefficients(camera)
+def _camera_record(name: str, camera: CalibratedCamera) -> dict[str, object]:
+    rotation = camera.R_camera_world
+    is_fisheye, coefficients = lens_coefficients(name, camera)
     return {
-        "id": _Quoted(camera.id),
+        "id": _Quoted(name),
         "image_width": camera.width_px,
         "image_height": camera.height_px,
-        "camera_matrix": camera.camera_matrix,
+        "camera_matrix": camera.K,
         **({"distortion_model": "fisheye"} if is_fisheye else {}),
         "distortion_coefficients": coefficients,
         "R": rotation,

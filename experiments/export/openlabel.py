@@ -6,11 +6,11 @@ import numpy as np
 
 from geometry.errors import InputError, Unquoted
 from geometry.lenses import BrownConrady
-from geometry.sensors import CameraModel
+from geometry.sensors import CameraModel, to_calibrated
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from .calibration import N_DISTORTION, camera_matrix, plain, sensor_quaternion
+from .calibration import lens_coefficients, plain, sensor_quaternion
 from .formats import ExportFormat
 from .json import to_json_text
 
@@ -62,15 +62,12 @@ def _stream(unit: CandidatePose) -> dict[str, object]:
     kind = "lidar"
     properties: dict[str, object] = {"intrinsics_custom": asdict(sensor)}
     if isinstance(sensor, CameraModel):
-        kind = "camera"
-        projection = plain(np.column_stack([camera_matrix(sensor), np.zeros(3)]))
-        distortion = [0.0] * N_DISTORTION
-        if isinstance(sensor.lens, BrownConrady):
-            lens = sensor.lens
-            distortion = [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]
-        elif sensor.lens is not None:
+        kind, calibrated = "camera", to_calibrated(sensor, unit.pose)
+        projection = plain(np.column_stack([calibrated.K, np.zeros(3)]))
+        if not isinstance(calibrated.lens, BrownConrady):
             got = Unquoted(f"{unit.id}, whose lens is of another kind")
             raise InputError("openlabel", got, "pinholes, or lenses of Brown and Conrady")
+        distortion = plain(lens_coefficients(unit.id, calibrated)[1])
         properties = {
             "intrinsics_pinhole": {
                 "width_px": sensor.width_px,

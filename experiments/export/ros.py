@@ -1,15 +1,17 @@
 """Cameras of a layout for ROS: CameraInfo and static transforms."""
 
 import re
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 
 from geometry.arrays import FloatArray
+from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .calibration import Calibration, calibrations, comments, lens_coefficients, plain, quaternion
+from .calibration import calibrations, comments, lens_coefficients, plain, quaternion
 from .formats import ExportFormat
 
 WORLD_FRAME = "map"
@@ -31,11 +33,11 @@ def to_ros(layout: Layout, scene: Scene | None = None) -> str:
     return ros_text(calibrations(layout, "ros"), comments(layout, scene))
 
 
-def ros_text(cameras: list[Calibration], comment: str = "") -> str:
+def ros_text(cameras: Mapping[str, CalibratedCamera], comment: str = "") -> str:
     """Calibrations as such documents; a fisheye's model is "equidistant"."""
     documents = [
-        _camera_record(camera, name)
-        for camera, name in zip(cameras, camera_names(cameras), strict=True)
+        _camera_record(unit, camera, name)
+        for (unit, camera), name in zip(cameras.items(), camera_names(cameras), strict=True)
     ]
     text: str = yaml.safe_dump_all(
         documents,
@@ -48,11 +50,11 @@ def ros_text(cameras: list[Calibration], comment: str = "") -> str:
     return comment + text
 
 
-def camera_names(cameras: list[Calibration]) -> list[str]:
+def camera_names(units: Iterable[str]) -> list[str]:
     """Names that ROS allows, each once: letters, digits, underscores, a letter first."""
     names: list[str] = []
-    for camera in cameras:
-        word = re.sub(r"[^A-Za-z0-9]+", "_", camera.id).strip("_").lower()
+    for unit in units:
+        word = re.sub(r"[^A-Za-z0-9]+", "_", unit).strip("_").lower()
         stem = word if word[:1].isalpha() else f"rsu_{word}".rstrip("_")
         name, number = stem, 2
         while name in names:
@@ -61,17 +63,17 @@ def camera_names(cameras: list[Calibration]) -> list[str]:
     return names
 
 
-def _camera_record(camera: Calibration, name: str) -> dict[str, object]:
-    projection = np.column_stack([camera.camera_matrix, np.zeros(3)])
+def _camera_record(unit: str, camera: CalibratedCamera, name: str) -> dict[str, object]:
+    projection = np.column_stack([camera.K, np.zeros(3)])
     translation = dict(zip("xyz", plain(camera.position_m), strict=True))
-    rotation = dict(zip("xyzw", quaternion(camera.world_to_camera.T), strict=True))
-    is_fisheye, coefficients = lens_coefficients(camera)
+    rotation = dict(zip("xyzw", quaternion(camera.R_camera_world.T), strict=True))
+    is_fisheye, coefficients = lens_coefficients(unit, camera)
     return {
-        "unit": camera.id,
+        "unit": unit,
         "image_width": camera.width_px,
         "image_height": camera.height_px,
         "camera_name": name,
-        "camera_matrix": _matrix_record(camera.camera_matrix),
+        "camera_matrix": _matrix_record(camera.K),
         "distortion_model": "equidistant" if is_fisheye else "plumb_bob",
         "distortion_coefficients": _matrix_record(coefficients),
         "rectification_matrix": _matrix_record(np.eye(3)),

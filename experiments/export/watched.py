@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from geometry.arrays import BoolArray
-from geometry.errors import InputError
+from geometry.errors import InputError, Unquoted
 from geometry.junction import build_junction
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
@@ -89,7 +90,7 @@ def export_layout(
     scene_path: str = "",
     run_id: str = "",
     compute: Compute = DEFAULT_COMPUTE,
-    options: Mapping[str, str | float] | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> str | bytes:
     """Content of a layout's file for another program.
 
@@ -108,9 +109,9 @@ def export_layout(
     given = options or {}
     for name, value in given.items():
         if name not in chosen.options:
-            raise InputError(
-                f"--{name.replace('_', '-')}", value, f"none: {format_name} has no such option"
-            )
+            got = value if isinstance(value, str | float) else Unquoted("it")
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(option, got, f"none: {format_name} has no such option")
     scene = load_scene(scene_path)
     if layout is not None:
         check_layout(layout, scene)

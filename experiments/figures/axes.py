@@ -9,11 +9,14 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from geometry.arrays import FloatArray
 from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
+
+from ..language import language, localized, said, say
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): distinct with any colour vision.
 BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
@@ -102,6 +105,8 @@ def drawing_any_name() -> Iterator[None]:
 def to_png(drawn: Axes | Figure) -> bytes:
     """A figure, or the one that some axes are in, as a PNG file; equal ones give equal bytes."""
     figure = root_figure(drawn)
+    if language() != "en":
+        _localize_ticks(figure)
     engine = figure.get_layout_engine()
     buffer = BytesIO()
     with drawing_any_name():
@@ -112,6 +117,18 @@ def to_png(drawn: Axes | Figure) -> bytes:
         canvas: Any = FigureCanvasAgg(figure)  # print_png has no types
         canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
+
+
+class _Localized(ScalarFormatter):
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return localized(super().__call__(x, pos))
+
+
+def _localize_ticks(figure: Figure) -> None:
+    """Write numbers at the axes as the language that is spoken does."""
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if type(axis.get_major_formatter()) is ScalarFormatter:
+            axis.set_major_formatter(_Localized())
 
 
 def literal(name: str) -> str:
@@ -131,7 +148,12 @@ def unit_labels(layout: Layout) -> dict[str, str]:
 def describe_run(axis: FrameAxis, run_index: int) -> str:
     """A run in words: case, approach, position unless 0, speed, and the weather unless day."""
     weather, position = axis.weathers[run_index], axis.positions[run_index]
-    where = f"{axis.approaches[run_index]}{f' ({position} m)' if position != AT_ZERO.name else ''}"
-    return f"{axis.cases[run_index]} from the {where} at {axis.vut_speed_kmh[run_index]:g} km/h" + (
-        f", {weather}" if weather != "day" else ""
+    where = said(axis.approaches[run_index])
+    where = where if position == AT_ZERO.name else f"{where} ({position} m)"
+    words = say(
+        "axes.run",
+        case=axis.cases[run_index],
+        approach=where,
+        speed_kmh=float(axis.vut_speed_kmh[run_index]),
     )
+    return words if weather == "day" else f"{words}, {said(weather)}"

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation, Verdict, run_outcome
 
+from ..language import localized, mark, said, tr
 from .axes import (
     BLUE,
     WIDTH_IN,
@@ -23,7 +24,7 @@ from .axes import (
     write_beside,
 )
 
-_TIME_LABEL = "time before the impact without braking (s)"
+_TIME_LABEL = mark("time before the impact without braking (s)")
 _RED = "#CC0000"
 _LAST_MOMENT: Style = {"color": _RED, "linestyle": (0, (3.0, 1.5)), "linewidth": 1.8}
 _DIAMOND: Style = {"marker": "D", "markersize": 5.0, "linestyle": "none"}
@@ -39,12 +40,12 @@ def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Ax
     """
     labels, units = unit_labels(evaluation.layout), evaluation.units
     rows = {"VUT": evaluation.vut, **{labels[name]: unit for name, unit in units.items()}}
-    rows["all RSUs"] = evaluation.rsu_all
+    rows[tr("all RSUs")] = evaluation.rsu_all
     figure = new_figure(WIDTH_IN, 0.75 + len(run_indices) * (0.85 + 0.21 * len(rows)))
     panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
     for axes, run_index in zip(panels, run_indices, strict=True):
         _draw_heatmap(axes, evaluation, rows, run_index)
-    panels[-1].set_xlabel(_TIME_LABEL, fontsize=9)
+    panels[-1].set_xlabel(tr(_TIME_LABEL), fontsize=9)
     below: Style = {"loc": "outside lower center", "ncols": 4, "frameon": False}
     figure.legend(handles=_legend(), fontsize=8, **below)
     return list(panels)
@@ -74,21 +75,23 @@ def _draw_heatmap(
     axes.spines[:].set_visible(False)
     confirmed = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]
     axes.plot(confirmed, range(len(rows)), zorder=5, clip_on=False, **_CONFIRMATION)
-    ends = [run_outcome(verdict, axis, run_index) for verdict in rows.values()]
+    ends = [said(run_outcome(verdict, axis, run_index)) for verdict in rows.values()]
     outcomes = axes.secondary_yaxis("right")
     outcomes.set_yticks(range(len(rows)), ends, fontsize=8)
     outcomes.tick_params(axis="y", length=0)
     outcomes.spines[:].set_visible(False)
     _draw_last_moment(axes, float(axis.last_brake_time_s[run_index]))
-    avoided = "avoided" if evaluation.rsu_all.is_avoided[run_index] else "not avoided"
-    title = literal(f"{describe_run(axis, run_index)}: {avoided} by all RSUs together")
+    title = mark("{run}: not avoided by all RSUs together")
+    if evaluation.rsu_all.is_avoided[run_index]:
+        title = mark("{run}: avoided by all RSUs together")
+    title = literal(tr(title, run=describe_run(axis, run_index)))
     axes.set_title(title, fontsize=9, fontweight="bold", loc="left", pad=18.0)
 
 
 def _draw_last_moment(axes: Axes, last_brake_s: float) -> None:
     first_s, last_s = axes.get_xlim()
     if last_brake_s < first_s:
-        words = "no braking in this run comes early enough"
+        words = tr("no braking in this run comes early enough")
         style: Style = {"xycoords": "axes fraction", "va": "baseline", "color": _RED}
         write_beside(axes, words, (0.0, 1.0), away_pt=(0.0, 3.0), **style)
         return
@@ -96,7 +99,8 @@ def _draw_last_moment(axes: Axes, last_brake_s: float) -> None:
     axes.axvline(last_brake_s, color="white", linewidth=3.2, zorder=4)
     axes.axvline(last_brake_s, zorder=4, gid="last brake time", **_LAST_MOMENT)
     is_right = last_brake_s > 0.5 * (first_s + last_s)
-    words = f"last moment to brake: {last_brake_s:.2f} s".replace("-", "\N{MINUS SIGN}")
+    time = localized(f"{last_brake_s:.2f}".replace("-", "\N{MINUS SIGN}"))
+    words = tr("last moment to brake: {time} s", time=time)
     away, ha = (-4.0, "right") if is_right else (4.0, "left")
     style = {"away_pt": (away, 3.0), "ha": ha, "va": "bottom", "color": _RED}
     write_beside(axes, words, (last_brake_s, -0.5), **style)
@@ -104,8 +108,8 @@ def _draw_last_moment(axes: Axes, last_brake_s: float) -> None:
 
 def _legend() -> list[Any]:
     return [
-        Patch(facecolor=_DETECTED, label="detected"),
-        Patch(facecolor=_MISSED, label="not detected"),
-        Line2D([], [], label="confirmed", **_CONFIRMATION),
-        Line2D([], [], label="last moment", **_LAST_MOMENT),
+        Patch(facecolor=_DETECTED, label=tr("detected")),
+        Patch(facecolor=_MISSED, label=tr("not detected")),
+        Line2D([], [], label=tr("confirmed"), **_CONFIRMATION),
+        Line2D([], [], label=tr("last moment"), **_LAST_MOMENT),
     ]

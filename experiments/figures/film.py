@@ -28,6 +28,7 @@ from placement.imaging.mesh import build_static_mesh
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
+from ..language import localized, said, say, tr
 from .axes import BLUE, SKY, VERMILION, Style, drawing_any_name, literal, new_figure, show_square
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
@@ -113,13 +114,18 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
 
 
 def _title(run: Run) -> str:
-    where = run.approach if run.position == AT_ZERO.name else f"{run.approach} ({run.position} m)"
-    speeds = f"{run.vut_speed_kmh:g}"
+    approach = said(run.approach)
+    approach = approach if run.position == AT_ZERO.name else f"{approach} ({run.position} m)"
+    speeds = [localized(f"{run.vut_speed_kmh:g}")]
     if run.case.pairs_kmh:
-        speeds += f" and {run.case.vru_speed_kmh:g}"
-    return (
-        f"{literal(run.case.name)}: {run.case.title}\n"
-        f"from the {where} at {speeds} km/h, {run.weather}; nobody brakes"
+        speeds.append(localized(f"{run.case.vru_speed_kmh:g}"))
+    return say(
+        "film.title",
+        case=literal(run.case.name),
+        title=said(run.case.title),
+        approach=approach,
+        speeds=tr(" and ").join(speeds),
+        weather=said(run.weather),
     )
 
 
@@ -174,9 +180,11 @@ class _Stage:
         show_square(axes, self.middle_m, self.half_size_m)
         axes.tick_params(labelsize=7)
         time_s = run.time_s[frame]
-        when = f"{time_s:.1f} s".replace("-", "\N{MINUS SIGN}") if time_s < 0.0 else "impact"
-        seen = f"{100.0 * share:.0f} % of the VRU in the VUT's sight"
-        axes.set_title(f"{when}: {seen}", fontsize=9)
+        when = localized(f"{time_s:.1f} s".replace("-", "\N{MINUS SIGN}"))
+        seen = say(
+            "film.visible", when=when if time_s < 0.0 else tr("impact"), percent=100.0 * share
+        )
+        axes.set_title(seen, fontsize=9)
         self._point_at_vut(axes, frame)
 
     def _draw_sight(self, axes: Axes, frame: int) -> float:
@@ -258,14 +266,14 @@ def _window(run: Run, frames: list[int]) -> tuple[FloatArray, float]:
 def _draw_legend(figure: Figure, run: Run, **options: Any) -> None:
     line = partial(Line2D, [], [])
     handles: list[Any] = [
-        Patch(label="car under test (VUT)", **_VUT),
-        Patch(label=run.case.vru.class_name, **_VRU),
-        line(color="black", linewidth=1.8, label="way so far, thin: to come"),
-        line(label="middle of the VUT where it must brake", **_BRAKE_STYLE),
-        Patch(facecolor=SKY, alpha=0.3, label="what the VUT's camera looks at"),
-        line(label="in sight", **_FREE_STYLE),
-        line(label="nothing of it in sight", **_BLOCKED_STYLE),
+        Patch(label=tr("car under test (VUT)"), **_VUT),
+        Patch(label=said(run.case.vru.class_name), **_VRU),
+        line(color="black", linewidth=1.8, label=tr("way so far, thin: to come")),
+        line(label=tr("middle of the VUT where it must brake"), **_BRAKE_STYLE),
+        Patch(facecolor=SKY, alpha=0.3, label=tr("what the VUT's camera looks at")),
+        line(label=tr("in sight"), **_FREE_STYLE),
+        line(label=tr("nothing of it in sight"), **_BLOCKED_STYLE),
     ]
     if run.obstruction:
-        handles.append(Patch(label="parked body or wall of this case", **PARKED_STYLE))
+        handles.append(Patch(label=tr("parked body or wall of this case"), **PARKED_STYLE))
     figure.legend(handles=handles, loc="outside lower center", frameon=False, **options)

@@ -20,6 +20,7 @@ from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
+from ..language import said, tr
 from .axes import Style, literal, root_figure, unit_labels, write_beside
 
 HALO = withStroke(linewidth=3.0, foreground="white")
@@ -129,7 +130,9 @@ def unit_names(layout: Layout, scene: Scene) -> list[Label]:
         found.append(labels[unit.id])
     return [
         Label(
-            text=", ".join(names) + " (assumed)" * (first.site_id in doubts),
+            text=tr("{units} (assumed)", units=", ".join(names))
+            if first.site_id in doubts
+            else ", ".join(names),
             point_m=(float(first.pose.position_m[0]), float(first.pose.position_m[1])),
             toward_deg=first.pose.yaw_deg,
             gap=ARROW_POINTS * len(names),
@@ -165,7 +168,9 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
         at = middle_m + way
         labels.append(
             Label(
-                text=f"{streets[name]} ({name})" if name in streets else f"{name} arm",
+                text=f"{streets[name]} ({said(name)})"
+                if name in streets
+                else tr("{approach} arm", approach=said(name)),
                 point_m=(float(at[0]), float(at[1])),
                 toward_deg=0.0 if abs(way[1]) > abs(way[0]) else 90.0,
                 gap=14.0,

@@ -27,6 +27,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
+from ..language import mark, said, tr
 from ..results.numbers import shortened
 from . import labels
 from .axes import BLUE, UNIT_COLOURS, VERMILION, WIDTH_IN, Style, literal, new_axes, show_square
@@ -48,11 +49,11 @@ _LINE_STYLES = ("-", "--", "-.", ":")
 _LEGEND_ROW_IN = 0.17
 _MAX_NAME = 18  # letters that the legend has room for
 _PATHS: dict[str, tuple[str, Any, float]] = {  # name, dashes, width
-    "vut": ("car under test (VUT)", "-", 1.3),
-    "pedestrian": ("pedestrian, to the collision point", (0, (1.2, 1.2)), 1.8),
-    "cyclist": ("cyclist, to the collision point", (0, (5.0, 2.0)), 1.2),
-    "motorcyclist": ("motorcyclist, to the collision point", (0, (5.0, 2.0, 1.2, 2.0)), 1.2),
-    "car": ("other car, to the collision point", (0, (9.0, 3.0)), 1.2),
+    "vut": (mark("car under test (VUT)"), "-", 1.3),
+    "pedestrian": (mark("pedestrian, to the collision point"), (0, (1.2, 1.2)), 1.8),
+    "cyclist": (mark("cyclist, to the collision point"), (0, (5.0, 2.0)), 1.2),
+    "motorcyclist": (mark("motorcyclist, to the collision point"), (0, (5.0, 2.0, 1.2, 2.0)), 1.2),
+    "car": (mark("other car, to the collision point"), (0, (9.0, 3.0)), 1.2),
 }
 _FOUND: Style = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
 _OTHER: Style = {"markerfacecolor": "white", "markeredgecolor": "#555555"}
@@ -221,8 +222,8 @@ def plot_plan(
     tips = feet + length_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     marks_m = np.concatenate([feet, tips])
     labels.draw_labels(axes, [*names, *labels.position_names(setting.runs)], marks_m=marks_m)
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
+    axes.set_xlabel(tr("east (m)"))
+    axes.set_ylabel(tr("north (m)"))
     _draw_compass(axes, middle, half_size_m)
     below: Style = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.54 / width_in)}
     axes.legend(handles=entries, ncols=n_columns, fontsize=8, frameon=False, **below)
@@ -297,7 +298,7 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
     letter: Style = {"fontsize": 11, "fontweight": "bold", "ha": "center", "va": "center"}
     letter |= {"path_effects": [labels.HALO], "zorder": 10}
     tip = (east, north + 0.18 * half_size_m)
-    axes.annotate("N", xy=tip, xytext=(east, north), arrowprops=arrow, **letter)
+    axes.annotate(tr("N"), xy=tip, xytext=(east, north), arrowprops=arrow, **letter)
     length_m = 10.0
     x, y = middle_m - 0.95 * half_size_m
     bar: Style = {"color": "black", "linewidth": 4.0, "solid_capstyle": "butt", "zorder": 11}
@@ -310,46 +311,53 @@ def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
 def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> list[Any]:
     line = partial(Line2D, [], [])
     bodies = {"vut", *(run.case.vru.class_name for run in setting.runs)}
-    paths = [line(label=_PATHS[name][0], **_path_style(name)) for name in _PATHS if name in bodies]
+    paths = [
+        line(label=tr(_PATHS[name][0]), **_path_style(name)) for name in _PATHS if name in bodies
+    ]
     camera: Style = {"marker": Path(_DART, closed=True), "linestyle": "none", "markersize": 8.0}
     few = len(layout.units) <= labels.MAX_LABELLED_UNITS
-    what = (
-        "camera, and the ground it looks at" if few else "cameras at a place, and what they look at"
-    )
+    what = mark("{layout}: camera, and the ground it looks at")
+    if not few:
+        what = mark("{layout}: cameras at a place, and what they look at")
     own = shortened(layout.name, _MAX_NAME)
     rings = [is_ring(unit.sensor) for unit in layout.units]
-    units = [] if all(rings) else [line(label=literal(f"{own}: {what}"), **_FOUND, **camera)]
+    units = [] if all(rings) else [line(label=literal(tr(what, layout=own)), **_FOUND, **camera)]
     if any(rings):
-        label = literal(f"{own}: LiDAR that scans all round")
+        label = literal(tr("{layout}: LiDAR that scans all round", layout=own))
         units.append(line(label=label, markersize=8.0, **_FOUND, **_ROUND_MARKER))
     for name in dict.fromkeys(other.name for other in others):
-        label = literal(f"{shortened(name, _MAX_NAME)}: camera")
+        label = literal(tr("{layout}: camera", layout=shortened(name, _MAX_NAME)))
         units.append(line(label=label, **_OTHER, **camera))
     shown = {instance.class_name for instance in setting.scene.instances} - {"traffic light"}
-    things = [Patch(label=name, **CLASS_STYLES[name]) for name in CLASS_STYLES if name in shown]
+    things = [
+        Patch(label=said(name), **CLASS_STYLES[name]) for name in CLASS_STYLES if name in shown
+    ]
     if any(run.obstruction for run in setting.runs):
-        things.append(Patch(label="parked body or wall of single cases", **PARKED_STYLE))
+        things.append(Patch(label=tr("parked body or wall of single cases"), **PARKED_STYLE))
     doubts = assumed_sites(setting.scene.notes)
-    sites = [line(label="pole or mast: possible site", **SITE_STYLE)]
+    sites = [line(label=tr("pole or mast: possible site"), **SITE_STYLE)]
     if doubts:
         is_all = all(one.id in doubts for one in setting.scene.sites)
-        assumed = line(label="assumed site: not in the map there", **ASSUMED_STYLE)
+        assumed = line(label=tr("assumed site: not in the map there"), **ASSUMED_STYLE)
         sites = [assumed] if is_all else [*sites, assumed]
-    label = "collision point"
+    label = tr("collision point")
     if len({run.position for run in setting.runs}) > 1:
-        label += "; metres before (\N{MINUS SIGN}), behind (+)"
+        label = tr("collision point; metres before (\N{MINUS SIGN}), behind (+)")
     return [*units, *paths, line(label=label, **_IMPACT_STYLE), *sites, *things]
 
 
 def compass_word(unit: CandidatePose) -> str:
     """Point of the compass to which a unit looks; "all round" of one that looks to none."""
-    return ALL_ROUND if is_ring(unit.sensor) else COMPASS[round(unit.pose.yaw_deg / 45.0) % 8]
+    if is_ring(unit.sensor):
+        return tr("all round")
+    return said(COMPASS[round(unit.pose.yaw_deg / 45.0) % 8])
 
 
 def looking_words(unit: CandidatePose) -> str:
     """Direction of a unit's view, for a sentence: "looking to the east" or "scanning all round"."""
-    word = compass_word(unit)
-    return f"scanning {word}" if word == ALL_ROUND else f"looking to the {word}"
+    if is_ring(unit.sensor):
+        return tr("scanning all round")
+    return tr("looking to the {compass}", compass=compass_word(unit))
 
 
 def is_wide(unit: CandidatePose) -> bool:

@@ -18,6 +18,7 @@ from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
+from placement.certify import Grown, Growth, grow
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
@@ -26,7 +27,7 @@ from placement.layout import Layout, check_layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
-from placement.question import Question
+from placement.question import AUTO, Question
 from placement.refinement import Refinement, refine
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.sampling.out_of_sample import (
@@ -137,6 +138,7 @@ class _Found:
     on_grid: Placement
     refinement: Refinement | None
     poses: Sequence[CandidatePose]
+    growth: Growth | None  # Where the number of worlds was to be found out
 
 
 def run_placement(
@@ -155,10 +157,12 @@ def run_placement(
     """
     _check_out(out, progress)
     scene = load_scene(question.scene)
-    plan = assemble(question, scene=scene, compute=compute)
+    grown = grow(question, scene=scene, compute=compute) if question.samples == AUTO else None
+    question = replace(question, samples=grown.growth.taken) if grown else question
+    plan = grown.assembly if grown else assemble(question, scene=scene, compute=compute)
     job_of = partial(_begin_job, setting=plan.setting, compute=compute, progress=progress)
     with job_of(question, scene, side=side, out=out) as job:
-        found = _find(job, plan)
+        found = _find(job, plan, grown)
         placement, layout, setting = found.placement, found.placement.layout, job.setting
         study = find_baseline(scene)
         proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
@@ -230,7 +234,7 @@ def _named_layouts(
     return layouts | ({} if study is None else {study.name: study})
 
 
-def _find(job: _Job, plan: Assembly) -> _Found:
+def _find(job: _Job, plan: Assembly, grown: Grown | None) -> _Found:
     """Solve, and refine if asked to; the optimiser leaves the second process idle."""
     question, compute, progress = job.question, job.compute, job.progress
 
@@ -241,7 +245,10 @@ def _find(job: _Job, plan: Assembly) -> _Found:
         progress(stage, done, total)
 
     reporting = replace(compute, progress=report)
-    placement = place(replace(plan, compute=reporting))
+    if grown:
+        placement = grown.placement
+    else:  # poses that are turned yet are compared with nothing
+        placement = place(replace(plan, compute=reporting), asks_worlds=not question.refine)
     refinement = None
     if question.refine:
         refinement = refine(
@@ -253,6 +260,7 @@ def _find(job: _Job, plan: Assembly) -> _Found:
         on_grid=placement,
         refinement=refinement,
         poses=plan.candidates if refinement is None else refinement.candidates,
+        growth=grown.growth if grown else None,
     )
 
 
@@ -260,7 +268,7 @@ def _begin_fresh_worlds(
     job: _Job, plan: Assembly, layouts: Sequence[Layout]
 ) -> list[Task[FreshWorlds]]:
     """Look at layouts in fresh sampled worlds, if asked for, in either process."""
-    n_samples, uncertainty = job.question.samples, plan.uncertainty
+    n_samples, uncertainty = job.question.n_samples, plan.uncertainty
     n_worlds = max(n_samples, MIN_FRESH_WORLDS) if n_samples else 0
     assert uncertainty is not None  # assemble reads it with every question
     return [
@@ -314,7 +322,8 @@ def _in_fresh_worlds(
         seed=job.compute.seed,
         planned_apr={item.layout.name: headline_apr(item) for item in evaluations.values()},
         chosen_apr={placement.layout.name: chosen_apr},
-        chosen_in=job.question.samples,
+        chosen_in=job.question.n_samples,
+        growth=found.growth,
     )
 
 
@@ -415,7 +424,7 @@ def run_comparison(
     With samples also in so many sampled worlds. Raises InputError as :func:`run_evaluation`.
     """
     scene = load_scene(question.scene)
-    samples = question.samples
+    samples = question.n_samples
     drawn = load_drawn(question, scene, n_samples=samples)
     with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         setting = job.setting

@@ -18,8 +18,9 @@ from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis, Run
 
 from ..figures.axes import unit_labels
+from ..language import localized, mark, said, say, tr, trn
 from ..results.drives import describe_left_out, describe_limits, describe_places, lacking_room
-from ..results.numbers import capital, count_runs, number, percent, several
+from ..results.numbers import capital, joined, number, percent
 from ..results.tables import groups_by, margin_s
 from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
@@ -36,26 +37,25 @@ def is_weighted(axis: FrameAxis) -> bool:
 def count_sensors(layout: Layout) -> str:
     """'1 camera', '2 cameras and 1 LiDAR' and so on."""
     kinds = [sensor_kind(unit.sensor) for unit in layout.units]
-    return " and ".join(
-        several(kinds.count(kind), one, many)
-        for kind, one, many in (("camera", "camera", "cameras"), ("lidar", "LiDAR", "LiDARs"))
-        if kind in kinds
-    )
+    n_cameras, n_lidars = kinds.count("camera"), kinds.count("lidar")
+    cameras = trn("{n} camera", "{n} cameras", n_cameras)
+    lidars = trn("{n} LiDAR", "{n} LiDARs", n_lidars)
+    found = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
+    return joined(found) if found else ""
 
 
 def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
     """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
-    by_weight = ", by weight," if is_weighted(axis) else ""
-    apart = "; it does not use the detection table" if is_optimised else ""
-    meaning = (
-        f"The accident prevention ratio (APR) is the share of the runs{by_weight} in which the car "
-        "brakes early enough not to touch the pedestrian or cyclist. The numbers below come from "
-        "the evaluator, which renders every camera's image and every LiDAR's scan frame by "
-        f"frame{apart}."
-    )
-    blocks: list[Block] = [meaning, apr_table(evaluations), *apr_group_tables(evaluations)]
-    return Section("accidents", "Accidents prevented", blocks)
+    meaning = say("accidents.meaning")
+    if is_weighted(axis):
+        meaning = say("accidents.meaning_by_weight")
+    source = say("accidents.source")
+    if is_optimised:
+        source = say("accidents.source_of_optimised")
+    text = f"{meaning} {source}"
+    blocks: list[Block] = [text, apr_table(evaluations), *apr_group_tables(evaluations)]
+    return Section("accidents", tr("Accidents prevented"), blocks)
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
@@ -67,8 +67,10 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     axis = next(iter(evaluations.values())).axis
     parties = _parties(evaluations)
     return Table(
-        caption=f"Accident prevention ratio by {_groups(axis, 'and')}",
-        columns=[_groups(axis, "or"), *parties],
+        caption=tr("Accident prevention ratio by case and weather")
+        if several_weathers(axis)
+        else tr("Accident prevention ratio by case"),
+        columns=[_groups(axis), *parties],
         rows=_apr_rows([*parties.values()], axis),
         numeric=range(1, 1 + len(parties)),
     )
@@ -79,21 +81,33 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
     along = groups_by(axis, "position")
     groupings = [
-        ("speed of the car", "speed (km/h)", groups_by(axis, "speed")),
-        ("direction from which the car comes", "from", groups_by(axis, "direction")),
-        ("place along the arms, in metres before (-) or behind (+) the junction", "at", along),
+        (
+            tr("Accident prevention ratio by speed of the car"),
+            tr("speed (km/h)"),
+            groups_by(axis, "speed"),
+        ),
+        (
+            tr("Accident prevention ratio by direction from which the car comes"),
+            tr("from"),
+            groups_by(axis, "direction"),
+        ),
+        (
+            say("accidents.by_place"),
+            tr("at"),
+            along,
+        ),
     ]
     return [
         Table(
-            caption=f"Accident prevention ratio by {words}",
+            caption=caption,
             columns=[head, *parties],
             rows=[
-                [group, *(percent(apr(verdict, axis, mask)) for verdict in parties.values())]
+                [said(group), *(percent(apr(verdict, axis, mask)) for verdict in parties.values())]
                 for group, mask in groups
             ],
             numeric=range(1, 1 + len(parties)),
         )
-        for words, head, groups in groupings
+        for caption, head, groups in groupings
         if len(groups) > 1
     ]
 
@@ -101,15 +115,15 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
     """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
-    layouts = evaluations.items()
+    layouts = [(said(name), item) for name, item in evaluations.items()]
     parties = {f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts}
-    parties |= {"car (VUT) alone": subject.vut}
-    parties |= {f"car (VUT) and {name}": item.vut_and_rsus for name, item in layouts}
+    parties |= {tr("car (VUT) alone"): subject.vut}
+    parties |= {tr("car (VUT) and {name}", name=name): item.vut_and_rsus for name, item in layouts}
     # Who announces themselves does not depend on the layout.
     if "vam" in subject.others:
-        parties["road users' messages (VAM) alone"] = subject.others["vam"]
+        parties[tr("road users' messages (VAM) alone")] = subject.others["vam"]
     return parties | {
-        f"car (VUT), {name} and VAM": item.others["all_sources"]
+        tr("car (VUT), {name} and VAM", name=name): item.others["all_sources"]
         for name, item in layouts
         if "all_sources" in item.others
     }
@@ -124,12 +138,12 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     labels, axis = unit_labels(evaluation.layout), evaluation.axis
     units, verdicts = evaluation.units.items(), [*evaluation.units.values()]
     detected = [percent(detected_share(verdict, axis)) for verdict in verdicts]
-    columns = [_groups(axis, "or"), *(labels[unit_id] for unit_id, _ in units)]
-    caption = f"APR of each unit of {name} by itself"
-    rows = [*_apr_rows(verdicts, axis), ["frames in which it detects", *detected]]
+    columns = [_groups(axis), *(labels[unit_id] for unit_id, _ in units)]
+    caption = tr("APR of each unit of {name} by itself", name=name)
+    rows = [*_apr_rows(verdicts, axis), [tr("frames in which it detects"), *detected]]
     if len(labels) > MAX_UNIT_COLUMNS:
-        caption += ", best first"
-        columns = ["unit", *(row[0] for row in rows)]
+        caption = tr("APR of each unit of {name} by itself, best first", name=name)
+        columns = [tr("unit"), *(row[0] for row in rows)]
         of_units = zip(units, zip(*(row[1:] for row in rows), strict=True), strict=True)
         best_first = sorted(  # stable: as in the layout where two are alike
             of_units,
@@ -146,8 +160,8 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     )
 
 
-def _groups(axis: FrameAxis, conjunction: str) -> str:
-    return f"case {conjunction} weather" if several_weathers(axis) else "case"
+def _groups(axis: FrameAxis) -> str:
+    return tr("case or weather") if several_weathers(axis) else tr("case")
 
 
 def several_weathers(axis: FrameAxis) -> list[str]:
@@ -159,32 +173,31 @@ def several_weathers(axis: FrameAxis) -> list[str]:
 def _apr_rows(verdicts: Sequence[Verdict], axis: FrameAxis) -> list[list[str]]:
     of_weather = np.array(axis.weathers)
     by_case = [apr_by_case(verdict, axis) for verdict in verdicts]
-    rows = [["all runs", *(percent(apr(verdict, axis)) for verdict in verdicts)]]
+    rows = [[tr("all runs"), *(percent(apr(verdict, axis)) for verdict in verdicts)]]
     for case in dict.fromkeys(axis.cases):
         rows.append([case, *(percent(shares[case]) for shares in by_case)])
     for weather in several_weathers(axis):
         shares = (apr(verdict, axis, of_weather == weather) for verdict in verdicts)
-        rows.append([f"weather: {weather}", *map(percent, shares)])
+        rows.append([tr("weather: {weather}", weather=said(weather)), *map(percent, shares)])
     return rows
 
 
 def cases_section(setting: Setting) -> Section:
     """Cases that are driven, and those that cannot be."""
     note = [
-        "Last moment: the latest time at which braking still avoids the impact, which would be at "
-        "0; of each case's runs the earliest and the latest.",
+        say("accidents.last_moment"),
         *describe_hopeless(setting),
     ]
     blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
     sketches = [sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()]
     blocks += [
-        "From above: the car drives upwards and hits where its line ends. Dashed: whom it meets.",
+        say("accidents.sketches"),
         Box("beside sketches", sketches),
     ]
     refusals = describe_refusals(setting)
     if refusals:
-        blocks += [Subheading("Not driven"), Bullets(refusals)]
-    return Section("cases", "What is driven", blocks)
+        blocks += [Subheading(tr("Not driven")), Bullets(refusals)]
+    return Section("cases", tr("What is driven"), blocks)
 
 
 SKETCHED_M = 16.0  # half the side of the ground that a sketch shows
@@ -194,7 +207,7 @@ _USER_M = 0.6  # radius of the mark of who is met
 
 def case_title(case: Case) -> str:
     """What happens in a case, for who knows no codes."""
-    return capital(case.title.replace("VUT", "car") or case.name)
+    return capital(said(case.title).replace("VUT", tr("car")) or case.name)
 
 
 def sketch_case(run: Run) -> Sketch:
@@ -248,12 +261,8 @@ def _path(places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = F
 
 def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
     """How every run ends."""
-    note = (
-        "Avoided, with the time to spare between the onset of braking and the last moment; or hit, "
-        "with the time by which braking comes too late. Lost again: confirmed early enough, but "
-        "not known any more at the last moment."
-    )
-    return Section("runs", "Every run", [note, run_table(evaluations)])
+    note = say("accidents.how_runs_end")
+    return Section("runs", tr("Every run"), [note, run_table(evaluations)])
 
 
 def case_table(setting: Setting) -> Table:
@@ -268,19 +277,33 @@ def case_table(setting: Setting) -> Table:
         vru_speeds_kmh = sorted({run.case.vru_speed_kmh for run in runs})
         approaches = dict.fromkeys(run.approach for run in runs)
         last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
-        met = f"{case.vru.name}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h"
+        met = f"{said(case.vru.name)}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h"
         speeds = _steps(sorted({run.vut_speed_kmh for run in runs}))
-        arms = "all" if len(approaches) == len(every) > 1 else ", ".join(approaches)
+        is_all = len(approaches) == len(every) > 1
+        arms = tr("all") if is_all else ", ".join(map(said, approaches))
         weight = [percent(float(setting.axis.weight[indices].sum()))] if has_weights else []
         moments = [number(pick(last_s, default=None)) for pick in (min, max)]
-        rows.append([name, case.title, met, speeds, arms, str(len(runs)), *weight, *moments])
+        rows.append(
+            [
+                name,
+                said(case.title),
+                met,
+                speeds,
+                arms,
+                str(len(runs)),
+                *weight,
+                *moments,
+            ]
+        )
     columns = [
-        *("case", "what happens", "road user", "car (km/h)", "from", "runs"),
-        *(["weight"] if has_weights else []),
-        *("last moment, earliest (s)", "latest (s)"),
+        *(tr("case"), tr("what happens"), tr("road user"), tr("car (km/h)"), tr("from")),
+        tr("runs"),
+        *([tr("weight")] if has_weights else []),
+        *(tr("last moment, earliest (s)"), tr("latest (s)")),
     ]
+    arms = ", ".join(map(said, every))
     return Table(
-        caption="Cases" + (f"; from all: {', '.join(every)}" if len(every) > 1 else ""),
+        caption=tr("Cases; from all: {arms}", arms=arms) if len(every) > 1 else tr("Cases"),
         columns=columns,
         rows=rows,
         numeric=range(5, len(columns)),
@@ -291,8 +314,9 @@ def _steps(values: Sequence[float]) -> str:
     """Ascending values: as a range where the steps between them are equal, else each."""
     steps = np.diff(values)
     if len(values) > 2 and np.allclose(steps, steps[0]):
-        return f"{values[0]:g} to {values[-1]:g} by {steps[0]:g}"
-    return ", ".join(f"{value:g}" for value in values)
+        low, high, step = (localized(f"{value:g}") for value in (values[0], values[-1], steps[0]))
+        return tr("{low} to {high} by {step}", low=low, high=high, step=step)
+    return ", ".join(localized(f"{value:g}") for value in values)
 
 
 def describe_hopeless(setting: Setting) -> list[str]:
@@ -300,8 +324,7 @@ def describe_hopeless(setting: Setting) -> list[str]:
     hopeless = [run for run in setting.runs if not math.isfinite(run.last_brake_time_s)]
     n_runs = Counter(run.case.name for run in hopeless)
     names = [name for name in runs_by_case(setting) if n_runs[name]]
-    words = "no braking avoids the impact."
-    return [f"In {count_runs(n_runs[name])} of {name} {words}" for name in names]
+    return [say("accidents.hopeless", n_runs[name], case=name) for name in names]
 
 
 def describe_refusals(setting: Setting) -> list[str]:
@@ -311,10 +334,16 @@ def describe_refusals(setting: Setting) -> list[str]:
         speeds = refusal.speeds_text if refusal.position == AT_ZERO.name else ""
         of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
         of_reason.setdefault(refusal.approach, []).append(refusal.position)
+    at_speeds = mark("{case} from the {places} at {speeds} km/h: {reason}.")
+    at_any = mark("{case} from the {places}: {reason}.")
     sentences = [
-        f"{case} from the {describe_places(positions)}"
-        + (f" at {speeds} km/h" if speeds else "")
-        + f": {reason.removesuffix('.')}."
+        tr(
+            at_speeds if speeds else at_any,
+            case=case,
+            places=describe_places(positions),
+            speeds=speeds,
+            reason=said(reason.removesuffix(".")),
+        )
         for (case, speeds, reason), positions in places.items()
     ]
     return [*sentences, *describe_limits(setting), *describe_left_out(setting)]
@@ -335,7 +364,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     has_weathers, has_weights = bool(several_weathers(axis)), is_weighted(axis)
     rows = []
     for index in np.argsort(margins[0], kind="stable").tolist():
-        weather = [axis.weathers[index]] if has_weathers else []
+        weather = [said(axis.weathers[index])] if has_weathers else []
         weight = [percent(float(axis.weight[index]))] if has_weights else []
         ends = [
             outcome(run_outcome(verdict, axis, index), float(margin[index]))
@@ -343,23 +372,30 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
         ]
         last = number(axis.last_brake_time_s[index])
         rows.append([axis.run_ids[index], *weather, *weight, last, *ends])
-    own = [*(["weather"] if has_weathers else []), *(["weight"] if has_weights else [])]
-    columns = ["run", *own, "last moment (s)", *evaluations, "VUT"]
+    own = [*([tr("weather")] if has_weathers else []), *([tr("weight")] if has_weights else [])]
+    columns = [tr("run"), *own, tr("last moment (s)"), *map(said, evaluations), tr("VUT")]
     n_hit = int((~subject.headline.is_avoided).sum())
-    hits = f", {n_hit} of them hit" if n_hit else ""
+    summary = tr("{n} runs: those with the least time to spare first", n=len(rows))
+    if n_hit:
+        summary = say("accidents.runs_with_hits", n=len(rows), hit=n_hit)
+    caption = tr("Runs: case / from / speed in km/h")
+    if has_weathers:
+        caption = tr("Runs: case / from / speed in km/h / weather")
     return Table(
-        caption="Runs: case / from / speed in km/h" + (" / weather" if has_weathers else ""),
+        caption=caption,
         columns=columns,
         rows=rows,
         numeric=range(1, len(columns)),
-        summary=f"{len(rows)} runs{hits}: those with the least time to spare first",
+        summary=summary,
     )
 
 
 def outcome(words: str, margin_s: float) -> str:
     """How a run ends, with the time to spare or the time by which braking comes too late."""
     if words == "avoided":
-        return f"avoided, {number(margin_s)} s"
+        return tr("avoided, {time} s", time=number(margin_s))
     if words == "lost again":
-        return "HIT, lost again"
-    return f"HIT, {number(-margin_s)} s late" if math.isfinite(margin_s) else "HIT, not confirmed"
+        return tr("HIT, lost again")
+    if math.isfinite(margin_s):
+        return tr("HIT, {time} s late", time=number(-margin_s))
+    return tr("HIT, not confirmed")

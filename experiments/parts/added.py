@@ -12,6 +12,7 @@ from scenarios.cases import ROAD_USER_GROUPS
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
+from ..language import said, say, tr
 from ..results.numbers import number, percent
 from ..results.record import says
 from ..results.tables import groups_by
@@ -122,9 +123,13 @@ def words(record: Added | None) -> list[str]:
     told = [f"{unit.unit} {_points(unit.gain)}" for unit in units[:_MAX_TOLD]]
     if len(units) > _MAX_TOLD:
         rest = sum(unit.gain for unit in units[_MAX_TOLD:])
-        told.append(f"the other {len(units) - _MAX_TOLD} {_points(rest)}")
-    by_unit = f" ({', '.join(told)})" if len(units) > 1 else ""
-    return [f"To a car that sees, these units add {_points(everything.gain)} points{by_unit}."]
+        told.append(tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=_points(rest)))
+    gain, by_unit = _points(everything.gain), ", ".join(told)
+    if len(units) > 1:
+        text = say("added.by_unit", gain=gain, by_unit=by_unit)
+    else:
+        text = tr("To a car that sees, these units add {gain} points.", gain=gain)
+    return [text]
 
 
 def _points(gain: float | None) -> str:
@@ -136,20 +141,25 @@ def section(record: Added | None) -> Section | None:
     if record is None:
         return None
     of_units = Table(
-        caption="One unit after the other next to a car that sees, the one first that adds most",
-        columns=["unit", "APR with it", "adds (points)"],
+        caption=tr(
+            "One unit after the other next to a car that sees, the one first that adds most"
+        ),
+        columns=[tr("unit"), tr("APR with it"), tr("adds (points)")],
         rows=[[unit.unit, percent(unit.apr), _points(unit.gain)] for unit in record.units],
         numeric=(1, 2),
     )
     rows = []
     for one in record.groups:
-        name = position_words(one.name) if one.kind == "position" else one.name
+        name = position_words(one.name) if one.kind == "position" else said(one.name)
         rows.append([name, percent(one.vut), percent(one.with_units), _points(one.gain)])
     of_groups = Table(
-        caption="What all units together add, by the evaluator",
-        columns=["runs", "car (VUT) alone", "car (VUT) and units", "added (points)"],
+        caption=tr("What all units together add, by the evaluator"),
+        columns=[
+            *(tr("runs"), tr("car (VUT) alone"), tr("car (VUT) and units")),
+            tr("added (points)"),
+        ],
         rows=rows,
         numeric=(1, 2, 3),
     )
     tables = [of_units, of_groups] if record.units else [of_groups]
-    return Section("added", "What the units add", [*words(record), *tables])
+    return Section("added", tr("What the units add"), [*words(record), *tables])

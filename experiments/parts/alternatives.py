@@ -30,6 +30,7 @@ from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 from scenarios.scores import AVOIDED
 
+from ..language import mark, say, tr, trn
 from ..progress import StageProgress
 from ..results.folders import RECOMMENDED_FILE
 from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
@@ -42,6 +43,14 @@ HEAVY_SHARE = 0.02
 MAX_ROWS = 12
 """Rows of a table of failures: beyond, only the worst are shown."""
 _MAX_HEAVY, _MAX_RUNS = 8, 4
+_OFF = {  # by what is wrong, and whether it is too much of it
+    ("yaw", True): mark("turned {step:g} degree to the left"),
+    ("yaw", False): mark("turned {step:g} degree to the right"),
+    ("pitch", True): mark("tilted {step:g} degree up"),
+    ("pitch", False): mark("tilted {step:g} degree down"),
+    ("height", True): mark("5 cm too high"),
+    ("height", False): mark("5 cm too low"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,22 +187,18 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
         return []
     first = found.layouts[0]
     best = next(one for one in found.layouts if one.name == found.recommended)
-    left = f"{percent(best.apr_one_failed)} against {percent(first.apr_one_failed)}"
-    if found.decided_by == "apr":
-        why = f"APR {percent(best.apr)} against {percent(first.apr)}"
-        if len(first.layout) > 1:
-            why += f", and {left} if any one unit fails"
-    elif found.decided_by == "apr_one_failed":
-        why = f"the same APR, {percent(first.apr)}, and {left} if any one unit fails"
-    else:
+    values = {"apr": percent(best.apr), "other_apr": percent(first.apr)}
+    values |= {"left": percent(best.apr_one_failed), "other_left": percent(first.apr_one_failed)}
+    why = f"better_{found.decided_by}"
+    if found.decided_by == "apr" and len(first.layout) == 1:
+        why = "better_apr_alone"
+    elif found.decided_by not in ("apr", "apr_one_failed"):
         worst = [percent(one.mounting.worst.apr) for one in (best, first) if one.mounting]
-        leaves = " against ".join(worst)
-        why = f"the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}"
-    proof = "is proven best on the detection table" if is_proven else "is the best found"
-    return [
-        f"Recommended: {best.name}, in {RECOMMENDED_FILE}. The evaluator prefers it to "
-        f"{first.name}: {why}. All else here is about {first.name}, which {proof}."
-    ]
+        values["leaves"], why = tr(" against ").join(worst), "better_mounted"
+    values = {"why": say(f"alternatives.{why}", **values), "file": RECOMMENDED_FILE}
+    values |= {"best": best.name, "first": first.name}
+    key = "recommended_to_proven" if is_proven else "recommended_to_found"
+    return [say(f"alternatives.{key}", **values)]
 
 
 def doubt_sentences(
@@ -213,67 +218,46 @@ def doubt_sentences(
 
 def _heavy(runs: Sequence[HeavyRun]) -> str:
     low, high = percent(runs[-1].share), percent(runs[0].share)
-    shares = high if low == high else f"{low} to {high}"
-    names = first_of([one.run for one in runs], _MAX_HEAVY)
-    if len(runs) == 1:
-        return f"One run alone counts {shares} of the APR: {names}."
-    return f"{len(runs)} runs count {shares} of the APR each: {names}."
+    shares = high if low == high else tr("{first} to {last}", first=low, last=high)
+    return say(
+        "alternatives.heavy_runs",
+        len(runs),
+        shares=shares,
+        names=first_of([one.run for one in runs], _MAX_HEAVY),
+    )
 
 
 def _by_runs(found: ByRuns, n_runs: int) -> str:
     if found.runs_avoided > found.runs_avoided_here:
-        best = "best" if found.is_proven else "better"
-        return (
-            f"If every run counted the same (--weights run), another layout would be {best}: it "
-            f"avoids {found.runs_avoided} of {count_runs(n_runs)}, this one "
-            f"{found.runs_avoided_here} (on the detection table)."
-        )
+        values = {"avoided": found.runs_avoided, "avoided_here": found.runs_avoided_here}
+        key = "by_runs_best" if found.is_proven else "by_runs_better"
+        return say(f"alternatives.{key}", runs=count_runs(n_runs), **values)
     if found.is_proven:
-        return "If every run counted the same, no layout would be better than this one."
-    return (
-        "If every run counted the same, no better layout was found in the time for it; that "
-        "there is none is not proven."
-    )
+        return tr("If every run counted the same, no layout would be better than this one.")
+    return say("alternatives.by_runs_open")
 
 
 def _mounting(found: Standing) -> str:
-    aim = f"{found.aim_deg:g} {'degree' if found.aim_deg == 1.0 else 'degrees'}"
-    exactly = "Mount exactly: half a degree off the aim of a unit"
-    text = {
-        (
-            True,
-            True,
-        ): f"A unit may be {aim} off its aim or 5 cm too high or low, and no run is lost.",
-        (True, False): f"A unit may be {aim} off its aim and no run is lost; 5 cm too high or low "
-        "already loses one.",
-        (False, True): f"{exactly} already loses a run; 5 cm too high or low loses none.",
-        (False, False): f"{exactly}, or 5 cm too high or low, already loses a run.",
-    }[bool(found.aim_deg), bool(found.height_m)]
+    aim = trn("{deg:g} degree", "{deg:g} degrees", int(found.aim_deg != 1.0) + 1, deg=found.aim_deg)
+    key = "aim" if found.aim_deg else "exactly"
+    text = say(f"alternatives.{key}_{'and' if found.height_m else 'not'}_height", aim=aim)
     worst = found.worst
     if not worst.lost_run_ids:
         return text
-    size, is_more = f"{abs(worst.step):g} degree", worst.step > 0.0
-    off = {
-        "yaw": f"turned {size} to the {'left' if is_more else 'right'}",
-        "pitch": f"tilted {size} {'up' if is_more else 'down'}",
-        "height": f"5 cm too {'high' if is_more else 'low'}",
-    }[worst.kind]
-    return (
-        f"{text} At worst, 1 degree or 5 cm cost {count_runs(len(worst.lost_run_ids))}: with "
-        f"{worst.unit_id} {off} the APR is {percent(worst.apr)}."
-    )
+    runs, apr = count_runs(len(worst.lost_run_ids)), percent(worst.apr)
+    off = tr(_OFF[worst.kind, worst.step > 0.0], step=abs(worst.step))
+    at_worst = mark("At worst, 1 degree or 5 cm cost {runs}: with {unit} {off} the APR is {apr}.")
+    at_worst = tr(at_worst, runs=runs, unit=worst.unit_id, off=off, apr=apr)
+    return f"{text} {at_worst}"
 
 
 def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str]:
     """APR that remains if one unit, two, or a pole fail; `labels` are names by id."""
     whole, n_units = failures.none_failed, len(failures.one_failed)
     if n_units == 1:
-        return [
-            f"There is one unit. If it fails, nothing is left of the {percent(whole.apr)} that it "
-            "prevents but what the car prevents by itself."
-        ]
+        return [say("alternatives.one_unit", apr=percent(whole.apr))]
     return [
-        f"All {n_units} units together prevent {percent(whole.apr)}.",
+        tr("All {n} units together prevent {apr}.", n=n_units, apr=percent(whole.apr)),
         _if_one_fails(failures, labels),
         _if_two_fail(failures, labels),
         *([_if_a_pole_fails(failures, labels)] if failures.site_failed else []),
@@ -284,68 +268,61 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
     worst, n_units = failures.one_failed[0], len(failures.one_failed)
     n_harmless = sum(not item.lost_run_ids for item in failures.one_failed)
     if n_harmless == n_units:
-        text = "Whichever one fails, the others avoid every run that all avoid together"
         least_s = min(item.smallest_margin_s for item in failures.one_failed)
         if math.isnan(least_s):  # there is no such run
-            return f"{text}."
-        return f"{text}; the least time to spare is then {milliseconds(least_s)}."
-    text = (
-        f"If {_names(worst, labels)} fails, the others still prevent {percent(worst.apr)}; "
-        f"{_runs_are(worst)} lost. No single failure leaves less."
-    )
-    if n_harmless:
-        text += f" {n_harmless} of the {n_units} units can fail by themselves and no run is lost."
-    return text
+            return tr("Whichever one fails, the others avoid every run that all avoid together.")
+        return say("alternatives.none_needed", time=milliseconds(least_s))
+    values = {"unit": _names(worst, labels), "apr": percent(worst.apr), "lost": _runs_lost(worst)}
+    text = say("alternatives.worst_unit", **values)
+    harmless = mark("{n} of the {n_units} units can fail by themselves and no run is lost.")
+    return f"{text} {tr(harmless, n=n_harmless, n_units=n_units)}" if n_harmless else text
 
 
 def _if_two_fail(failures: Failures, labels: Mapping[str, str]) -> str:
     n_units, pairs = len(failures.one_failed), failures.two_failed
     n_harmless = sum(not item.lost_run_ids for item in pairs)
     if not pairs:
-        return f"Pairs are looked at for up to {MAX_PAIR_UNITS} units; there are {n_units}."
+        pairs_up_to = mark("Pairs are looked at for up to {most} units; there are {n}.")
+        return tr(pairs_up_to, most=MAX_PAIR_UNITS, n=n_units)
     if n_units == 2:
-        return "If both fail, only the car itself is left."
+        return tr("If both fail, only the car itself is left.")
     if n_harmless == len(pairs):
-        return "Any two may fail at once, and no run is lost."
-    return (
-        f"Of two that fail at once, {_names(pairs[0], labels)} matter most: "
-        f"{percent(pairs[0].apr)} are left. {n_harmless} of the {len(pairs)} pairs can fail and no "
-        "run is lost."
-    )
+        return tr("Any two may fail at once, and no run is lost.")
+    values = {"units": _names(pairs[0], labels), "apr": percent(pairs[0].apr), "n": n_harmless}
+    return say("alternatives.worst_pair", n_pairs=len(pairs), **values)
 
 
 def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
     worst = failures.site_failed[0]
     if all(len(item.unit_ids) == 1 for item in failures.site_failed):
-        return "No two units share a pole: a pole that fails takes one unit with it."
-    text = "A pole fails with all its units (power, a crash). "
+        return tr("No two units share a pole: a pole that fails takes one unit with it.")
     if not worst.lost_run_ids:
-        return f"{text}Whichever one does, no run is lost."
-    return (
-        f"{text}If that of {_names(worst, labels)} does, {percent(worst.apr)} are left and "
-        f"{_runs_are(worst)} lost; no other pole leaves less."
-    )
+        return say("alternatives.no_pole_needed")
+    values = {"units": _names(worst, labels), "apr": percent(worst.apr), "lost": _runs_lost(worst)}
+    return say("alternatives.worst_pole", **values)
 
 
 def failure_table(
     failures: Sequence[Failure], labels: Mapping[str, str], *, of: Literal["unit", "pair", "pole"]
 ) -> Table:
     """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
-    what, many, head = {
-        "unit": ("one unit fails", " units", "fails"),
-        "pair": ("two units fail", " pairs", "fail"),
-        "pole": ("one pole fails", "", "its units"),
+    all_shown, worst_shown = {
+        "unit": (tr("If one unit fails"), mark("{if_fails}: the {n} worst of {n_all} units")),
+        "pair": (tr("If two units fail"), mark("{if_fails}: the {n} worst of {n_all} pairs")),
+        "pole": (tr("If one pole fails"), mark("{if_fails}: the {n} worst of {n_all}")),
     }[of]
-    caption = f"If {what}"
-    if len(failures) > MAX_ROWS:
-        caption += f": the {MAX_ROWS} worst of {len(failures)}{many}"
-    pole: dict[str, Callable[[Failure], str]] = {"pole": lambda item: item.site_id}
+    is_cut = len(failures) > MAX_ROWS
+    counts = {"n": MAX_ROWS, "n_all": len(failures)}
+    caption = tr(worst_shown, if_fails=all_shown, **counts) if is_cut else all_shown
+    head = {"unit": tr("fails"), "pair": tr("fail"), "pole": tr("its units")}[of]
+    least = tr("smallest margin of the rest (ms)")
+    pole: dict[str, Callable[[Failure], str]] = {tr("pole"): lambda item: item.site_id}
     columns: dict[str, Callable[[Failure], str]] = (pole if of == "pole" else {}) | {
         head: lambda item: _names(item, labels),
-        "APR of the rest": lambda item: percent(item.apr),
-        "smallest margin of the rest (ms)": lambda item: number(1000.0 * item.smallest_margin_s, 0),
-        "runs lost": lambda item: str(len(item.lost_run_ids)),
-        "which": lambda item: first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
+        tr("APR of the rest"): lambda item: percent(item.apr),
+        least: lambda item: number(1000.0 * item.smallest_margin_s, 0),
+        tr("runs lost"): lambda item: str(len(item.lost_run_ids)),
+        tr("which"): lambda item: first_of(item.lost_run_ids, _MAX_RUNS) or NOTHING,
     }
     numeric = range(len(columns) - 4, len(columns) - 1)
     return tabulate(caption, failures[:MAX_ROWS], columns, numeric=numeric)
@@ -359,24 +336,15 @@ def failures_section(evaluation: Evaluation, rule: AebRule, labels: Mapping[str,
         tables.append(failure_table(failures.two_failed, labels, of="pair"))
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
         tables.append(failure_table(failures.site_failed, labels, of="pole"))
-    whose = (
-        "What the evaluator sees with each unit, and with the car's own sensors, which never fail."
-        if evaluation.cars == 1.0
-        else "Roadside units only, from what the evaluator sees with each; what the car sees by "
-        "itself comes on top."
-    )
-    note = (
-        f"{whose} A run is lost if all units together avoid it and those that are left do "
-        "not; the fastest ones are named first."
-    )
+    whose = say(f"alternatives.seen_{'with' if evaluation.cars == 1.0 else 'without'}_car")
     sentences = " ".join(failure_sentences(failures, labels))
-    return Section("failures", "If a unit or a pole fails", [sentences, *tables, note])
+    note = f"{whose} {say('alternatives.lost_runs')}"
+    return Section("failures", tr("If a unit or a pole fails"), [sentences, *tables, note])
 
 
 def _names(failure: Failure, labels: Mapping[str, str]) -> str:
-    return " and ".join(labels.get(unit_id, unit_id) for unit_id in failure.unit_ids)
+    return tr(" and ").join(labels.get(unit_id, unit_id) for unit_id in failure.unit_ids)
 
 
-def _runs_are(failure: Failure) -> str:
-    n_lost = len(failure.lost_run_ids)
-    return f"{count_runs(n_lost)} {'is' if n_lost == 1 else 'are'}"
+def _runs_lost(failure: Failure) -> str:
+    return trn("{n} run is lost", "{n} runs are lost", len(failure.lost_run_ids))

@@ -9,17 +9,21 @@ from placement.evaluation import Evaluation, headline_apr
 from placement.setting import Setting
 from scenarios.weights import weight_share
 
-from ..results.numbers import capital, percent, several
+from ..language import mark, say, tr, trn
+from ..results.numbers import capital, joined, percent
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
 from .dangers import avoided_runs
 from .explanation import next_unit_sentence, refinement_sentences
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
-from .sampled_worlds import overtaken_sentences, uncertainty_sentences
+from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
 from .units import private_ground_sentences
 
-_SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+_SMALL = (
+    *(mark("no"), mark("one"), mark("two"), mark("three"), mark("four"), mark("five")),
+    *(mark("six"), mark("seven"), mark("eight"), mark("nine"), mark("ten")),
+)
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
@@ -29,10 +33,13 @@ def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation
     place = " / ".join(streets) or setting.scene.name
     if isinstance(result, PlacementResult):
         subject = next(iter(evaluations.values()))
-        return f"Where to mount {count_sensors(subject.layout)} at {place}"
+        sensors = count_sensors(subject.layout)
+        return tr("Where to mount {sensors} at {place}", sensors=sensors, place=place)
     if len(evaluations) > 1:
-        return f"Roadside sensors at {place}: {' and '.join(evaluations)} compared"
-    return f"Roadside sensors at {place}: {next(iter(evaluations))}"
+        names = tr(" and ").join(evaluations)
+        return tr("Roadside sensors at {place}: {names} compared", place=place, names=names)
+    name = next(iter(evaluations))
+    return tr("Roadside sensors at {place}: {name}", place=place, name=name)
 
 
 def lead(result: Result) -> str:
@@ -41,34 +48,49 @@ def lead(result: Result) -> str:
     With fusion "single" runs are counted: a unit has to confirm by itself.
     """
     found, layout = result.evaluation, result.layout
-    n_lidars = sum(bool(unit.lidar) for unit in layout)
-    kinds = ((len(layout) - n_lidars, "camera", "cameras"), (n_lidars, "LiDAR", "LiDARs"))
-    units = " and ".join(_spelled(several(n, one, many)) for n, one, many in kinds if n)
-    n_poles = len({unit.site or unit.id for unit in layout})
-    mounted = f"{capital(units)} on {_spelled(several(n_poles, 'pole', 'poles'))}"
-    verb = "prevents" if len(layout) == 1 else "prevent"
-    seeing = " together with cars that see for themselves" if result.cars == 1.0 else ""
     share = percent(found.judged.all)
     if result.fusion == "single":
-        share = f"{result.runs - result.dangers.not_avoided} of {result.runs}"
-    best = ""
-    if isinstance(result, PlacementResult):
+        n_avoided = result.runs - result.dangers.not_avoided
+        share = tr("{n} of {all}", n=n_avoided, all=result.runs)
+    values = {
+        "mounted": _mounted(result),
+        "share": share,
+        "best": _best(result) if isinstance(result, PlacementResult) else "",
+        "own": percent(found.vut.all),
+    }
+    if result.cars == 1.0:
+        return say("answer.lead_of_seeing_cars", len(layout), **values)
+    return say("answer.lead", len(layout), both=percent(found.vut_and_rsus.all), **values)
+
+
+def _mounted(result: Result) -> str:
+    """How many units on how many poles, small numbers as words."""
+    n_lidars = sum(bool(unit.lidar) for unit in result.layout)
+    n_cameras = len(result.layout) - n_lidars
+    n_poles = len({unit.site or unit.id for unit in result.layout})
+    cameras = trn("one camera", "{count} cameras", n_cameras, count=_spelled(n_cameras))
+    lidars = trn("one LiDAR", "{count} LiDARs", n_lidars, count=_spelled(n_lidars))
+    units = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
+    poles = trn("one pole", "{count} poles", n_poles, count=_spelled(n_poles))
+    return capital(tr("{units} on {poles}", units=joined(units), poles=poles))
+
+
+def _best(result: PlacementResult) -> str:
+    """What is known of other choices, as the end of a sentence."""
+    highest = result.highest
+    if highest is None or highest.compared is None:
         is_best = result.goal == "best" and result.stages[0].name == "apr" and is_proven(result)
-        best = ", and no other choice prevents more" if is_best and result.sampled is None else ""
-        if result.highest and result.highest.compared:
-            other = result.highest.compared.evaluation
-            most = "any choice prevents" if result.highest.stages[0].gap == 0.0 else "was found"
-            best = (
-                f", and {percent(found.apr_without_worst_unit)} if one of them fails; the most "
-                f"that {most} is {percent(other.judged.all)}, but then "
-                f"{percent(other.apr_without_worst_unit)} if one fails"
-            )
-    together = f", both together {percent(found.vut_and_rsus.all)}"
-    return (
-        f"{mounted}{seeing} {verb} {share} of the simulated collisions, by telling cars when to "
-        f"brake{best}. The cars' own sensors alone prevent {percent(found.vut.all)}"
-        f"{'' if result.cars == 1.0 else together}."
-    )
+        is_best &= result.sampled is None
+        return tr(", and no other choice prevents more") if is_best else ""
+    other = highest.compared.evaluation
+    values = {
+        "left": percent(result.evaluation.apr_without_worst_unit),
+        "most": percent(other.judged.all),
+        "others_left": percent(other.apr_without_worst_unit),
+    }
+    if highest.stages[0].gap == 0.0:
+        return say("answer.most_of_any", **values)
+    return say("answer.most_found", **values)
 
 
 def is_proven(result: PlacementResult) -> bool:
@@ -77,11 +99,8 @@ def is_proven(result: PlacementResult) -> bool:
     return all(stage.gap == 0.0 for stage in first)
 
 
-def _spelled(text: str) -> str:
-    """A count with its noun, small numbers as words."""
-    count, _, noun = text.partition(" ")
-    is_small = count.isdigit() and int(count) < len(_SMALL)
-    return f"{_SMALL[int(count)]} {noun}" if is_small else text
+def _spelled(count: int) -> str:
+    return tr(_SMALL[count]) if count < len(_SMALL) else str(count)
 
 
 def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
@@ -116,11 +135,7 @@ def planned_only(result: Result) -> list[str]:
     """Warning that a layout was chosen as planned, where a detector finds people by chance."""
     if not isinstance(result, PlacementResult) or result.sampled or not is_drawn(result.detector):
         return []
-    return [
-        "This plan takes for seen whatever is seen with a probability of 0.5 or more, and nothing "
-        "is out of order in it: in fresh worlds such a choice can be behind a rule of thumb. "
-        "--samples 8 chooses for the mean of eight worlds."
-    ]
+    return [say("answer.planned_only")]
 
 
 def preferred(result: Result) -> list[str]:
@@ -130,7 +145,9 @@ def preferred(result: Result) -> list[str]:
     found = []
     if isinstance(result, PlacementResult):
         is_proven = any(stage.name == "apr" and stage.gap == 0.0 for stage in result.stages)
-        found = recommended_sentences(result.front_runners, is_proven=is_proven)
+        chosen_in = result.sampled.chosen_in if result.sampled else None
+        found = preferred_sentences(result.preferred, chosen_in)
+        found += recommended_sentences(result.front_runners, is_proven=is_proven)
     return found + (overtaken_sentences(result.sampled) if result.sampled else [])
 
 
@@ -164,59 +181,71 @@ def uncertainty(result: Result) -> list[str]:
 
 
 def _of_placement(result: PlacementResult, subject: Evaluation) -> list[str]:
-    verb = "avoids" if len(subject.units) == 1 else "avoid"
-    how = ", each by itself," if result.fusion == "single" else ""
-    score = _score(avoided_runs(subject, result.fusion), subject)
+    values = {
+        "sensors": count_sensors(subject.layout),
+        "score": _score(avoided_runs(subject, result.fusion), subject),
+        "of_car": _of_car(subject),
+    }
+    n_units = len(subject.units)
+    if result.fusion == "single":
+        first = say("answer.avoid_by_themselves", n_units, **values)
+    else:
+        first = say("answer.avoid", n_units, **values)
     further = next_unit_sentence(result.next_unit, proof.measure_of(result))
     last = (further, proof.words(result), *_failures(result, subject))
-    return [
-        f"{count_sensors(subject.layout)}{how} {verb} {score}; {_of_car(subject)}",
-        ". ".join(part for part in last if part),
-    ]
+    return [first, ". ".join(part for part in last if part)]
 
 
 def _of_others(result: EvaluationResult | ComparisonResult, subject: Evaluation) -> list[str]:
     name, compared = result.name, result.compared if isinstance(result, ComparisonResult) else ()
+    first = tr(
+        "{name} ({sensors}) avoids {score}; {of_car}",
+        name=name,
+        sensors=count_sensors(subject.layout),
+        score=_score(subject.headline.is_avoided, subject, headline_apr(subject)),
+        of_car=_of_car(subject),
+    )
     return [
-        f"{name} ({count_sensors(subject.layout)}) avoids "
-        f"{_score(subject.headline.is_avoided, subject, headline_apr(subject))}; "
-        f"{_of_car(subject)}",
+        first,
         *comparison.words(name, compared),
         *_failures(result, subject),
     ]
 
 
 def _of_car(subject: Evaluation) -> str:
-    return f"the car by itself avoids {_score(subject.vut.is_avoided, subject)}"
+    score = _score(subject.vut.is_avoided, subject)
+    return tr("the car by itself avoids {score}", score=score)
 
 
 def _failures(result: Result, subject: Evaluation) -> list[str]:
     """APR that remains when a unit or a pole fails."""
 
-    def left(apr: float) -> str:
-        is_all = apr > 1.0 - 1.0e-9
-        return (
-            f"the others {'still avoid every run' if is_all else f'reach at least {percent(apr)}'}"
-        )
+    def left(every: str, some: str, apr: float) -> str:
+        return tr(every) if apr > 1.0 - 1.0e-9 else tr(some, share=percent(apr))
 
     of_unit = result.evaluation.apr_without_worst_unit
     of_site = result.evaluation.apr_without_worst_site
     failed = []
     if of_unit is not None and len(subject.units) == 1:
-        failed.append("If this one unit fails, only the car itself is left")
+        failed.append(tr("If this one unit fails, only the car itself is left"))
     elif of_unit is not None:
-        failed.append(f"If any one unit fails, {left(of_unit)}")
+        every = mark("If any one unit fails, the others still avoid every run")
+        some = mark("If any one unit fails, the others reach at least {share}")
+        failed.append(left(every, some, of_unit))
     if of_site is not None:
-        failed.append(f"If any one pole fails with all its units, {left(of_site)}")
+        every = mark("If any one pole fails with all its units, the others still avoid every run")
+        some = mark("If any one pole fails with all its units, the others reach at least {share}")
+        failed.append(left(every, some, of_site))
     return failed
 
 
 def _score(is_avoided: BoolArray, evaluation: Evaluation, apr: float | None = None) -> str:
     """Runs and APR; `apr` is that of all cars where only a share of them sees."""
     axis = evaluation.axis
-    by_weight = " by weight" if is_weighted(axis) else ""
     share = percent(weight_share(is_avoided, axis.weight))
-    of_all = ""
     if apr is not None and 0.0 < evaluation.cars < 1.0:
-        of_all = f" in cars that do not see; {percent(apr)} of all"
-    return f"{int(is_avoided.sum())} of {axis.n_runs} runs (APR{by_weight} {share}{of_all})"
+        share = tr("{share} in cars that do not see; {all} of all", share=share, all=percent(apr))
+    values = {"avoided": int(is_avoided.sum()), "runs": axis.n_runs, "share": share}
+    if is_weighted(axis):
+        return tr("{avoided} of {runs} runs (APR by weight {share})", **values)
+    return tr("{avoided} of {runs} runs (APR {share})", **values)

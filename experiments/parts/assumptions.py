@@ -10,7 +10,8 @@ from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
-from ..results.numbers import count_runs, first_of, joined, percent, several
+from ..language import localized, said, say, tr
+from ..results.numbers import first_of, joined, percent
 from .accidents import is_weighted
 from .result import EvaluationResult, PlacementResult, Result
 from .sampled_worlds import moving_sentence
@@ -33,13 +34,17 @@ def _together(group: Sequence[Note]) -> str:
     """One sentence; of several with other numbers, these are the lowest and the highest."""
     first = group[0]
     if len(group) == 1:
-        return f"{first.what}: {first.why}."
+        return tr("{what}: {why}.", what=said(first.what), why=said(first.why))
     numbers = [[float(word) for word in _NUMBER.findall(one.why)] for one in group]
     lows_highs = [(min(column), max(column)) for column in zip(*numbers, strict=True)]
-    ranges = iter(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in lows_highs)
+    ranges = iter(
+        localized(f"{low:g}") if low == high else tr("{low:g} to {high:g}", low=low, high=high)
+        for low, high in lows_highs
+    )
     why = _NUMBER.sub(lambda _match: next(ranges), first.why)
     names = [site_id for one in group for site_id in one.site_ids]
-    return f"{len(names)} sites ({first_of(names, _MAX_NAMES)}): {why}."
+    listed = first_of(names, _MAX_NAMES)
+    return tr("{n} sites ({names}): {why}.", n=len(names), names=listed, why=said(why))
 
 
 def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
@@ -47,33 +52,38 @@ def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, 
     axis, rule = setting.axis, setting.rule
     counted = axis.weight[axis.weight > 0.0]
     sampled = None if isinstance(result, EvaluationResult) else result.sampled
+    weathers = [*dict.fromkeys(run.weather for run in setting.runs)]
     values = {
         "setting": setting,
         "weights": [counted.min(), counted.max()] if is_weighted(axis) else [],
         "n_without": axis.n_runs - len(counted),
-        "figures": _figures(setting),
+        "detection": said(f"{setting.detector.description}{_figures(setting)}"),
+        "sensors": tr(" and ").join(map(said, setting.vut_sensors)),
         "is_endless": math.isinf(rule.track_memory_s),
         "latency": latency_words(rule, layouts),
-        "weathers": list(dict.fromkeys(run.weather for run in setting.runs)),
+        "weathers": [said(name) for name in weathers],
+        "is_adverse": weathers != ["day"],
         "has_radio": setting.radio != Radio(),
         "moving": moving_sentence(sampled) if sampled is not None and sampled.moving else "",
         "fusion": result.fusion,
         "budget": result.budget if isinstance(result, PlacementResult) else None,
-        **{"percent": percent, "count_runs": count_runs, "several": several},
+        "percent": percent,
     }
-    return Section("assumptions", "How it was computed", [Filled("assumptions.html.j2", values)])
+    filled = Filled("assumptions.html.j2", values)
+    return Section("assumptions", tr("How it was computed"), [filled])
 
 
 def again_section(result: Result, command: str) -> Section:
     """The command line, how long it took, and with which programs."""
-    seconds = [(stage, f"{value:.1f}") for stage, value in result.seconds.items()]
+    seconds = [(said(stage), localized(f"{value:.1f}")) for stage, value in result.seconds.items()]
     versions = [*result.versions.items()]
+    columns = [tr("stage"), tr("seconds")]
     tables = [
-        Table(caption="Time taken", columns=["stage", "seconds"], rows=seconds, numeric=[1]),
-        Table(caption="Versions", columns=["what", "version"], rows=versions),
+        Table(caption=tr("Time taken"), columns=columns, rows=seconds, numeric=[1]),
+        Table(caption=tr("Versions"), columns=[tr("what"), tr("version")], rows=versions),
     ]
-    columns = Box("beside tables", [Box("", [table]) for table in tables if table.rows])
-    return Section("again", "To make it again", [Code(command), columns])
+    boxes = Box("beside tables", [Box("", [table]) for table in tables if table.rows])
+    return Section("again", tr("To make it again"), [Code(command), boxes])
 
 
 def _figures(setting: Setting) -> str:
@@ -90,9 +100,12 @@ def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
         for unit in layout.units:
             if unit.latency(rule) != rule.latency_s:
                 unit_ids.setdefault(unit.latency(rule), []).append(unit.id)
-        of = f" of {name}" if len(layouts) > 1 else ""
         for latency_s, ids in sorted(unit_ids.items()):
-            who = "every unit" if len(ids) == len(layout.units) > 1 else joined(ids)
-            own.append(f"{who}{of} {1000.0 * latency_s:g} ms")
-    text = f"{1000.0 * rule.latency_s:g} ms for processing and communication"
-    return f"{text}; units with a latency of their own: {'; '.join(own)}." if own else f"{text}."
+            who = tr("every unit") if len(ids) == len(layout.units) > 1 else joined(ids)
+            if len(layouts) > 1:
+                who = tr("{units} of {layout}", units=who, layout=name)
+            own.append(tr("{units} {latency_ms:g} ms", units=who, latency_ms=1000.0 * latency_s))
+    latency_ms = 1000.0 * rule.latency_s
+    if not own:
+        return tr("{latency_ms:g} ms for processing and communication.", latency_ms=latency_ms)
+    return say("assumptions.latencies", latency_ms=latency_ms, own="; ".join(own))

@@ -19,6 +19,7 @@ from placement.setting import Setting
 from placement.wishes import Wishes
 from scenarios.runs import FrameAxis
 
+from ..language import said, say, tr
 from ..results.numbers import percent
 from ..results.record import UnitRecord, build_unit_records, mixed, says
 
@@ -200,19 +201,18 @@ def words(found: Baselines | None, *, n_units: int) -> list[str]:
     sentences = []
     random, expert = found.random, found.expert
     if random is not None:
-        worlds = random.in_worlds
-        over = "" if worlds is None else f" In the sampled worlds: {percent(worlds.mean)}."
-        sentences.append(
-            f"Random: {random.layouts} layouts drawn within the same limits, on the detection "
-            f"table; 5 % of them have an APR of at most {percent(random.low)}, 5 % of at least "
-            f"{percent(random.high)}.{over}"
+        text = say(
+            "baselines.random", n=random.layouts, low=percent(random.low), high=percent(random.high)
         )
+        if random.in_worlds is not None:
+            text += " " + tr(
+                "In the sampled worlds: {share}.", share=percent(random.in_worlds.mean)
+            )
+        sentences.append(text)
     if expert is not None:
-        corners = ", ".join(expert.corners) or "no corner fits"
-        few = "" if len(expert.layout) == n_units else ", no unit for each of all"
-        sentences.append(
-            "Expert rule: at each corner of the junction the nearest site, there the pose that "
-            "looks at the middle the most directly; the corner whose camera prevents the most "
-            f"comes first ({corners}{few}); {percent(expert.on_table)} on the detection table."
-        )
+        corners = ", ".join("/".join(map(said, one.split("/"))) for one in expert.corners)
+        corners = corners or tr("no corner fits")
+        if len(expert.layout) != n_units:
+            corners = tr("{corners}, no unit for each of all", corners=corners)
+        sentences.append(say("baselines.expert", corners=corners, share=percent(expert.on_table)))
     return sentences

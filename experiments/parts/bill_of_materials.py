@@ -10,24 +10,26 @@ from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
-from ..results.numbers import several
+from ..language import localized, mark, said, say, tr, trn
+from ..results.numbers import joined
 from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
 
-UNKNOWN = "unknown"
+UNKNOWN = mark("unknown")
 FILE_NAME = "bill_of_materials.csv"
 NOT_IN_IT = (
-    "new poles and foundations",
-    "brackets, cables and junction boxes beyond what a site's cost covers",
-    "the computer that detects, the radio unit that sends to cars, and their housing",
-    "spare units",
-    "planning, permits, traffic management while mounting, the lift and the people",
-    "calibration and acceptance",
-    "electricity, data connection, cleaning, repair and replacement over the years",
-    "value added tax",
+    mark("new poles and foundations"),
+    mark("brackets, cables and junction boxes beyond what a site's cost covers"),
+    mark("the computer that detects, the radio unit that sends to cars, and their housing"),
+    mark("spare units"),
+    mark("planning, permits, traffic management while mounting, the lift and the people"),
+    mark("calibration and acceptance"),
+    mark("electricity, data connection, cleaning, repair and replacement over the years"),
+    mark("value added tax"),
 )
-_KINDS = {"camera": "camera", "lidar": "LiDAR"}
-_NO_SITE = "no site of the scene"
+_KINDS = {"camera": mark("camera"), "lidar": mark("LiDAR")}
+_NO_SITE = mark("no site of the scene")
+_SOURCES = {"catalogue": mark("catalogue"), "told": mark("told"), "assumption": mark("assumption")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,18 +156,15 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
     known = sum(item.sum_eur for item in items if item.sum_eur is not None)
     unknown = [item for item in items if item.sum_eur is None]
     if not unknown:
-        return [f"All lines together: {_euros(known)}."]
+        return [tr("All lines together: {sum}.", sum=_euros(known))]
     if len(unknown) == len(items):
-        return ["No price is known."]
+        return [tr("No price is known.")]
     n_models = sum(item.part == "sensor" for item in unknown)
     n_places = sum(item.count for item in unknown if item.part == "site")
-    models = several(n_models, "sensor model", "sensor models") if n_models else ""
-    places = several(n_places, "mounting place", "mounting places") if n_places else ""
-    what = " and ".join(filter(None, (models, places)))
-    return [
-        f"At least {_euros(known)}: the sum of what is known. The price of {what} is unknown and "
-        "comes on top."
-    ]
+    models = trn("{n} sensor model", "{n} sensor models", n_models)
+    places = trn("{n} mounting place", "{n} mounting places", n_places)
+    what = [words for n, words in ((n_models, models), (n_places, places)) if n]
+    return [say("bill_of_materials.at_least", sum=_euros(known), what=joined(what))]
 
 
 def bill_tables(bill: BillOfMaterials) -> list[Table]:
@@ -173,40 +172,43 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
     sensors, sites = bill.sensors, bill.sites
     rows = []
     for one in sensors:
-        price = UNKNOWN if one.price_eur is None else _amount(one.price_eur)
-        rows.append([one.name, one.kind, str(one.n_units), str(one.count), price, _sum([one])])
+        price = tr(UNKNOWN) if one.price_eur is None else _amount(one.price_eur)
+        rows.append([one.name, tr(one.kind), str(one.n_units), str(one.count), price, _sum([one])])
     n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
-    rows.append(["all", "", str(n_units), str(n_to_buy), "", _sum(sensors)])
-    columns = ["model", "kind", "units", "to buy", "price of one (EUR)", "sum (EUR)"]
+    rows.append([tr("all"), "", str(n_units), str(n_to_buy), "", _sum(sensors)])
+    columns = [
+        *(tr("model"), tr("kind"), tr("units"), tr("to buy"), tr("price of one (EUR)")),
+        tr("sum (EUR)"),
+    ]
     if n_to_buy == n_units:  # nothing exists already
         columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
     of_sites = []
     for one in sites:
-        name = f"{one.name} (assumed)" if one.assumed else one.name
-        price = "there already" if one.count == 0 else _sum([one])
-        of_sites.append([name, one.kind, str(one.n_units), price, one.price_source])
-    of_sites.append(["all", "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
-    heads = ["site", "kind", "units", "making it ready (EUR)", "price"]
+        name = tr(_NO_SITE) if one.name == _NO_SITE else one.name
+        name = tr("{site} (assumed)", site=name) if one.assumed else name
+        price = tr("there already") if one.count == 0 else _sum([one])
+        source = tr(_SOURCES[one.price_source]) if one.price_source else ""
+        kind = tr(UNKNOWN) if one.kind == UNKNOWN else said(one.kind)
+        of_sites.append([name, kind, str(one.n_units), price, source])
+    of_sites.append([tr("all"), "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
+    heads = [tr("site"), tr("kind"), tr("units"), tr("making it ready (EUR)"), tr("price")]
     return [
-        Table(caption="Sensors", columns=columns, rows=rows, numeric=range(2, 6)),
-        Table(caption="Sites", columns=heads, rows=of_sites, numeric=range(2, 4)),
+        Table(caption=tr("Sensors"), columns=columns, rows=rows, numeric=range(2, 6)),
+        Table(caption=tr("Sites"), columns=heads, rows=of_sites, numeric=range(2, 4)),
     ]
 
 
 def bill_section(bill: BillOfMaterials) -> Section:
     """The bill, and what is not in it."""
-    note = (
-        "Prices are those of the sensor catalogue, for one outdoor unit with its housing; what "
-        "comes with this program are orders of magnitude. “Unknown” is not zero."
-        " Not in the bill:"
-    )
+    note = say("bill_of_materials.prices")
     blocks: list[Block] = [
-        " ".join([*bill_sentences(bill), *bill.assumed]),
+        " ".join([*bill_sentences(bill), *map(said, bill.assumed)]),
         *bill_tables(bill),
         note,
-        Bullets(NOT_IN_IT[1:] if bill.assumed else NOT_IN_IT),  # assumed costs are with poles
+        # Assumed costs are with poles.
+        Bullets([*map(tr, NOT_IN_IT[1:] if bill.assumed else NOT_IN_IT)]),
     ]
-    return Section("bill", "Bill of materials", blocks)
+    return Section("bill", tr("Bill of materials"), blocks)
 
 
 def _sum(items: Sequence[Item]) -> str:
@@ -214,13 +216,13 @@ def _sum(items: Sequence[Item]) -> str:
     values = [item.sum_eur for item in items]
     known = [value for value in values if value is not None]
     if not known:
-        return UNKNOWN
+        return tr(UNKNOWN)
     return _amount(sum(known)) if len(known) == len(values) else f"≥ {_amount(sum(known))}"
 
 
 def _amount(value: float) -> str:
-    return f"{value:,.0f}" if value == round(value) else f"{value:,.2f}"
+    return localized(f"{value:,.0f}" if value == round(value) else f"{value:,.2f}")
 
 
 def _euros(value: float) -> str:
-    return f"{_amount(value)} EUR"
+    return tr("{amount} EUR", amount=_amount(value))

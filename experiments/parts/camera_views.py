@@ -4,21 +4,27 @@ import base64
 import io
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from geometry.errors import InputError
+from geometry.files import pick
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute
+from placement.evaluator.pictures import find_frame
+from placement.imaging import Picture as FramePicture
 from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..figures.axes import unit_labels
+from ..language import say, tr
 from .accidents import case_title
 from .section import Picture
 
@@ -36,24 +42,34 @@ def camera_views(setting: Setting, layout: Layout) -> list[Picture]:
     return [_view(unit, labels[unit.id], setting) for unit in cameras]
 
 
-def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
+def _with_width(unit: CandidatePose, width_px: int) -> CandidatePose:
+    """A camera that looks the same way, with so many columns."""
     assert isinstance(unit.sensor, CameraModel)
-    height_px = round(unit.sensor.height_px * _WIDTH_PX / unit.sensor.width_px)
-    small = replace(unit, sensor=replace(unit.sensor, width_px=_WIDTH_PX, height_px=height_px))
-    rgb, run, time_s = draw_view(small, setting)
+    height_px = round(unit.sensor.height_px * width_px / unit.sensor.width_px)
+    return replace(unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px))
+
+
+def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    """An image (h, w, 3) as a file."""
     buffer = io.BytesIO()
     Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
-    title = f"{label}: what it will see"
-    when = f"{abs(time_s):.1f} s before the collision"
-    what = case_title(run.case)
+    return buffer.getvalue()
+
+
+def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
+    small = _with_width(unit, _WIDTH_PX)
+    assert isinstance(small.sensor, CameraModel)
+    rgb, run, time_s = draw_view(small, setting)
+    title = tr("{unit}: what it will see", unit=label)
+    values = {"what": case_title(run.case), "time": abs(time_s), "unit": label}
     return Picture(
         title=title,
-        caption=f"Rendered from the map. {what}, {when}.",
-        alt=f"Rendered picture of camera {label} at {unit.site_id or 'its mount'}: {what}, {when}.",
-        image=base64.b64encode(buffer.getvalue()).decode(),
+        caption=tr("Rendered from the map. {what}, {time:.1f} s before the collision.", **values),
+        alt=say("camera_views.alt", site=unit.site_id or tr("its mount"), **values),
+        image=base64.b64encode(to_jpeg(rgb)).decode(),
         format="jpeg",
         width_px=_WIDTH_PX,
-        height_px=height_px,
+        height_px=small.sensor.height_px,
         width_in=_WIDTH_IN,
     )
 
@@ -65,21 +81,65 @@ def draw_view(
 
     The road user is nearest to where the middle of the image meets the road.
     """
+    run, frame = _nearest_frame(unit, setting)
+    return _draw(unit, setting, run, frame, compute).rgb, run, float(run.time_s[frame])
+
+
+def _draw(
+    unit: CandidatePose, setting: Setting, run: Run, frame: int, compute: Compute
+) -> FramePicture:
     assert isinstance(unit.sensor, CameraModel)
+    return draw_picture(
+        *(build_backdrop(setting.scene, run.obstruction), run, frame, unit.pose, unit.sensor),
+        weather=pick_weather(run.weather, "weather"),
+        compute=compute,
+    )
+
+
+def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
+    """The run, and its frame, in which a road user is nearest to a camera's aim."""
     yaw = math.radians(unit.pose.yaw_deg)
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
     reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)
     aim_m = unit.pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
     away_m = [np.hypot(*(run.vru_position_m - aim_m).T) for run in setting.runs]
     nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
-    run, frame = setting.runs[nearest], int(np.argmin(away_m[nearest]))
-    picture = draw_picture(
-        build_backdrop(setting.scene, run.obstruction),
-        run,
-        frame,
-        unit.pose,
-        unit.sensor,
-        weather=pick_weather(run.weather, "weather"),
-        compute=compute,
-    )
-    return picture.rgb, run, float(run.time_s[frame])
+    return setting.runs[nearest], int(np.argmin(away_m[nearest]))
+
+
+def live_picture(
+    unit: CandidatePose,
+    setting: Setting,
+    *,
+    run_id: str,
+    frame: int,
+    width_px: int,
+    compute: Compute,
+) -> dict[str, Any]:
+    """What a camera sees in a frame of a run, for a page on which it is being aimed.
+
+    Without a run, it is one whose road user is near the camera's aim. "image" is a JPEG in base64,
+    "box" where the road user is seen: left, top, right, bottom as shares of the sides, or None.
+    Raises InputError: it is no camera, there is no such run or frame.
+    """
+    if not isinstance(unit.sensor, CameraModel):
+        raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
+    if run_id:
+        run = pick({run.id: run for run in setting.runs}, run_id, "run")
+        frame = find_frame(run, frame)
+    else:
+        run, frame = _nearest_frame(unit, setting)
+    picture = _draw(_with_width(unit, width_px), setting, run, frame, compute)
+    height_px, width_px, _ = picture.rgb.shape
+    rows, columns = np.nonzero(picture.instance == picture.names.index("vru"))
+    box = None
+    if len(rows):
+        low = columns.min() / width_px, rows.min() / height_px
+        high = (columns.max() + 1) / width_px, (rows.max() + 1) / height_px
+        box = [float(edge) for edge in (*low, *high)]
+    return {
+        **{"run": run.id, "frame": frame, "timeS": float(run.time_s[frame])},
+        "image": base64.b64encode(to_jpeg(picture.rgb)).decode(),
+        "size": [width_px, height_px],
+        "box": box,
+    }

@@ -6,18 +6,20 @@ from typing import Annotated, Any
 
 from msgspec.structs import asdict as fields_of
 
-from placement.certify import GapEstimate, certify, estimate_gap
+from placement.certify import GapEstimate, Growth, certify, estimate_gap, grow
 from placement.compute import Compute
 from placement.pipeline import assemble
-from placement.question import Question
+from placement.question import AUTO, Question
+from placement.sampling.out_of_sample import APART
 
 from ..export.json import to_json, to_json_text
+from ..language import said, say, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record
 from ..results.folders import LAYOUT_FILE, expect_files, save_files
-from ..results.numbers import percent, several
+from ..results.numbers import percent
 from ..results.record import Record, says
-from .sampled_worlds import EstimateRecord
+from .sampled_worlds import EstimateRecord, growth_sentences
 from .section import Table
 
 JSON_NAME = "certified.json"
@@ -44,6 +46,7 @@ class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
     command: Annotated[str, says("That made it.")]
     candidates: Annotated[int, says("Number of poses to choose from.")]
     worlds_of_block: Annotated[int, says("Number of worlds in each block.", ge=2)]
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
     uncertainty: Annotated[str, says("Name of what is drawn in the worlds.")]
     seed: Annotated[int, says("Of the draws.", ge=0)]
     blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.")]
@@ -71,6 +74,10 @@ def run_certify(
 ) -> CertifiedResult:
     """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
     expect_files(out, progress)
+    growth = None
+    if question.samples == AUTO:  # in worlds that neither a bound nor the layout is judged in
+        growth = grow(question, first=APART, compute=compute).growth
+        question = replace(question, samples=growth.taken)
     plan = assemble(question, compute=compute)
     found = certify(plan, n_blocks=n_blocks, n_judged=n_judged)
     assert plan.uncertainty is not None
@@ -79,6 +86,7 @@ def run_certify(
         command=command,
         candidates=len(plan.candidates),
         worlds_of_block=plan.n_samples,
+        growth=growth,
         uncertainty=plan.uncertainty.name,
         seed=compute.seed,
         blocks=tuple(
@@ -133,32 +141,40 @@ def recompute(stored: CertifiedResult) -> list[str]:
 def words(result: CertifiedResult) -> list[str]:
     """What the layout prevents, and what it may lack, the most important first."""
     n_judged, n_blocks = len(result.apr_by_world), len(result.blocks)
-    worlds = several(result.worlds_of_block, "world", "worlds")
     loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)
-    prevent = "prevents" if len(result.units) == 1 else "prevent"
-    said = [
-        f"{several(len(result.units), 'unit', 'units')} at {', '.join(result.units)} {prevent} "
-        f"{percent(result.apr)} of the accidents in {n_judged} sampled worlds that nothing was "
-        f"chosen in; another layout within the budget could prevent at most "
-        f"{100.0 * result.gap:.2f} points more (with 95 % confidence)",
-        f"Over all worlds it prevents at least {100.0 * result.least:.2f} %, and no layout more "
-        f"than {100.0 * result.most:.2f} %: {100.0 * result.bias:.2f} points of the gap would go "
-        f"with larger blocks or a better layout, {100.0 * result.chance:.2f} with more worlds",
-        f"The upper limit is the mean of {n_blocks} proven bounds, one for each block of {worlds}",
+    sentences = [
+        say(
+            "certified.prevented",
+            len(result.units),
+            sites=", ".join(result.units),
+            share=percent(result.apr),
+            worlds=n_judged,
+            gap=100.0 * result.gap,
+        ),
+        say(
+            "certified.over_all_worlds",
+            least=100.0 * result.least,
+            most=100.0 * result.most,
+            bias=100.0 * result.bias,
+            chance=100.0 * result.chance,
+        ),
+        say("certified.upper_limit", result.worlds_of_block, blocks=n_blocks),
+        *growth_sentences(result.growth),
     ]
     if loose:
-        said.append(
-            f"In {loose} of {n_blocks} blocks the bound was not reached in the time given: with "
-            "more time the limit may come down"
-        )
-    return said
+        sentences.append(say("certified.not_reached", n=loose, blocks=n_blocks))
+    return sentences
 
 
 def table(result: CertifiedResult) -> Table:
     """A row per layout of the pool."""
     return Table(
-        caption=f"Layouts found, in {len(result.apr_by_world)} worlds that choose among them",
-        columns=["layout", "APR", "from", "to"],
-        rows=[[one.name, *map(percent, (one.mean, one.low, one.high))] for one in result.pool],
+        caption=tr(
+            "Layouts found, in {n} worlds that choose among them", n=len(result.apr_by_world)
+        ),
+        columns=[tr("layout"), tr("APR"), tr("from"), tr("to")],
+        rows=[
+            [said(one.name), *map(percent, (one.mean, one.low, one.high))] for one in result.pool
+        ],
         numeric=(1, 2, 3),
     )

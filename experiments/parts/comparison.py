@@ -19,6 +19,7 @@ from placement.evaluation import (
 )
 from scenarios.aeb import AebRule
 
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
 from ..results.record import (
     EvaluationRecord,
@@ -35,15 +36,10 @@ from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_diff
 from .section import Block, Bullets, Section, Subheading, Table, build_picture, tabulate
 from .units import PrivateGroundRecord
 
-GREEDY, EXPERT, HIGHEST = "greedy", "expert rule", "highest APR"
+GREEDY, EXPERT, HIGHEST = mark("greedy"), mark("expert rule"), mark("highest APR")
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 _MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
-_PAIRED = (
-    "Paired on the same worlds: what is drawn hits all layouts alike, so that the difference in "
-    "each world counts, not the spread between worlds. Each interval holds by itself: of twenty "
-    "such, one may miss the true difference."
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,8 +105,13 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 def words(name: str, compared: Sequence[Compared]) -> list[str]:
     """How many runs the first layout avoids and each other one does not, and the other way."""
     return [
-        f"{name} avoids {len(other.runs_gained)} that {other.name} does not, and "
-        f"{other.name} avoids {len(other.runs_lost)} that {name} does not"
+        say(
+            "comparison.avoids_others",
+            name=name,
+            other=other.name,
+            gained=len(other.runs_gained),
+            lost=len(other.runs_lost),
+        )
         for other in compared
     ]
 
@@ -124,7 +125,7 @@ def side_by_side_table(
 
     def of_verdict(verdict: Verdict, share: float) -> tuple[list[str], list[str]]:
         """Cells before and behind that of a failure."""
-        avoided = f"{int(verdict.is_avoided.sum())} of {axis.n_runs}"
+        avoided = tr("{n} of {all}", n=int(verdict.is_avoided.sum()), all=axis.n_runs)
         spare_s = margin_s(verdict, axis)[verdict.is_avoided & (axis.weight > 0.0)]
         behind = [
             number(float(spare_s.min()) if len(spare_s) else None),
@@ -137,27 +138,25 @@ def side_by_side_table(
     rows = []
     for name, item in evaluations.items():
         first, last = of_verdict(item.headline, headline_apr(item))
-        money = f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}"
+        money = localized(f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}")
         failed = percent(apr_one_failed(item, rule))
-        rows.append([name, str(len(item.layout.units)), money, *first, failed, *last])
+        rows.append([said(name), str(len(item.layout.units)), money, *first, failed, *last])
     first, last = of_verdict(subject.vut, apr(subject.vut, axis))
-    rows.append(["VUT alone", NOTHING, NOTHING, *first, NOTHING, *last])
+    rows.append([tr("VUT alone"), NOTHING, NOTHING, *first, NOTHING, *last])
     random = None if baselines is None else baselines.random
     if random is not None:  # what is known is the APR on the table alone, or the score
-        mean, head = (
-            percent(random.mean),
-            f"random: mean of {random.layouts}, on the detection table",
-        )
+        mean = percent(random.mean)
+        head = tr("random: mean of {n}, on the detection table", n=random.layouts)
         shares = [mean, *[NOTHING] * 4] if levels is None else [*[NOTHING] * 5, mean]
         rows.append([head, str(random.units), NOTHING, *shares])
     columns = [
-        *("layout", "units", "cost of the units (EUR)", "APR", "runs avoided"),
-        *("APR if the most needed unit fails", "smallest time to spare (s)"),
-        "mean speed at contact (km/h)",
-        *([] if levels is None else [f"score ({levels.score})"]),
+        *(tr("layout"), tr("units"), tr("cost of the units (EUR)"), tr("APR"), tr("runs avoided")),
+        *(tr("APR if the most needed unit fails"), tr("smallest time to spare (s)")),
+        tr("mean speed at contact (km/h)"),
+        *([] if levels is None else [tr("score ({score})", score=levels.score)]),
     ]
     return Table(
-        caption="The layouts side by side, all units of each together, by the evaluator",
+        caption=tr("The layouts side by side, all units of each together, by the evaluator"),
         columns=columns,
         rows=rows,
         numeric=range(1, len(columns)),
@@ -169,10 +168,10 @@ def difference_matrix(names: Sequence[str], differences: Sequence[Difference]) -
     only = {(pair.first, pair.second): len(pair.only_first) for pair in differences}
     only |= {(pair.second, pair.first): len(pair.only_second) for pair in differences}
     return Table(
-        caption="Runs that the layout of the row avoids, and that of the column does not",
-        columns=["avoided by", *(f"not by {name}" for name in names)],
+        caption=tr("Runs that the layout of the row avoids, and that of the column does not"),
+        columns=[tr("avoided by"), *(tr("not by {name}", name=said(name)) for name in names)],
         rows=[
-            [row, *(NOTHING if row == column else str(only[row, column]) for column in names)]
+            [said(row), *(NOTHING if row == column else str(only[row, column]) for column in names)]
             for row in names
         ],
         numeric=range(1, len(names) + 1),
@@ -185,23 +184,29 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
     for pair in differences:
         rows.append((pair.first, pair.second, pair.only_first))
         rows.append((pair.second, pair.first, pair.only_second))
-    return [[a, b, count_runs(len(runs)), ", ".join(runs)] for a, b, runs in rows if runs]
+    return [
+        [said(a), said(b), count_runs(len(runs)), ", ".join(runs)] for a, b, runs in rows if runs
+    ]
 
 
 def significance_table(sampled: SampledRecord) -> Table:
     """Every pair of layouts in the same sampled worlds: the one that avoids more comes first."""
     return tabulate(
-        f"Differences of the APR in the same {sampled.samples} sampled worlds",
+        tr("Differences of the APR in the same {n} sampled worlds", n=sampled.samples),
         map(_better_first, sampled.pairs),
         {
-            "layout": lambda pair: pair.first,
-            "against": lambda pair: pair.second,
-            "more in": lambda pair: percent(pair.more_share),
-            "the same in": lambda pair: percent(pair.equal_share),
-            "less in": lambda pair: percent(pair.less_share),
-            "mean difference (points)": lambda pair: _points(pair.mean),
-            "95 % interval (points)": lambda pair: f"{_points(pair.low)} to {_points(pair.high)}",
-            "is that sure?": lambda pair: "no sure difference" if is_open(pair) else "yes",
+            tr("layout"): lambda pair: said(pair.first),
+            tr("against"): lambda pair: said(pair.second),
+            tr("more in"): lambda pair: percent(pair.more_share),
+            tr("the same in"): lambda pair: percent(pair.equal_share),
+            tr("less in"): lambda pair: percent(pair.less_share),
+            tr("mean difference (points)"): lambda pair: _points(pair.mean),
+            tr("95 % interval (points)"): lambda pair: tr(
+                "{low} to {high}", low=_points(pair.low), high=_points(pair.high)
+            ),
+            tr("is that sure?"): lambda pair: (
+                tr("no sure difference") if is_open(pair) else tr("yes")
+            ),
         },
         numeric=range(2, 7),
     )
@@ -238,47 +243,43 @@ def section(
         side_by_side_table(evaluations, rule, baselines),
         _meaning(evaluations),
         *([Bullets(sentences)] if sentences else []),
-        Subheading("Which runs differ"),
+        Subheading(tr("Which runs differ")),
         difference_matrix(list(evaluations), differences),
         Table(
-            caption="Runs that only one of two layouts avoids",
-            columns=["avoided by", "not by", "how many", "which"],
+            caption=tr("Runs that only one of two layouts avoids"),
+            columns=[tr("avoided by"), tr("not by"), tr("how many"), tr("which")],
             rows=rows,
-            summary="The runs themselves",
+            summary=tr("The runs themselves"),
         )
         if rows
-        else "All layouts avoid the same runs.",
+        else tr("All layouts avoid the same runs."),
         *(_sampled_blocks(sampled) if sampled is not None and sampled.pairs else []),
     ]
-    return Section("comparison", "Side by side", blocks)
+    return Section("comparison", tr("Side by side"), blocks)
 
 
 def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
     """How speeds at contact, and the score, are to be read."""
-    text = (
-        "Mean speed at contact: of the VUT when it touches the road user although it brakes from "
-        "the confirmation on, over all runs by weight; a run that is avoided counts as 0."
-    )
+    text = say("comparison.speed")
     levels = next(iter(evaluations.values())).levels
     if levels is None:
         return text
-    return (
-        f"{text} Score ({levels.score}): a run that is avoided counts in full, a slow impact in "
-        "part, by Euro NCAP's bands of the speed at contact; it is what the layout was chosen for."
-    )
+    return say("comparison.speed_and_score", speed=text, score=levels.score)
 
 
 def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
     table = significance_table(sampled)
-    blocks: list[Block] = [Subheading("Is the difference sure?"), _PAIRED]
+    blocks: list[Block] = [Subheading(tr("Is the difference sure?")), say("comparison.paired")]
     if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
-        rows = [f"{row[0]} minus {row[1]}: {row[5]}, {row[6]} points" for row in table.rows]
+        rows = [
+            tr("{a} minus {b}: {mean}, {interval} points", a=a, b=b, mean=mean, interval=interval)
+            for a, b, *_, mean, interval, _ in table.rows
+        ]
         picture = build_picture(
             plot_differences([_better_first(pair) for pair in sampled.pairs]),
-            title="Differences in sampled worlds",
-            caption="Right of zero: the first one of the pair avoids more. An open dot: the "
-            "interval holds zero.",
-            alt=f"Dots with whiskers. {'; '.join(rows)}.",
+            title=tr("Differences in sampled worlds"),
+            caption=say("comparison.differences"),
+            alt=tr("Dots with whiskers. {rows}.", rows="; ".join(rows)),
         )
         blocks.append(picture)
     return [*blocks, table]

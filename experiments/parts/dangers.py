@@ -19,7 +19,8 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
 from ..figures.plan import draw_scene
-from ..results.numbers import count_runs, joined, percent
+from ..language import said, say, tr, trn
+from ..results.numbers import joined, percent
 from ..results.record import says
 from ..results.tables import RunGroup, groups_by
 from .accidents import is_weighted
@@ -88,33 +89,50 @@ def _groups(groups: Sequence[RunGroup], is_avoided: BoolArray) -> tuple[DangerGr
 
 def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
     """How many runs are not avoided, and which; `cars` is the share of cars that see."""
-    whose = " by cars that do not see" if 0.0 < cars < 1.0 else ""
+    is_of_blind = 0.0 < cars < 1.0
     n_left = dangers.not_avoided
     if not n_left:
-        return [f"No run is left: all {n_runs} are avoided{whose}."]
-    where = _most_left(dangers.by_case, "in {}".format, "in other cases")
+        if is_of_blind:
+            return [tr("No run is left: all {n} are avoided by cars that do not see.", n=n_runs)]
+        return [tr("No run is left: all {n} are avoided.", n=n_runs)]
+    where = _most_left(dangers.by_case, _in_case, tr("in other cases"))
     if dangers.by_position:
-        where += f". By place: {_most_left(dangers.by_position, position_words, 'elsewhere')}"
-    are = "is" if n_left == 1 else "are"
-    return [f"{n_left} of {count_runs(n_runs)} {are} not avoided{whose}: {where}."]
+        places = _most_left(dangers.by_position, position_words, tr("elsewhere"))
+        where = tr("{cases}. By place: {places}", cases=where, places=places)
+    all_runs = trn("{n} run", "{n} runs", n_runs)
+    if is_of_blind:
+        said = say("dangers.not_avoided_by_blind", n_left, runs=all_runs, where=where)
+    else:
+        said = say("dangers.not_avoided", n_left, runs=all_runs, where=where)
+    return [said]
+
+
+def _in_case(name: str) -> str:
+    return tr("in {case}", case=name)
 
 
 def position_words(name: str) -> str:
     """A position along the arms in words: "15 m before the junction" and the like."""
     position = read_position(name, "position")
     if position == AT_ZERO:
-        return "at the junction"
+        return tr("at the junction")
     if position.distance_m == 0.0:
-        return "at the crosswalk ahead"
-    side = "beyond the crosswalk ahead" if position.is_behind else "before the junction"
-    return f"{position.distance_m:g} m {side}"
+        return tr("at the crosswalk ahead")
+    if position.is_behind:
+        return tr("{distance:g} m beyond the crosswalk ahead", distance=position.distance_m)
+    return tr("{distance:g} m before the junction", distance=position.distance_m)
 
 
 def _most_left(groups: Sequence[DangerGroup], words_of: Callable[[str], str], others: str) -> str:
     """The groups with the largest share that is left, and how many are left in all others."""
     left = [group for group in groups if group.not_avoided]
     words = [
-        f"{words_of(group.name)} {group.not_avoided} of {group.runs}"
+        tr(
+            "{where} {n} of {all}",
+            where=words_of(group.name),
+            n=group.not_avoided,
+            all=group.runs,
+        )
         for group in left[:_MAX_GROUPS]
     ]
     n_others = sum(group.not_avoided for group in left[_MAX_GROUPS:])
@@ -143,23 +161,18 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
         picture = build_picture(
             drawn[0],
             narrow=drawn[1] if len(drawn) > 1 else None,
-            title=f"Where it is still dangerous with {name}",
-            caption=f"Places with runs that are not avoided: {n_left} of {len(places)}.",
-            alt=f"The junction from above: {len(places)} places, {n_left} of them with runs "
-            "that are not avoided. The tables below have the shares by position.",
+            title=tr("Where it is still dangerous with {name}", name=name),
+            caption=tr(
+                "Places with runs that are not avoided: {n} of {all}.", n=n_left, all=len(places)
+            ),
+            alt=say("dangers.alt", n=n_left, all=len(places)),
         )
         pictures.append(picture)
-    by_weight = ", by weight," if is_weighted(setting.axis) else ""
-    note = (
-        "Every mark is a place where runs end in an impact if nobody brakes: impacts at most 6 m "
-        f"apart are one place. The number is the share of its runs{by_weight} that the units "
-        "avoid, in per cent; the darker, the more is left. At small white squares all are avoided. "
-        "Triangles are units, rings are sites that could carry some."
-    )
+    note = say("dangers.marks_by_weight") if is_weighted(setting.axis) else say("dangers.marks")
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by(setting.axis, "position")) > 1:
         blocks += [position_table(name, mask, setting.axis) for name, mask in avoided.items()]
-    return Section("dangers", "Where it is still dangerous", blocks)
+    return Section("dangers", tr("Where it is still dangerous"), blocks)
 
 
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
@@ -171,12 +184,15 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
 
     rows = []
     for position, at in groups_by(axis, "position"):
-        avoided = f"{int((is_avoided & at).sum())} of {int(at.sum())}"
+        avoided = tr("{n} of {all}", n=int((is_avoided & at).sum()), all=int(at.sum()))
         each = [share(at & of_approach) for _, of_approach in approaches]
         rows.append([position_words(position), share(at), avoided, *each])
     return Table(
-        caption=f"Where along the arms {name} avoids how much",
-        columns=["where", "APR", "runs avoided", *(f"from the {arm}" for arm, _ in approaches)],
+        caption=tr("Where along the arms {name} avoids how much", name=name),
+        columns=[
+            *(tr("where"), tr("APR"), tr("runs avoided")),
+            *(tr("from the {arm}", arm=said(arm)) for arm, _ in approaches),
+        ],
         rows=rows,
         numeric=range(1, 3 + len(approaches)),
     )
@@ -240,13 +256,13 @@ def plot_dangers(
         pointing = (3, 0, unit.pose.yaw_deg - 90.0)
         axes.plot(*unit.pose.position_m[:2], marker=pointing, zorder=9, gid="unit", **_UNIT_STYLE)
     show_square(axes, middle, max(reach_m, _MIN_HALF_SIZE_M))
-    axes.set_xlabel("east (m)", fontsize=8)
-    axes.set_ylabel("north (m)", fontsize=8)
+    axes.set_xlabel(tr("east (m)"), fontsize=8)
+    axes.set_ylabel(tr("north (m)"), fontsize=8)
     axes.tick_params(labelsize=7)
     shades = ScalarMappable(Normalize(0.0, 100.0), SHADES)
     below: Style = {"orientation": "horizontal", "fraction": 0.04, "pad": 0.02, "aspect": 45}
     bar = root_figure(axes).colorbar(shades, ax=axes, **below)
-    bar.set_label("runs avoided there (%)", fontsize=8)
+    bar.set_label(tr("runs avoided there (%)"), fontsize=8)
     bar.ax.tick_params(labelsize=7)
     return axes
 

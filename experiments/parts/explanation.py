@@ -17,29 +17,37 @@ from placement.pipeline import Placement
 from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
+from ..language import mark, said, say, tr, trn
 from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
 from .section import Block, Section, Table, tabulate
 
 OUTCOMES = {
-    "hopeless": "too short for any unit",
-    "never seen": "never seen",
-    "never confirmed": "seen, but never long enough",
-    "lost again": "confirmed, but lost again before the last moment",
-    "too late": "confirmed too late",
+    "hopeless": mark("too short for any unit"),
+    "never seen": mark("never seen"),
+    "never confirmed": mark("seen, but never long enough"),
+    "lost again": mark("confirmed, but lost again before the last moment"),
+    "too late": mark("confirmed too late"),
 }
-"""Words for the outcome of a run that is not avoided."""
+"""Messages for the outcome of a run that is not avoided."""
 _CONTRIBUTION_COLUMNS = (
-    *("unit", "runs that only it saves", "APR it adds", "APR without it"),
-    *("smallest time to spare without it (s)", "mean time to spare without it (s)"),
-    *("later without it, mean (s)", "later, at most (s)"),
+    *(mark("unit"), mark("runs that only it saves"), mark("APR it adds"), mark("APR without it")),
+    *(mark("smallest time to spare without it (s)"), mark("mean time to spare without it (s)")),
+    *(mark("later without it, mean (s)"), mark("later, at most (s)")),
 )
 _CAUSES = {
-    "out of view": "out of view",
-    "cut off": "cut off by the edge of the view",
-    "too dark": "too little contrast in light and weather",
-    "too far": "too small or too thin at that distance",
-    "otherwise": "not detected on the table",
+    "out of view": mark("out of view"),
+    "cut off": mark("cut off by the edge of the view"),
+    "too dark": mark("too little contrast in light and weather"),
+    "too far": mark("too small or too thin at that distance"),
+    "otherwise": mark("not detected on the table"),
+}
+_DEEDS = {  # of a unit by its name, and of one that has been named
+    "turned": (mark("turned {unit} by {amount}°"), mark("turned it by {amount}°")),
+    "tilted": (mark("tilted {unit} by {amount}°"), mark("tilted it by {amount}°")),
+    "raised": (mark("raised {unit} by {amount} m"), mark("raised it by {amount} m")),
+    "lowered": (mark("lowered {unit} by {amount} m"), mark("lowered it by {amount} m")),
+    "zoomed": (mark("zoomed {unit} by {amount}°"), mark("zoomed it by {amount}°")),
 }
 _MAX_REASONS = 2
 _MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
@@ -120,38 +128,36 @@ def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     parts = explained.contributions
     needed = [part for part in parts if part.only_runs]
     if all(part.without.apr + part.marginal_apr <= 0.0 for part in parts):
-        return [f"{'This unit avoids' if len(parts) == 1 else 'These units avoid'} nothing."]
+        return [trn("This unit avoids nothing.", "These units avoid nothing.", len(parts))]
     if len(parts) == 1:
         if parts[0].without.apr == 0.0:
-            return ["Everything that is avoided depends on this one unit."]
-        saved = count_runs(len(parts[0].only_runs))
-        return [f"This one unit saves {saved} that the car does not save by itself."]
+            return [tr("Everything that is avoided depends on this one unit.")]
+        saved = mark("This one unit saves {runs} that the car does not save by itself.")
+        return [tr(saved, runs=count_runs(len(parts[0].only_runs)))]
     if not needed:
-        others = "the other avoids" if len(parts) == 2 else "the others avoid"
-        return [
-            f"No run depends on a single unit: whichever fails, {others} all that they avoid "
-            "together. What each unit adds is time."
-        ]
+        return [say("explanation.none_depends", len(parts) - 1)]
     if len(needed) == len(parts):
-        return ["Each unit saves runs that no other one saves."]
-    verb = "saves" if len(needed) == 1 else "save"
-    return [f"Of {len(parts)} units, {len(needed)} {verb} runs that no other one saves."]
+        return [tr("Each unit saves runs that no other one saves.")]
+    return [say("explanation.saves", len(needed), n_units=len(parts))]
 
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the runs that are not avoided, and what is most often in the way."""
     missed, n_without = explained.not_avoided, explained.runs_without_weight
     counts = Counter(entry.outcome for entry in missed)
-    outcomes = ", ".join(f"{count} {OUTCOMES[name]}" for name, count in counts.most_common())
+    outcomes = ", ".join(f"{count} {tr(OUTCOMES[name])}" for name, count in counts.most_common())
     if len(counts) == 1:
-        outcomes = f"{'all ' if len(missed) > 1 else ''}{OUTCOMES[missed[0].outcome]}"
-    which = "every run that counts" if n_without else "every run"
-    sentences = [f"On the detection table, {which} is avoided."]
+        only = "{outcome}" if len(missed) == 1 else mark("all {outcome}")
+        outcomes = tr(only, outcome=tr(OUTCOMES[missed[0].outcome]))
     if missed:
-        runs, verb = count_runs(len(missed)), "is" if len(missed) == 1 else "are"
-        sentences = [f"On the detection table, {runs} {verb} not avoided: {outcomes}."]
+        sentences = [say("explanation.not_avoided", len(missed), outcomes=outcomes)]
+    elif n_without:
+        sentences = [tr("On the detection table, every run that counts is avoided.")]
+    else:
+        sentences = [tr("On the detection table, every run is avoided.")]
     if n_without:
-        sentences.append(f"Left out: {count_runs(n_without)} of weight 0.")
+        left_out = mark("Left out: {runs} of weight 0.")
+        sentences.append(tr(left_out, runs=count_runs(n_without)))
     return [*sentences, *causes_and_remedies(missed)]
 
 
@@ -162,19 +168,23 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
     if causes:
         words, n_runs = causes.most_common(1)[0]
         if len(missed) == 1:
-            sentences.append(f"The main cause: {words}.")
+            sentences.append(tr("The main cause: {cause}.", cause=words))
         elif len(causes) == 1 or n_runs > 1:  # else each run has a cause of its own
-            sentences.append(f"The most frequent cause: {words}, in {count_runs(n_runs)}.")
+            most = mark("The most frequent cause: {cause}, in {runs}.")
+            sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
-    which = f"{count_runs(n_saved)} could{' each' if n_saved > 1 else ''}"
     if n_saved == len(missed):
-        which = "It could" if n_saved == 1 else "Each of them could"
-    return [*sentences, *([f"{which} be saved by a further unit."] if n_saved else [])]
+        saved = say("explanation.could_be_saved", n_saved)
+    else:
+        saved = say("explanation.some_could_be_saved", n_saved)
+    return [*sentences, *([saved] if n_saved else [])]
 
 
 def cause(reason: Reason) -> str:
     """Why a unit does not detect the road user, in words."""
-    return f"hidden by {reason.thing}" if reason.cause == "hidden" else _CAUSES[reason.cause]
+    if reason.cause == "hidden":
+        return tr("hidden by {thing}", thing=said(reason.thing))
+    return tr(_CAUSES[reason.cause])
 
 
 def contribution_table(
@@ -191,8 +201,8 @@ def contribution_table(
         name, n_saved = names.get(part.unit, part.unit), str(len(part.only_runs))
         rows.append([name, n_saved, *shares, *shown])
     return Table(
-        caption="What each unit is there for, on the detection table",
-        columns=_CONTRIBUTION_COLUMNS,
+        caption=tr("What each unit is there for, on the detection table"),
+        columns=[*map(tr, _CONTRIBUTION_COLUMNS)],
         rows=rows,
         numeric=range(1, 8),
     )
@@ -202,39 +212,45 @@ def missed_table(explained: ExplainedRecord) -> Table:
     """Runs that are not avoided, why, and what would save them: a row each, to unfold."""
     n_runs = len(explained.not_avoided)
     return tabulate(
-        "Runs that are not avoided, on the detection table",
+        tr("Runs that are not avoided, on the detection table"),
         explained.not_avoided,
         {
-            "run": lambda entry: entry.run,
-            "outcome": lambda entry: (
-                OUTCOMES[entry.outcome]
-                + (f", by {number(entry.late_s)} s" if entry.outcome == "too late" else "")
+            tr("run"): lambda entry: entry.run,
+            tr("outcome"): lambda entry: (
+                tr("confirmed too late, by {late} s", late=number(entry.late_s))
+                if entry.outcome == "too late"
+                else tr(OUTCOMES[entry.outcome])
             ),
-            "why": _why,
-            "nearest further unit that would save it": _rescue,
+            tr("why"): _why,
+            tr("nearest further unit that would save it"): _rescue,
         },
-        summary=f"{count_runs(n_runs)}: why, and what would save {'it' if n_runs == 1 else 'them'}",
+        summary=say("explanation.why", n_runs),
         is_open=n_runs <= _MAX_UNFOLDED,
     )
 
 
 def _why(entry: Unavoided) -> str:
     if entry.outcome == "hopeless":
-        return "the road user is there too late for any confirmation in time"
+        return tr("the road user is there too late for any confirmation in time")
+    seen = mark("{cause} in {n} of {n_frames} frames")
     reasons = "; ".join(
-        f"{cause(reason)} in {reason.frames} of {entry.frames_in_time} frames"
+        tr(seen, cause=cause(reason), n=reason.frames, n_frames=entry.frames_in_time)
         for reason in entry.reasons[:_MAX_REASONS]
     )
-    return f"for {entry.unit}: {reasons}" if reasons else "seen, but with gaps"
+    if not reasons:
+        return tr("seen, but with gaps")
+    return tr("for {unit}: {reasons}", unit=entry.unit, reasons=reasons)
 
 
 def _rescue(entry: Unavoided) -> str:
     rescue = entry.rescue
     if rescue is None:
         return NOTHING
-    away = rescue.distance_m
-    where = "at the same mount" if away == 0.0 else f"{number(away, 1)} m away"
-    return f"{rescue.unit}, {where}, {number(rescue.margin_s)} s to spare"
+    spare, away = number(rescue.margin_s), number(rescue.distance_m, 1)
+    where = mark("{unit}, {away} m away, {spare} s to spare")
+    if rescue.distance_m == 0.0:
+        where = mark("{unit}, at the same mount, {spare} s to spare")
+    return tr(where, unit=rescue.unit, away=away, spare=spare)
 
 
 def explanation_sections(
@@ -243,21 +259,18 @@ def explanation_sections(
     """Why these poses, and what they miss; none without an optimiser. `labels` of units by id."""
     if not explained:
         return []
-    why = ["Each unit is taken away in turn, on the detection table."]
+    why = [tr("Each unit is taken away in turn, on the detection table.")]
     why += contribution_sentences(explained)
     table = contribution_table(explained, labels)
     missed: list[Block] = [" ".join(missed_sentences(explained))]
     if explained.not_avoided:
         missed += [
             missed_table(explained),
-            "Reasons of the unit nearest to the road user that looks there, in frames from which "
-            "braking in time could follow. “Hidden by” names what most of the blocked rays meet "
-            "first; without it the road user would be detected. A further unit is one of the "
-            "candidate poses, mounted next to these; its price is not asked for.",
+            say("explanation.reasons"),
         ]
     return [
-        Section("why", "Why these poses", [" ".join(why), table]),
-        Section("missed", "Runs that are not avoided", missed),
+        Section("why", tr("Why these poses"), [" ".join(why), table]),
+        Section("missed", tr("Runs that are not avoided"), missed),
     ]
 
 
@@ -314,47 +327,42 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
     """Sentences on the changes by refinement and their proof."""
     n_tried, n_grid = found.poses_tried, found.grid_candidates
     if not found.is_improved:
-        return [
-            f"Refinement tried {n_tried} poses between the {n_grid} candidates of the grid and "
-            "found nothing better."
-        ]
-    proven = f"No choice among the {n_grid} candidates of the grid is as good: that is proven."
-    if not found.grid_is_proven:
-        proven = (
-            f"It is better than the best choice among the {n_grid} candidates of the grid that "
-            "was found in the time given."
-        )
+        return [say("explanation.nothing_better", n=n_tried, n_grid=n_grid)]
+    proven = "explanation.better_proven" if found.grid_is_proven else "explanation.better_open"
+    deeds = joined([_deed(move) for move in found.moves])
+    bounds = say("explanation.refined_bounds", n=n_tried)
     return [
-        f"Refinement {joined([_deed(move) for move in found.moves])}: {_changes(found)}.",
-        f"{proven} The bounds of the refined layout hold for these and the {n_tried} poses tried "
-        "between them, not for every pose there is.",
+        tr("Refinement {deeds}: {changes}.", deeds=deeds, changes=_changes(found)),
+        f"{say(proven, n=n_grid)} {bounds}",
     ]
 
 
 def _deed(move: MoveRecord) -> str:
     """Words for the change of one unit."""
     if move.is_ is None:
-        return f"removed {move.was}"
+        return tr("removed {unit}", unit=move.was)
     if move.was is None:
-        return f"added {move.is_}"
+        return tr("added {unit}", unit=move.is_)
     lift_m = move.lift_m or 0.0
-    amounts = (
-        ("turned", move.turn_deg, "\N{DEGREE SIGN}"),
-        ("tilted", move.tilt_deg, "\N{DEGREE SIGN}"),
-        ("raised" if lift_m > 0.0 else "lowered", abs(lift_m), " m"),
-        ("zoomed", move.zoom_deg, "\N{DEGREE SIGN}"),
-    )
-    done = [(verb, f"by {number(amount)}{unit}") for verb, amount, unit in amounts if amount]
-    name = move.is_ if move.is_ == move.was else f"{move.was} (now {move.is_})"
-    (verb, by), *others = done
-    return joined([f"{verb} {name} {by}", *(f"{verb} it {by}" for verb, by in others)])
+    amounts = {"turned": move.turn_deg, "tilted": move.tilt_deg}
+    amounts |= {"raised" if lift_m > 0.0 else "lowered": abs(lift_m), "zoomed": move.zoom_deg}
+    name = move.is_
+    if move.is_ != move.was:
+        name = tr("{was} (now {now})", was=move.was, now=move.is_)
+    done = [
+        (*_DEEDS[verb], {"unit": name, "amount": number(amount)})
+        for verb, amount in amounts.items()
+        if amount
+    ]
+    (first, _, values), *others = done
+    return joined([tr(first, **values), *(tr(again, **by) for _, again, by in others)])
 
 
 def _changes(found: RefinementRecord) -> str:
     """Objectives before and after, those that changed."""
     values = [(Objective(name), before, found.after[name]) for name, before in found.before.items()]
     return ", ".join(
-        f"{objective.label} {_from_to(objective, before, after)}"
+        f"{said(objective.label)} {_from_to(objective, before, after)}"
         for objective, before, after in values
         if abs(after - before) > objective.tolerance
     )
@@ -364,27 +372,24 @@ def _from_to(objective: Objective, before: float, after: float) -> str:
     """Two values with as many digits as tell them apart."""
     is_share = objective.value.startswith("apr")
     if is_share and percent(before) != percent(after):
-        return f"{percent(before)} to {percent(after)}"
+        return tr("{first} to {last}", first=percent(before), last=percent(after))
     scale, unit = (100.0, " %") if is_share else (1.0, f" {objective.unit}".rstrip())
     first = 0 if objective.is_minimised else 2
     for digits in range(first, _MAX_DIGITS + 1):
-        one, other = number(scale * before, digits), number(scale * after, digits)
+        one, other = (f"{number(scale * value, digits)}{unit}" for value in (before, after))
         if one != other:
             break
-    return f"{one}{unit} to {other}{unit}"
+    return tr("{first} to {last}", first=one, last=other)
 
 
 def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
     """Gain of one more unit, of an "APR" or a "score"; empty where none fits."""
     if unit is None:
         return ""
-    how = "on the detection table, by greedy choice"
     if unit.gain < 0.5e-9:  # what rounding leaves
-        return f"One more unit among the candidates would avoid nothing more ({how})"
-    return (
-        f"One more unit would add {points(unit.gain)} of {measure}: {percent(unit.apr)} with "
-        f"{unit.pose} ({how})"
-    )
+        return say("explanation.no_next_unit")
+    values = {"points": points(unit.gain), "measure": measure, "apr": percent(unit.apr)}
+    return say("explanation.next_unit", pose=unit.pose, **values)
 
 
 def next_unit_section(unit: NextUnit | None, measure: str) -> Section | None:
@@ -392,5 +397,5 @@ def next_unit_section(unit: NextUnit | None, measure: str) -> Section | None:
     if unit is None:
         return None
     return Section(
-        "next-unit", "What the next unit buys", [f"{next_unit_sentence(unit, measure)}."]
+        "next-unit", tr("What the next unit buys"), [f"{next_unit_sentence(unit, measure)}."]
     )

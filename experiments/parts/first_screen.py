@@ -13,6 +13,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
+from ..language import mark, said, say, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
@@ -24,9 +25,9 @@ from .section import Picture
 
 _MOST_DANGERS, _MOST_UNITS = 3, 6
 _BEST = {
-    "best": "does better",
-    "fewest": "reaches what was asked for with fewer sensors",
-    "cheapest": "reaches what was asked for with less money",
+    "best": mark("no other choice does better {tried}"),
+    "fewest": mark("no other choice reaches what was asked for with fewer sensors {tried}"),
+    "cheapest": mark("no other choice reaches what was asked for with less money {tried}"),
 }
 
 
@@ -82,9 +83,11 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
         return ()
     found = []
     for unit, record in zip(units, result.layout, strict=True):
-        where = " ".join(filter(None, (record.kind, record.site))) or "a mount of its own"
+        names = (record.kind and said(record.kind), record.site)
+        where = " ".join(filter(None, names)) or tr("a mount of its own")
         height_m = float(above_ground(unit, scene).pose.position_m[2])
-        parts = (where, record.place, f"{number(height_m, 1)} m high", looking_words(unit))
+        height = tr("{height} m high", height=number(height_m, 1))
+        parts = (where, said(record.place or ""), height, looking_words(unit))
         found.append(f"{labels[unit.id]}: {', '.join(filter(None, parts))}.")
     return tuple(found)
 
@@ -92,21 +95,20 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
 def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
     axis = subject.axis
     n_avoided, n_runs = int(avoided.sum()), axis.n_runs
-    words = f"of the simulated collisions: {n_avoided} of {n_runs}"
+    words = tr("of the simulated collisions: {n} of {all}", n=n_avoided, all=n_runs)
     if is_weighted(axis):
-        words += (
-            f". Counted one by one that is {percent(n_avoided / n_runs)}; shares on this page are "
-            "by weight, as kinds of collisions differ in number"
+        words = say(
+            "first_screen.by_weight", n=n_avoided, all=n_runs, share=percent(n_avoided / n_runs)
         )
-    return Card("Prevented", percent(weight_share(avoided, axis.weight)), words)
+    return Card(tr("Prevented"), percent(weight_share(avoided, axis.weight)), words)
 
 
 def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
-    words = "are prevented even if the sensor that is needed most is out of order"
+    words = tr("are prevented even if the sensor that is needed most is out of order")
     if len(subject.units) == 1 and result.cars < 1.0:
-        left, words = None, "there is but one: if it fails, only the car itself is left"
-    return Card("If a sensor fails", percent(left), words)
+        left, words = None, tr("there is but one: if it fails, only the car itself is left")
+    return Card(tr("If a sensor fails"), percent(left), words)
 
 
 def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
@@ -114,52 +116,54 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
     sensors = [item.sum_eur for item in bill.sensors]
     known = [amount for amount in sensors if amount is not None]
     total = None if sites is None or len(known) < len(sensors) else sum(known) + sites
-    words = f"to buy {count_sensors(subject.layout)} and to make their poles ready"
+    counted = count_sensors(subject.layout)
+    words = tr("to buy {sensors} and to make their poles ready", sensors=counted)
     if bill.assumed:
-        words += "; prices of poles are assumed"
-    return Card("Cost", euros(total), words)
+        words = say("first_screen.cost_assumed", sensors=counted)
+    return Card(tr("Cost"), euros(total), words)
 
 
 def _proof(result: Result) -> Card:
     if not isinstance(result, PlacementResult):
-        words = "this layout was given, and not searched for"
-        return Card(head="Proof", figure=NOTHING, words=words)
-    tried = f"among {result.candidates:,} possible mountings (by a simpler model, for planning)"
+        return Card(tr("Proof"), NOTHING, tr("this layout was given, and not searched for"))
+    tried = tr(
+        "among {n:,} possible mountings (by a simpler model, for planning)", n=result.candidates
+    )
     if is_proven(result):
-        words = f"no other choice {_BEST[result.goal]} {tried}"
+        words = tr(_BEST[result.goal], tried=tried)
         if result.highest is not None:
-            words = (
-                f"of all choices that prevent nearly as much as can be (up to "
-                f"{points(result.highest.given_up)} less), none keeps more when a sensor fails, "
-                f"{tried}"
+            words = say(
+                "first_screen.keeps_most", points=points(result.highest.given_up), tried=tried
             )
-        return Card(head="Proof", figure="proven best", words=words)
+        return Card(tr("Proof"), tr("proven best"), words)
     if result.bound is None:
-        return Card(head="Proof", figure="none", words=f"the best that was found {tried}")
-    words = f"is the most that any choice could prevent {tried}; it is not proven to be reached"
-    return Card(head="Proof", figure=percent(result.bound), words=words)
+        return Card(tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried))
+    words = say("first_screen.not_proven", tried=tried)
+    return Card(tr("Proof"), percent(result.bound), words)
 
 
 def _dangers(result: Result, setting: Setting) -> list[str]:
     """Who is still at risk, where, why, and what would help: a sentence each."""
     dangers = result.dangers
     if not dangers.not_avoided:
-        return ["All simulated collisions are prevented."]
+        return [tr("All simulated collisions are prevented.")]
     cases = {run.case.name: run.case for run in setting.runs}
     titles = {name: case_title(case) for name, case in cases.items()}
     worst = [group for group in dangers.by_case[:_MOST_DANGERS] if group.not_avoided]
     found = [f"{titles.get(one.name, one.name)}: {_left(one)}." for one in worst]
     where = [group for group in dangers.by_position[:2] if group.not_avoided]
     if where:
-        told = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])
-        found.append(f"Most of it happens {told}.")
+        places = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])
+        found.append(tr("Most of it happens {places}.", places=places))
     if isinstance(result, PlacementResult):
         found += causes_and_remedies(result.explained.not_avoided)[:1]
         if result.next_unit is not None:
             more = points(result.next_unit.gain)
-            found.append(f"One more sensor would prevent {more} more (by the planning model).")
+            found.append(
+                tr("One more sensor would prevent {more} more (by the planning model).", more=more)
+            )
     return found
 
 
 def _left(group: DangerGroup) -> str:
-    return f"{group.not_avoided} of {group.runs} not prevented"
+    return tr("{n} of {all} not prevented", n=group.not_avoided, all=group.runs)

@@ -28,6 +28,7 @@ from placement.wishes import assumed_prices, load_prices
 
 from ..export.json import to_json_text
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure, to_png
+from ..language import localized, mark, said, say, tr
 from ..progress import StageProgress
 from ..results.drives import RefusalRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -49,21 +50,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
-_HEADS = {"apr": "APR", "apr_one_failed": "one fails", "smallest_margin_s": "least"}
-_HEADS |= {"mean_margin_s": "mean", "cost_eur": "EUR"}
-_ALLOWED = {"units": "number of units", "cost": "sum of money"}
+_HEADS = {"apr": "APR", "apr_one_failed": mark("one fails"), "smallest_margin_s": mark("least")}
+_HEADS |= {"mean_margin_s": mark("mean"), "cost_eur": "EUR"}
+_POINT = ("units", "apr", "gain", "left", "spare", "mean", "cost", "proof")
 _SETTLED = "#ececec"
-_LEAST_EUR = "; each EUR is the least that buys this"
 # Told apart by marker and dashes as well as by colour.
 _SOLID: Style = {"color": BLUE, "marker": "o", "linestyle": "-"}
 _DASHED: Style = {"color": VERMILION, "marker": "s", "linestyle": (0, (4, 2))}
 _CURVES: dict[str, Style] = {
-    "apr": {"label": "APR"} | _SOLID,
-    "apr_one_failed": {"label": "APR when the most needed unit fails"} | _DASHED,
+    "apr": {"label": mark("APR")} | _SOLID,
+    "apr_one_failed": {"label": mark("APR when the most needed unit fails")} | _DASHED,
 }
 _TIMES: dict[str, Style] = {
-    "smallest_margin_s": {"label": "smallest"} | _SOLID,
-    "mean_margin_s": {"label": "mean"} | _DASHED,
+    "smallest_margin_s": {"label": mark("smallest")} | _SOLID,
+    "mean_margin_s": {"label": mark("mean")} | _DASHED,
 }
 
 
@@ -114,62 +114,56 @@ def table(front: FrontRecord) -> Table:
     """A row for each point: units, its gain, values of the layout, whether more is ruled out."""
     optimised = [*_HEADS] if front.optimised == "all" else ["apr", "apr_one_failed"]
     optimised += ["cost_eur"] * (front.by == "cost")
-    heads = [head if name in optimised else f"{head}*" for name, head in _HEADS.items()]
+    heads = [tr(head) + "*" * (name not in optimised) for name, head in _HEADS.items()]
     before = [0.0, *(point.apr for point in front.points)]
     rows = []
     for less, point in zip(before, front.points, strict=False):
         gain, left = number(100.0 * (point.apr - less), 1), percent(point.apr_one_failed)
         times = [number(time_s, 3) for time_s in (point.smallest_margin_s, point.mean_margin_s)]
-        cost, proof = f"{point.cost_eur:,.0f}", _proof(point)
+        cost, proof = localized(f"{point.cost_eur:,.0f}"), _proof(point)
         rows.append([str(point.units), percent(point.apr), gain, left, *times, cost, proof])
-    columns = ["units", heads[0], "gain", *heads[1:], "proof"]
-    caption = f"The best layout for each {_ALLOWED[front.by]}"
+    columns = [tr("units"), heads[0], tr("gain"), *heads[1:], tr("proof")]
+    by_units = tr("The best layout for each number of units")
+    caption = by_units if front.by == "units" else tr("The best layout for each sum of money")
     return Table(caption=caption, columns=columns, rows=rows, numeric=range(7))
 
 
 def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
-    star = "* of this layout; not optimised: --all-stages does. "
-    return [
-        f"{star if front.optimised == 'first' else ''}gain: points of APR over the row above; "
-        "one fails: APR that is left when the most needed unit fails; least, mean: time to spare "
-        f"in the runs avoided, in s{_LEAST_EUR if front.by == 'cost' else ''}."
-    ]
+    star = tr("* of this layout; not optimised: --all-stages does.")
+    columns = say("front.columns_by_cost" if front.by == "cost" else "front.columns")
+    return [f"{star} {columns}" if front.optimised == "first" else columns]
 
 
 def _proof(point: FrontPointRecord) -> str:
     """What is not ruled out, of the first stage that is open."""
     if point.is_proven:
-        return "proven"
+        return tr("proven")
     stage = next(stage for stage in point.stages if stage.gap != 0.0)
-    head = _HEADS.get(stage.name, stage.name)
+    head = tr(_HEADS.get(stage.name, stage.name))
     if stage.bound is None or not math.isfinite(stage.bound):
-        return f"{head} open"
+        return tr("{value} open", value=head)
     is_share = stage.name in ("apr", "apr_one_failed")
-    bound = f"{100.0 * stage.bound:.2f} %" if is_share else number(stage.bound, 3)
+    bound = number(100.0 * stage.bound, 2) + " %" if is_share else number(stage.bound, 3)
     return f"{head} {'>=' if stage.name == 'cost_eur' else '<='} {bound}"
 
 
 def words(front: FrontRecord) -> list[str]:
     """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
     n_points, n_proven = len(front.points), sum(point.is_proven for point in front.points)
-    is_all, allowed = front.optimised == "all", _ALLOWED[front.by]
-    last = ", then in time to spare and cost" if is_all else ""
-    better = f"better, in APR, then in what is left when the most needed unit fails{last}"
-    sentences = [
-        f"Proven: for each {allowed} no other choice among the candidate poses is {better} (on the "
-        "detection table)."
-        if n_proven == n_points
-        else f"{n_proven} of {n_points} points are proven; of the others another choice may be "
-        f"{better}: the table says what is open."
-    ]
+    is_all, by_units = front.optimised == "all", front.by == "units"
+    better = say("front.better_in_all" if is_all else "front.better")
+    proven = "front.proven_by_units" if by_units else "front.proven_by_cost"
+    key = proven if n_proven == n_points else "front.points_open"
+    sentences = [say(key, n=n_proven, n_all=n_points, better=better)]
     if front.settled is not None:
-        by_units = front.by == "units"
-        where = f"From {front.settled:g} units" if by_units else f"Beyond {euros(front.settled)}"
-        more = "is better" if is_all else "avoids more, also when one unit fails"
-        sentences.append(f"{where} on nothing grows: no layout of any size {more}.")
+        where = tr("Beyond {price}", price=euros(front.settled))
+        if by_units:
+            where = tr("From {n:g} units", n=front.settled)
+        sentences.append(say("front.settled_in_all" if is_all else "front.settled", where=where))
     return sentences + [
-        f"With {size.units} the wishes cannot be met: {size.reason}." for size in front.refused
+        tr("With {n} the wishes cannot be met: {why}.", n=size.units, why=said(size.reason))
+        for size in front.refused
     ]
 
 
@@ -179,34 +173,30 @@ def front_section(front: FrontRecord | None) -> Section | None:
         return None
     shown = table(front)
     in_words = "; ".join(
-        f"{row[0]}: APR {row[1]}, {row[3]} if one fails, {row[4]} s to spare, {row[7]}"
-        for row in shown.rows
+        say("front.point", **dict(zip(_POINT, map(str, row), strict=True))) for row in shown.rows
     )
     picture = build_picture(
         plot_front(front),
-        title="What each further unit buys",
-        caption="Every point is the best layout found for as many units; open markers and "
-        "bars: what is not yet ruled out.",
-        alt=f"Curves over the number of units. {in_words}.",
+        title=tr("What each further unit buys"),
+        caption=say("front.caption"),
+        alt=tr("Curves over the number of units. {points}.", points=in_words),
     )
     poses = tabulate(
-        "Candidate poses of each point, and their sites",
+        tr("Candidate poses of each point, and their sites"),
         front.points,
         {
-            "units": lambda point: str(point.units),
-            "poses": lambda point: ", ".join(point.pose_ids) or NOTHING,
-            "sites": lambda point: (
+            tr("units"): lambda point: str(point.units),
+            tr("poses"): lambda point: ", ".join(point.pose_ids) or NOTHING,
+            tr("sites"): lambda point: (
                 ", ".join(one.site or NOTHING for one in point.layout) or NOTHING
             ),
         },
-        summary="Which poses",
+        summary=tr("Which poses"),
     )
-    note = (
-        f"{' '.join(notes(front))} Each number of units has the best layout of its own; the units "
-        "of one are not always among those of the next."
-    )
+    own = say("front.layouts")
+    note = " ".join([*notes(front), own])
     blocks: list[Block] = [Bullets(front.sentences), picture, shown, note, poses]
-    return Section("front", "What each unit buys", blocks)
+    return Section("front", tr("What each unit buys"), blocks)
 
 
 class FrontResult(FrontRecord, frozen=True, kw_only=True):
@@ -275,7 +265,7 @@ def run_pareto(
     )
     if prices is not None:
         assumed = assumed_prices(prices, scene.sites)
-        result = replace_fields(result, sentences=(*result.sentences, *assumed))
+        result = replace_fields(result, sentences=(*result.sentences, *map(said, assumed)))
 
     def files(done: FrontResult) -> dict[str, str | bytes]:
         drawn = to_png(plot_front(done))
@@ -346,20 +336,21 @@ def plot_front(front: FrontRecord) -> Axes:
     panels = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     shares: Axes = panels[0]
     handles = _draw(shares, front, _CURVES, scale=100.0)
-    shares.set_ylabel("share of the runs avoided (%)", fontsize=8)
+    shares.set_ylabel(tr("share of the runs avoided (%)"), fontsize=8)
     shares.set_ylim(-4.0, 104.0)
     if has_times:
         times = _draw(panels[1], front, _TIMES, scale=1.0)
-        panels[1].set_ylabel("time to spare (s)", fontsize=8)
+        panels[1].set_ylabel(tr("time to spare (s)"), fontsize=8)
         panels[1].set_ylim(bottom=min(0.0, panels[1].get_ylim()[0]))
         panels[1].legend(handles=times[:2], fontsize=8, frameon=False, loc="best")
-    panels[-1].set_xlabel("units" if front.by == "units" else "cost (EUR)", fontsize=8)
+    x_label = tr("units") if front.by == "units" else tr("cost (EUR)")
+    panels[-1].set_xlabel(x_label, fontsize=8)
     if not front.is_proven:
         style: Style = {"mfc": "none", "mec": "black", "mew": 1.4, "ms": 9.0, "linestyle": "none"}
-        label = "open: bound that no layout exceeds"
+        label = tr("open: bound that no layout exceeds")
         handles.append(Line2D([], [], marker="o", label=label, **style))
     if front.settled is not None:
-        handles.append(Patch(facecolor=_SETTLED, label="nothing grows any more: proven"))
+        handles.append(Patch(facecolor=_SETTLED, label=tr("nothing grows any more: proven")))
     place: Style = {"loc": "outside upper center", "ncols": 2}
     figure.legend(handles=handles, fontsize=8, frameon=False, **place)
     return shares
@@ -393,7 +384,7 @@ def _draw(axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: fl
             axes.vlines(at, low, high, color=colour, lw=7.0, alpha=0.3)
             mark |= {"mfc": "none", "mec": colour, "mew": 1.4, "ms": size + 4.0}
             axes.plot(at, high, zorder=8 + order, gid=f"{name} bound", **mark)
-        label = {"marker": style["marker"], "ms": size, "label": style["label"]}
+        label = {"marker": style["marker"], "ms": size, "label": tr(style["label"])}
         handles.append(Line2D([], [], **label, **line))
     if by_units:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))

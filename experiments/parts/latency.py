@@ -24,6 +24,7 @@ from placement.question import Question
 from placement.setting import build_setting
 
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, literal, new_axes, to_png
+from ..language import mark, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -37,9 +38,9 @@ _LEAST_SHOWN_S = 0.5
 _SAME_SHARE = 1.0e-12  # ratios of rounded sums
 # Told apart by dashes and width as well as by colour.
 _STYLES: Mapping[str, Style] = {
-    "rsu_all": {"label": "all RSUs", "color": BLUE, "linestyle": "-", "lw": 3.0},
-    "vut_and_rsus": {"label": "VUT and RSUs", "color": "black", "linestyle": "--", "lw": 1.4},
-    "vut": {"label": "VUT alone", "color": VERMILION, "linestyle": ":", "lw": 1.8},
+    "rsu_all": {"label": mark("all RSUs"), "color": BLUE, "linestyle": "-", "lw": 3.0},
+    "vut_and_rsus": {"label": mark("VUT and RSUs"), "color": "black", "linestyle": "--", "lw": 1.4},
+    "vut": {"label": mark("VUT alone"), "color": VERMILION, "linestyle": ":", "lw": 1.8},
 }
 
 
@@ -145,12 +146,14 @@ def plot_latency(
     shown_ms = [1000.0 * latency_s for latency_s in latencies_s]
     for name, party in parties.items():
         style = _STYLES.get(name, {"color": "#999999", "lw": 0.7})
+        style = {**style, "label": tr(style["label"])} if "label" in style else style
         axes.plot(shown_ms, [100.0 * apr for apr in party.apr], gid=name, **style)
-    words = literal(f"budget {budget.name}: mean and range")
+    words = literal(tr("budget {name}: mean and range", name=budget.name))
     axes.axvline(1000.0 * budget.mean_s, color="black", lw=0.8, gid="mean", label=words)
     axes.axvspan(1000.0 * budget.best_s, 1000.0 * budget.worst_s, color="#e4e4e4", zorder=0)
     axes.set_ylim(-3.0, 103.0)
     axes.legend(fontsize=8, frameon=False)
-    x, y = "latency from the frame to the onset of braking (ms)", "accidents prevented (APR, %)"
+    x = tr("latency from the frame to the onset of braking (ms)")
+    y = tr("accidents prevented (APR, %)")
     finish_axes(axes, x=x, y=y, size=9, grid="y")
     return axes

@@ -15,7 +15,8 @@ from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
 from ..figures.axes import PALETTE, WIDTH_IN, Style, literal, new_figure, write_beside
-from ..results.numbers import NOTHING, count_runs, number
+from ..language import mark, said, say, tr, trn
+from ..results.numbers import NOTHING, number
 from ..results.tables import groups_by, margin_s
 from .section import Section, Table, build_picture
 
@@ -30,13 +31,14 @@ _TOP_ROWS = 0.7  # for words
 _LABEL_WIDTH = 24
 # Told apart without colour, too.
 _STYLES = tuple(zip("o^sXDvP", (*PALETTE, "#000000"), strict=True))
-VUT_NAME = "VUT alone"
+VUT_NAME = mark("VUT alone")
 _MPS_PER_KMH = 1.0 / 3.6
 _MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
 _COLUMNS = (
-    *("who", "runs", "smallest (ms)", "smallest (m)", "median (ms)", "median (m)"),
-    *("not avoided", "of these never confirmed, or lost again"),
-    *("worst too late by (ms)", "worst too late by (m)"),
+    *(mark("who"), mark("runs"), mark("smallest (ms)"), mark("smallest (m)")),
+    *(mark("median (ms)"), mark("median (m)"), mark("not avoided")),
+    mark("of these never confirmed, or lost again"),
+    *(mark("worst too late by (ms)"), mark("worst too late by (m)")),
 )
 
 
@@ -50,11 +52,12 @@ def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tup
     row_in = max(_LEAST_ROW_IN, _LANE_IN * len(approaches))
     figure = new_figure(WIDTH_IN, 1.5 + (len(cases) + _TOP_ROWS) * row_in)
     panels: list[Axes] = [*figure.subplots(1, len(parties), sharey=True, squeeze=False)[0]]
-    labels = [literal(textwrap.fill(f"from: {name}", _LABEL_WIDTH)) for name in approaches]
+    from_arms = [tr("from: {arm}", arm=said(name)) for name in approaches]
+    labels = [literal(textwrap.fill(words, _LABEL_WIDTH)) for words in from_arms]
     hollow = _mark(0, is_filled=False) | {"markeredgecolor": "black"}
     handles = [
         *(Line2D([], [], label=label, **_mark(order)) for order, label in enumerate(labels)),
-        Line2D([], [], label="hollow: not avoided", **hollow),
+        Line2D([], [], label=tr("hollow: not avoided"), **hollow),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     margins_ms = _MS * np.concatenate([margin_s(verdict, axis) for _, verdict in parties])
@@ -68,7 +71,8 @@ def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tup
         panel.set_xlim(2.5 * low_ms, 1.5 * high_ms)  # marks at the left edge have room
         n_avoided, n_runs = int((verdict.is_avoided & counts).sum()), int(counts.sum())
         head = literal(textwrap.fill(name, max(12, 64 // len(parties))))
-        panel.set_title(f"{head}\n{n_avoided} of {n_runs} avoided", fontsize=8)
+        avoided = tr("{n} of {all} avoided", n=n_avoided, all=n_runs)
+        panel.set_title(f"{head}\n{avoided}", fontsize=8)
     for panel in panels[1:]:
         panel.tick_params(axis="y", labelleft=False)
     return tuple(panels)
@@ -100,8 +104,8 @@ def _draw_margins(
     axes.set_xticks(_TICKS_MS, ticks, fontsize=7, rotation=45)
     axes.set_xticks([], minor=True)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("margin (ms)", fontsize=8)
-    for words, side, away_pt in (("too late", "right", -3.0), ("to spare", "left", 3.0)):
+    axes.set_xlabel(tr("margin (ms)"), fontsize=8)
+    for words, side, away_pt in ((tr("too late"), "right", -3.0), (tr("to spare"), "left", 3.0)):
         at = (0.0, -0.5 - _TOP_ROWS)
         write_beside(axes, words, at, away_pt=(away_pt, -2.0), ha=side, va="top", fontsize=7)
 
@@ -185,27 +189,35 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]
     """Every layout, then the car alone; a layout may be called as that is."""
     subject = next(iter(evaluations.values()))
     layouts = [(name, item.headline) for name, item in evaluations.items()]
-    return [*layouts, (VUT_NAME, subject.vut)]
+    return [*layouts, (tr(VUT_NAME), subject.vut)]
 
 
 def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     """Margins by case, speed and direction, to unfold: a row per group and layout or car."""
     axis = next(iter(evaluations.values())).axis
-    everything = ("all runs", np.ones(axis.n_runs, dtype=bool))
+    everything = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
     tables = []
-    for words, head, groups in (
-        ("case", "case", groups_by(axis, "case")),
-        ("speed of the car", "speed (km/h)", groups_by(axis, "speed")),
-        ("direction from which the car comes", "from", groups_by(axis, "direction")),
+    for caption, head, groups in (
+        (tr("Margins to the last moment by case"), tr("case"), groups_by(axis, "case")),
+        (
+            tr("Margins to the last moment by speed of the car"),
+            tr("speed (km/h)"),
+            groups_by(axis, "speed"),
+        ),
+        (
+            tr("Margins to the last moment by direction from which the car comes"),
+            tr("from"),
+            groups_by(axis, "direction"),
+        ),
     ):
-        caption = f"Margins to the last moment by {words}"
         rows = [
-            [group, name, *_cells(summarise_margins(verdict, axis, mask))]
+            [said(group), name, *_cells(summarise_margins(verdict, axis, mask))]
             for group, mask in (everything, *groups)
             if (mask & (axis.weight > 0.0)).any()
             for name, verdict in _parties(evaluations)
         ]
-        table = Table(caption=caption, columns=[head, *_COLUMNS], rows=rows, numeric=range(2, 11))
+        columns = [head, *map(tr, _COLUMNS)]
+        table = Table(caption=caption, columns=columns, rows=rows, numeric=range(2, 11))
         tables.append(replace(table, summary=caption, is_open=len(rows) <= _MAX_UNFOLDED))
     return tables
 
@@ -231,22 +243,18 @@ def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
     notes = []
     n_without = int((axis.weight == 0.0).sum())
     if n_without:
-        notes.append(f"Left out: {count_runs(n_without)} of weight 0.")
+        notes.append(
+            trn("Left out: {n} run of weight 0.", "Left out: {n} runs of weight 0.", n_without)
+        )
     n_hopeless = int((~np.isfinite(axis.last_brake_time_s) & (axis.weight > 0.0)).sum())
     if n_hopeless:
-        notes.append(
-            f"In {count_runs(n_hopeless)} no braking avoids the impact: there is no last moment, "
-            "and they count as not avoided."
-        )
+        notes.append(say("margins.hopeless", n_hopeless))
     is_lucky = any(
         (verdict.is_avoided & (margin_s(verdict, axis) < 0.0) & (axis.weight > 0.0)).any()
         for _, verdict in _parties(evaluations)
     )
     if is_lucky:
-        notes.append(
-            "A negative margin of an avoided run: braking came after the last moment, yet the car "
-            "and the road user just missed each other."
-        )
+        notes.append(say("margins.negative"))
     return notes
 
 
@@ -257,30 +265,22 @@ def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
     # The car has the last column, whatever does not fit.
     shown = [*parties[:-1][: MAX_COLUMNS - 1], parties[-1]]
     n_left = len(parties) - len(shown)
+    caption = say("margins.caption")
+    if n_left:
+        caption += " " + tr("{n} more layouts are in the tables.", n=n_left)
     picture = build_picture(
         plot_margins(shown, axis)[0],
-        title="Margins to the last moment",
-        caption="A mark for each run. Right of zero there is time to spare, left of it braking "
-        "comes too late, by how much; at the left edge it never comes, or none avoids. Filled: "
-        "avoided. The scale is logarithmic beyond 500 ms."
-        + (f" {n_left} more layouts are in the tables." if n_left else ""),
-        alt="Strips of marks, one per run, in a row for each case. The tables below have the "
-        "numbers.",
+        title=tr("Margins to the last moment"),
+        caption=caption,
+        alt=say("margins.alt"),
     )
-    meaning = (
-        "The margin is the time from the onset of braking to the last moment at which braking "
-        "still avoids the impact. In metres it is the way that the car covers in that time at its "
-        "speed: by so much farther from the collision, along its own path, it still is than it may "
-        "be when it begins to brake. It is not the gap that is left once the car stands."
-    )
+    meaning = say("margins.meaning")
     notes = [
-        "Smallest and median are those of the runs that are avoided; the smallest in milliseconds "
-        "and the smallest in metres may be of different runs. “Worst too late by” is that of the "
-        "runs in which the road user is confirmed, but too late.",
+        say("margins.columns"),
         *margin_notes(evaluations),
     ]
     return Section(
         "margins",
-        "Time and distance to spare",
+        tr("Time and distance to spare"),
         [meaning, picture, " ".join(notes), *margin_tables(evaluations)],
     )

@@ -21,16 +21,18 @@ from scenarios.runs import Run
 from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
 from ..figures.plan import CLASS_STYLES
 from ..figures.views import GroundViews
+from ..language import mark, said, tr
 from ..results.tables import margin_s, parties
 
 DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 
 
-SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = "shown above", "not avoided", "avoided"
+SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = mark("shown above"), mark("not avoided"), mark("avoided")
 _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
-_PARTY_NAMES = {"vut": "VUT", "rsu_all": "all RSUs", "vut_and_rsus": "VUT and RSUs"}
-_PARTY_NAMES |= {"vam": "VAM", "all_sources": "all sources"}
+_PARTY_NAMES = {"vut": mark("VUT"), "rsu_all": mark("all RSUs")}
+_PARTY_NAMES |= {"vut_and_rsus": mark("VUT and RSUs"), "vam": mark("VAM")}
+_PARTY_NAMES |= {"all_sources": mark("all sources")}
 _MAX_HALF_M = 120.0  # farther things are never in the player's window
 _LEAST_HALF_M = 30.0
 _TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out
@@ -55,7 +57,7 @@ def interactive_part(
     for index in dict.fromkeys([*firsts, *ordered]):
         group = AVOIDED if verdict.is_avoided[index] else NOT_AVOIDED
         record = run_record(setting.runs[index], index, evaluations)
-        records.append(record | {"group": SHOWN_ABOVE if index in firsts else group})
+        records.append(record | {"group": tr(SHOWN_ABOVE if index in firsts else group)})
         n_bytes += len(to_script_json(records[-1]))
         if n_bytes > _MAX_BYTES:
             break
@@ -113,10 +115,13 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
     kinds = {**dict.fromkeys(subject.units, "unit"), "vut": "vut", "rsu_all": "rsu_all"}
     return [
         *(
-            {"name": labels.get(key, _PARTY_NAMES.get(key, key)), "kind": kinds.get(key, "other")}
+            {"name": labels.get(key) or tr(_PARTY_NAMES[key]), "kind": kinds.get(key, "other")}
             for key in parties(subject)
         ),
-        *({"name": f"{name}: all RSUs", "kind": "other"} for name in [*evaluations][1:]),
+        *(
+            {"name": tr("{layout}: all RSUs", layout=name), "kind": "other"}
+            for name in [*evaluations][1:]
+        ),
     ]
 
 
@@ -137,7 +142,7 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
     return {
         "id": run.id,
         "title": describe_run(subject.axis, index),
-        "case": run.case.title,
+        "case": said(run.case.title),
         "user": run.case.vru.class_name,
         "time": _milliseconds(run.time_s),
         "last": _milliseconds(run.last_brake_time_s),
@@ -183,9 +188,16 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
 
     def title(unit: CandidatePose) -> str:
         name = unit.id if labels[unit.id] == unit.id else f"{labels[unit.id]}, {unit.id}"
-        what = f"{sensor_kind(unit.sensor)} {unit.sensor.name}"
-        around = ", scans all round" if is_ring(unit.sensor) else ""
-        return f"{name}: {what}, {unit.pose.position_m[2]:.1f} m high{around}"
+        kinds = {"camera": mark("camera"), "lidar": mark("lidar")}
+        values = {
+            "name": name,
+            "kind": tr(kinds[sensor_kind(unit.sensor)]),
+            "sensor": unit.sensor.name,
+            "height": float(unit.pose.position_m[2]),
+        }
+        if is_ring(unit.sensor):
+            return tr("{name}: {kind} {sensor}, {height:.1f} m high, scans all round", **values)
+        return tr("{name}: {kind} {sensor}, {height:.1f} m high", **values)
 
     return [
         {
@@ -234,7 +246,7 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         outward = np.mean(mouths, axis=0) - middle
         outward /= max(float(np.hypot(*outward)), 1.0e-9)
         place = middle + _LABEL_SHARE * half * outward
-        arms.append({"name": arm.name, "place": _centimetres(place)})
+        arms.append({"name": said(arm.name), "place": _centimetres(place)})
     return {
         "middle": _centimetres(middle),
         "half": round(100.0 * half),

@@ -42,7 +42,7 @@ from .dangers import Dangers, avoided_runs, build_dangers
 from .explanation import ExplainedRecord, RefinementRecord
 from .front import FrontRecord
 from .road_users import RoadUserGroups, build_road_users
-from .sampled_worlds import SampledRecord
+from .sampled_worlds import SampledPairRecord, SampledRecord, build_pair_record
 from .study_cases import StudyCases
 from .units import PrivateGroundRecord
 
@@ -145,6 +145,10 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
     mounting: Annotated[Standing | None, says("What errors of mounting cost.")] = None
     front_runners: Annotated[FrontRunners | None, says("What the evaluator recommends.")] = None
     refinement: Annotated[RefinementRecord | None, says("Gain by turning; --refine.")] = None
+    preferred: Annotated[
+        SampledPairRecord | None,
+        says("Layout taken, of that found and greedy choice's, and the other; null: not asked."),
+    ] = None
     sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
 
 
@@ -276,6 +280,7 @@ def build_placement_result(
         failing=limits.failing,
         greedy=build_compared(found, greedy, rule),
         baseline=None if baseline is None else build_compared(found, baseline, rule),
+        preferred=placement.preferred and build_pair_record(*placement.preferred),
         surrogate_disagreement=float(np.mean(disagreeing_runs(placement, found))),
         disagreements=find_disagreements(
             setting, placement.nominal.table, found, placement.nominal_index, compute=compute

@@ -28,6 +28,7 @@ from placement.retrofit import (
 from placement.wishes import assumed_prices
 
 from ..export.json import to_json_text
+from ..language import localized, mark, said, say, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -46,7 +47,8 @@ from .section import Table
 if TYPE_CHECKING:
     import pandas as pd
 _WORDS_WIDTH = 32
-_HEADS = {"combine": "together"}
+_HEADS = {"remove": mark("remove:"), "re-aim": mark("re-aim:"), "add": mark("add:")}
+_HEADS |= {"combine": mark("together:")}
 CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
 
 
@@ -97,16 +99,21 @@ class RetrofitResult(DrivesRecord, frozen=True, kw_only=True):
 def words(result: RetrofitResult) -> list[str]:
     """What is not worth changing; the table has all else."""
     sentences = []
-    limit = "" if result.budget_eur is None else f" within {euros(result.budget_eur)}"
     if len(result.removals) == 1:
         unit = result.removals[0].actions[0].unit
-        sentences.append(f"{unit} is the only unit: without it, only the car itself is left.")
+        only = tr("{unit} is the only unit: without it, only the car itself is left.", unit=unit)
+        sentences.append(only)
     if result.re_aims and not result.re_aims[0].is_better:
-        sentences.append("No re-aim is better than to leave all as it is.")
-    if result.addition is None:
-        sentences.append(f"No unit that can be added{limit} is better than none.")
+        sentences.append(tr("No re-aim is better than to leave all as it is."))
+    if result.addition is None and result.budget_eur is None:
+        sentences.append(tr("No unit that can be added is better than none."))
+    elif result.addition is None:
+        none = mark("No unit that can be added within {price} is better than none.")
+        sentences.append(tr(none, price=euros(result.budget_eur)))
     if result.budget_eur is not None and result.combination is None:
-        sentences.append("Re-aims and additions together are no better than to leave all as it is.")
+        sentences.append(
+            tr("Re-aims and additions together are no better than to leave all as it is.")
+        )
     return sentences
 
 
@@ -122,20 +129,20 @@ def _by_kind(result: RetrofitResult) -> dict[str, list[ChangeRecord]]:
 
 def table(result: RetrofitResult) -> Table:
     """Possible changes: a row each, in groups, the best of each kind first."""
-    rows = [_row("as it is", 0.0, result.before, *[""] * 3)]
+    rows = [_row(tr("as it is"), 0.0, result.before, *[""] * 3)]
     for kind, changes in _by_kind(result).items():
-        rows += [[f"{_HEADS.get(kind, kind)}:", *[""] * 6]] if changes else []
+        rows += [[tr(_HEADS[kind]), *[""] * 6]] if changes else []
         for change in changes:
             first, *others = [
                 line for one in change.actions for line in textwrap.wrap(one.words, _WORDS_WIDTH)
             ]
             counts = str(len(change.gained)), str(len(change.lost))
-            proof = "proven" if change.is_proven else "open"
+            proof = tr("proven") if change.is_proven else tr("open")
             rows.append(_row(f"  {first}", change.price_eur, change, *counts, proof))
             rows += [[f"  {line}", *[""] * 6] for line in others]
     return Table(
-        caption="Changes",
-        columns=["", "EUR", "APR", "one fails", "gained", "lost", "proof"],
+        caption=tr("Changes"),
+        columns=["", "EUR", "APR", tr("one fails"), tr("gained"), tr("lost"), tr("proof")],
         rows=rows,
         numeric=range(1, 7),
     )
@@ -143,7 +150,7 @@ def table(result: RetrofitResult) -> Table:
 
 def _row(text: str, price_eur: float, value: LayoutValueRecord, *cells: str) -> list[str]:
     shares = (percent(value.apr), percent(value.apr_one_failed))
-    return [text, f"{price_eur:,.0f}", *shares, *cells]
+    return [text, localized(f"{price_eur:,.0f}"), *shares, *cells]
 
 
 def run_retrofit(
@@ -200,7 +207,7 @@ def run_retrofit(
         versions=versions(),
     )
     assumed = () if prices is None else assumed_prices(prices, scene.sites)
-    result = replace_fields(result, sentences=(*words(result), *assumed))
+    result = replace_fields(result, sentences=(*words(result), *map(said, assumed)))
     return save_files(
         result,
         out,
@@ -246,17 +253,21 @@ def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses)
     for row in change.removed:
         name, pose = poses.candidates[row].id, turned.get(row)
         if pose is None:
-            actions.append(ActionRecord(action="remove", unit=name, words=f"remove {name}"))
+            words = tr("remove {unit}", unit=name)
+            actions.append(ActionRecord(action="remove", unit=name, words=words))
         else:
-            words = f"re-aim {name} to {_aim_words(pose)}"
+            words = tr("re-aim {unit} to yaw {yaw}, pitch {pitch}", unit=name, **_aim_words(pose))
             actions.append(ActionRecord(action="re-aim", unit=name, words=words))
     for row, name in names.items():
         if unit[row] < 0:
             new = poses.candidates[row]
-            place = new.site_id or "a place of its own"
-            words = (
-                f"add {name} at {place}, {float(new.pose.position_m[2]):g} m, "
-                f"{_aim_words(new.pose)} ({new.sensor.name})"
+            words = say(
+                "retrofit.add",
+                unit=name,
+                place=new.site_id or tr("a place of its own"),
+                height_m=float(new.pose.position_m[2]),
+                sensor=new.sensor.name,
+                **_aim_words(new.pose),
             )
             actions.append(ActionRecord(action="add", unit=name, words=words))
     certificate = change.certificate
@@ -289,6 +300,6 @@ def _names(change: Change, poses: RetrofitPoses) -> dict[int, str]:
     }
 
 
-def _aim_words(pose: Pose) -> str:
-    yaw, pitch = (f"{round(angle, 1) + 0.0:g}" for angle in (pose.yaw_deg, pose.pitch_deg))
-    return f"yaw {yaw}, pitch {pitch}"
+def _aim_words(pose: Pose) -> dict[str, str]:
+    angles_deg = {"yaw": pose.yaw_deg, "pitch": pose.pitch_deg}
+    return {name: localized(f"{round(angle, 1) + 0.0:g}") for name, angle in angles_deg.items()}

@@ -11,8 +11,9 @@ from placement.evaluation import Evaluation, Verdict, apr, mean_impact_speed_kmh
 from placement.setting import Setting
 from scenarios.cases import ROAD_USER_GROUPS
 
+from ..language import said, say, tr
 from ..results.drives import unprotected_cases
-from ..results.numbers import count_runs, finite_or_none, number, percent, several
+from ..results.numbers import count_runs, finite_or_none, number, percent
 from ..results.record import mixed, says
 from .section import Block, Section, Table, tabulate
 
@@ -82,27 +83,32 @@ def words(record: RoadUserGroups) -> list[str]:
     if len(record.groups) < 2 and not record.unprotected:
         return []
     counted = ", ".join(
-        f"{group.road_user} {count_runs(group.runs)} (APR {percent(group.parties[0].apr)})"
+        tr(
+            "{road_user} {runs} (APR {apr})",
+            road_user=said(group.road_user),
+            runs=count_runs(group.runs),
+            apr=percent(group.parties[0].apr),
+        )
         for group in record.groups
     )
-    n_left = len(record.unprotected)
-    left = f"; left out: {several(n_left, 'case', 'cases')} with a car" if n_left else ""
-    return [f"Whose runs count: {counted}{left}."]
+    if not record.unprotected:
+        return [tr("Whose runs count: {counted}.", counted=counted)]
+    return [say("road_users.counted", len(record.unprotected), counted=counted)]
 
 
 def table(record: RoadUserGroups) -> Table:
     """A row per group and sensing party."""
     return tabulate(
-        "Accidents prevented by the road user that is met, by the evaluator",
+        tr("Accidents prevented by the road user that is met, by the evaluator"),
         [(group, party) for group in record.groups for party in group.parties],
         {
-            "met": lambda row: row[0].road_user,
-            "runs": lambda row: str(row[0].runs),
-            "of the weight": lambda row: percent(row[0].weight),
-            "by": lambda row: row[1].name,
-            "avoided": lambda row: str(row[1].runs_avoided),
+            tr("met"): lambda row: said(row[0].road_user),
+            tr("runs"): lambda row: str(row[0].runs),
+            tr("of the weight"): lambda row: percent(row[0].weight),
+            tr("by"): lambda row: said(row[1].name),
+            tr("avoided"): lambda row: str(row[1].runs_avoided),
             "APR": lambda row: percent(row[1].apr),
-            "mean speed at contact (km/h)": lambda row: number(row[1].mean_impact_speed_kmh, 1),
+            tr("mean speed at contact (km/h)"): lambda row: number(row[1].mean_impact_speed_kmh, 1),
         },
         numeric=(1, 2, 4, 5, 6),
     )
@@ -114,10 +120,7 @@ def section(record: RoadUserGroups | None) -> Section | None:
         return None
     blocks: list[Block] = [*words(record)]
     if record.unprotected:
-        blocks.append(
-            "By default the runs count that meet people on foot, cyclists and motorcyclists. Left "
-            f"out, since a car is met: {', '.join(record.unprotected)}. --protect all counts them."
-        )
+        blocks.append(say("road_users.by_default", cases=", ".join(record.unprotected)))
     if len(record.groups) > 1:
         blocks.append(table(record))
-    return Section("road-users", "Who is protected", blocks)
+    return Section("road-users", tr("Who is protected"), blocks)

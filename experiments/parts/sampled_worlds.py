@@ -3,17 +3,21 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, fields, replace
 from itertools import combinations
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from geometry.arrays import FloatArray
+from placement.certify import Growth
+from placement.pipeline import FOUND
+from placement.question import N_JUDGED
 from placement.sampling.moving.trajectories import TrafficCount
 from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
 from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
 
 from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -28,6 +32,36 @@ _AS_THEY_ARE = (
 _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
+_TIED = mark(
+    "As planned, greedy choice's layout is as good as the one found. In {n} sampled worlds it "
+    "prevents {points:.2f} points more (95 %: {low:.2f} to {high:.2f}): so it is the answer."
+)
+_SURPASSED = mark(
+    "Greedy choice's layout is the answer, not the one found, which is better in the {chosen} "
+    "worlds to choose in: in {n} fresh ones greedy choice's prevents {points:.2f} points more "
+    "(95 %: {low:.2f} to {high:.2f})."
+)
+_ENOUGH = {
+    "same": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the same layout"
+    ),
+    "no better": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): in {others} fresh ones "
+        "the layout of {tried} prevents {low:+.2f} to {high:+.2f} points more (95 %)"
+    ),
+    "time": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), the last ones that there was "
+        "time for: with a longer --time-limit more are tried"
+    ),
+    "memory": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}): twice as many do not fit "
+        "into the memory of this machine"
+    ),
+    "most": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), and was still getting "
+        "better: more are not tried"
+    ),
+}
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -103,6 +137,7 @@ class SampledRecord(Record, frozen=True, kw_only=True):
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
     chosen_in: Annotated[int | None, says("Other worlds, to choose the first layout in.")] = None
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
     seed: Annotated[int, says("Of the draws.", ge=0)]
     traffic_source: Annotated[str, says("Who drives by: SUMO with its demand; or empty.")] = ""
     moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
@@ -125,12 +160,13 @@ def build_sampled_record(
     planned_apr: Mapping[str, float] | None = None,
     chosen_apr: Mapping[str, float] | None = None,
     chosen_in: int | None = None,
+    growth: Growth | None = None,
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
     `tail` is the worst share of the worlds that is summed up. By name of the layout, `planned_apr`
     is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
-    chosen in.
+    chosen in; `growth` says how their number was found out.
     """
     subject = judged[0]
     tails = None
@@ -141,6 +177,7 @@ def build_sampled_record(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=len(subject.apr_by_sample),
         chosen_in=chosen_in,
+        growth=growth,
         seed=seed,
         traffic_source="" if uncertainty.moving is None else uncertainty.moving.name,
         moving=None if uncertainty.moving is None else subject.driving,
@@ -165,10 +202,27 @@ def build_sampled_record(
             for row, item in enumerate(judged)
         ),
         pairs=tuple(
-            _pair(judged[one], judged[other], None if tails is None else tails[one] - tails[other])
+            build_pair_record(
+                judged[one], judged[other], None if tails is None else tails[one] - tails[other]
+            )
             for one, other in combinations(range(len(judged)), 2)
         ),
     )
+
+
+def growth_sentences(growth: Growth | None) -> list[str]:
+    """Sentence on how many worlds a layout was chosen in, and why not in more; no full stop."""
+    if growth is None:
+        return []
+    last = growth.rounds[-1]
+    values = {
+        "taken": growth.taken,
+        "tried": last.worlds,
+        "others": growth.compared_in,
+        "low": _points(last.low),
+        "high": _points(last.high),
+    }
+    return [tr(_ENOUGH[growth.stopped], **values)]
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -197,7 +251,9 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     )
 
 
-def _pair(first: SampledApr, second: SampledApr, tails: FloatArray | None) -> SampledPairRecord:
+def build_pair_record(
+    first: SampledApr, second: SampledApr, tails: FloatArray | None = None
+) -> SampledPairRecord:
     """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
     gain = first.apr_by_sample - second.apr_by_sample
     low, high = (None, None) if tails is None else np.quantile(tails, (0.025, 0.975)).tolist()
@@ -226,39 +282,43 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """Sentences on layouts in sampled worlds; the first layout is the subject."""
-    subject, planned = found.layouts[0], found.layouts[0].planned
-    sentences = [
-        f"In {found.samples} fresh sampled {_worlds(found.samples)} ({what_is_uncertain(found)}), "
-        f"{subject.name} avoids {percent(subject.mean)} of the accidents on average "
-        f"({subject.method}: {percent(subject.low)} to {percent(subject.high)})"
-        + ("" if planned is None else f"; as planned {percent(planned)}")
-    ]
+    subject, chosen = found.layouts[0], found.layouts[0].in_sample
+    n_worst, n_all = found.tail * (found.chosen_in or 0), found.chosen_in
+    shares = {"mean": subject.mean, "low": subject.low, "high": subject.high, "chosen": chosen}
+    shares |= {"planned": subject.planned, "of_all": subject.of_all, "tail": found.tail}
+    values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
+    values |= {"drawn": what_is_uncertain(found), "layout": subject.name}
+    values |= {"method": said(subject.method), "v2x": percent(found.uncertainty.v2x_share)}
+    sentences = [say("sampled_worlds.mean", found.samples, **values)]
+    if subject.planned is not None:
+        sentences[0] += tr("; as planned {planned}", **values)
     if subject.of_all is not None:
-        sentences.append(
-            f"With V2X in {percent(found.uncertainty.v2x_share)} of the cars, these are "
-            f"{percent(subject.of_all)} of the accidents of all cars"
-        )
-    chosen = subject.in_sample
+        sentences.append(say("sampled_worlds.of_all_cars", **values))
     if chosen is not None:
-        better = ": a choice looks better where it was made"
-        sentences.append(
-            f"In the worlds that it was chosen in, it avoids {percent(chosen)}"
-            f"{better if chosen > or_nan(subject.mean) else ''}"
-        )
-    n_worst = found.tail * (found.chosen_in or 0)
+        is_better = chosen > or_nan(subject.mean)
+        key = "sampled_worlds.chosen_better" if is_better else "sampled_worlds.chosen"
+        sentences.append(say(key, **values))
+    sentences += growth_sentences(found.growth)
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
-        sentences.append(
-            f"The worst {percent(found.tail)} of the {found.chosen_in} worlds that it was chosen "
-            f"in {'is' if n_worst <= 1.0 else 'are'} {max(n_worst, 1.0):g}: too few to choose by; "
-            "ask for more with --samples, or for the mean"
-        )
+        values |= {"n_all": n_all, "n": max(n_worst, 1.0)}
+        sentences.append(say("sampled_worlds.few_worst", 1 if n_worst <= 1.0 else 2, **values))
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
     if unsure:
         listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
-        sentences.append(f"Least sure, with the share of worlds that avoid them: {listed}")
+        least = mark("Least sure, with the share of worlds that avoid them: {runs}")
+        sentences.append(tr(least, runs=listed))
     return [f"{sentence}." for sentence in sentences]
+
+
+def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | None) -> list[str]:
+    """Sentence on greedy choice's layout where fresh worlds took it, not the one found."""
+    if preferred is None or preferred.second != FOUND:
+        return []
+    points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
+    values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
+    return [tr(_TIED if chosen_in is None else _SURPASSED, **values)]
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
@@ -275,62 +335,50 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
         return []
     _, gain, other = min(ahead, key=lambda entry: entry[0])
     points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
-    worst = (
-        f"; in the worst {percent(found.tail)} of them {percent(other.cvar)}, not "
-        f"{percent(subject.cvar)}"
-    ) * of_tail
-    few = f"the {found.chosen_in} {_worlds(found.chosen_in)} that {subject.name} was chosen in"
-    are = "is" if found.chosen_in == 1 else "are"
-    return [
-        f"{other.name} does better in {found.samples} fresh {_worlds(found.samples)}: {points:.1f} "
-        f"points of APR more than {subject.name} (95 % interval {low:.1f} to {high:.1f}){worst}; "
-        f"{few} {are} too few: ask for more with --samples, or take {other.name}."
-    ]
+    values: dict[str, Any] = {"points": points, "low": low, "high": high, "other": other.name}
+    values |= {"tail": percent(found.tail), "apr": percent(other.cvar), "layout": subject.name}
+    better = say("sampled_worlds.overtaken", found.samples, **values)
+    worst = mark("in the worst {tail} of them {apr}, not {layout_apr}")
+    worst = tr(worst, layout_apr=percent(subject.cvar), **values)
+    few = say("sampled_worlds.too_few", found.chosen_in, **values)
+    return ["; ".join([better, *[worst] * of_tail, few])]
 
 
 def what_is_uncertain(found: SampledRecord) -> str:
     """Words for what is drawn in the sampled worlds."""
     record = found.uncertainty
     mounting, latency, traffic = record.mounting, record.latency, record.traffic
-    outages, blinding, low_sun = record.outages, record.blinding, record.blinding.low_sun_share
+    outages, blinding, is_lost = record.outages, record.blinding, record.packet_loss > 0.0
     lasting = record.person_share + record.unit_person_share
-    degree, mean_ms = "\N{DEGREE SIGN}", 1000.0 * float(latency.get("mean_s", 0.0))
-    bursts = f" in bursts (drawn anew after {record.burst_frames:g} frames)"
-    bursts *= record.burst_frames > 1.0
-    for_a_run = f" ({percent(lasting)} of the noise for a whole run)" if lasting else ""
-    parts = (
-        (
-            any(astuple(mounting)),
-            f"units off by {mounting.yaw_sd_deg:g}{degree} in yaw, {mounting.pitch_sd_deg:g}"
-            f"{degree} in pitch and {100.0 * mounting.height_sd_m:g} cm in height",
-        ),
-        ("budget" in latency, f"latency drawn from the budget {latency.get('budget')}"),
-        (mean_ms, f"messages {mean_ms:g} ms later on average"),
-        (record.packet_loss > 0.0, f"{percent(record.packet_loss)} of the messages lost{bursts}"),
-        (
-            record.draws_detections,
-            f"detections drawn where the detector gives a probability{for_a_run}",
-        ),
-        (
-            outages != Outages(),
-            f"units out of order in {percent(outages.unit_share)} and poles in "
-            f"{percent(outages.pole_share)} of the runs",
-        ),
-        (blinding.dirty_share, f"{percent(blinding.dirty_share)} of the cameras dirty"),
-        (low_sun, f"low sun in {percent(low_sun)} of the runs by day"),
-        (traffic["taken_share"], f"{percent(traffic['taken_share'])} of the parking places taken"),
-        (
-            traffic["waiting_share"],
-            f"vehicles waiting in {percent(traffic['waiting_share'])} of the lanes",
-        ),
-        (record.road_users.measured, "people as fast as they were measured"),
-        (
-            replace(record.road_users, measured={}) != RoadUsers(),
-            "road users faster or slower, from nearer starts",
-        ),
-        (found.moving, f"vehicles that drive by ({found.traffic_source})"),
-    )
-    return ", ".join(words for holds, words in parts if holds) or "nothing is uncertain"
+    mean_ms, has_bursts = 1000.0 * float(latency.get("mean_s", 0.0)), record.burst_frames > 1.0
+    shares = {"lost": record.packet_loss, "lasting": lasting, "dirty": blinding.dirty_share}
+    shares |= {"units": outages.unit_share, "poles": outages.pole_share}
+    shares |= {"taken": traffic["taken_share"], "waiting": traffic["waiting_share"]}
+    shares |= {"low_sun": blinding.low_sun_share}
+    values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
+    values |= {"yaw": mounting.yaw_sd_deg, "pitch": mounting.pitch_sd_deg, "mean_ms": mean_ms}
+    values |= {"budget": latency.get("budget"), "source": found.traffic_source}
+    values |= {"height_cm": 100.0 * mounting.height_sd_m, "n_frames": record.burst_frames}
+    draws, other_users = record.draws_detections, replace(record.road_users, measured={})
+    parts = {
+        "mounting": any(astuple(mounting)),
+        "latency_budget": "budget" in latency,
+        "latency": mean_ms,
+        "lost": is_lost and not has_bursts,
+        "lost_in_bursts": is_lost and has_bursts,
+        "detections": draws and not lasting,
+        "detections_of_a_run": draws and lasting,
+        "outages": outages != Outages(),
+        "dirty": blinding.dirty_share,
+        "low_sun": blinding.low_sun_share,
+        "parked": traffic["taken_share"],
+        "waiting": traffic["waiting_share"],
+        "measured": record.road_users.measured,
+        "road_users": other_users != RoadUsers(),
+        "traffic": found.moving,
+    }
+    drawn = [say(f"drawn.{key}", **values) for key, holds in parts.items() if holds]
+    return ", ".join(drawn) or tr("nothing is uncertain")
 
 
 def moving_sentence(found: SampledRecord) -> str:
@@ -338,16 +386,15 @@ def moving_sentence(found: SampledRecord) -> str:
     moving = found.moving
     if not moving or not moving.n_runs:
         return ""
-    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else "none"
-    text = (
-        f"{moving.n_vehicles / moving.n_runs:.0f} vehicles drive by in a run "
-        f"({found.traffic_source}); {moving.n_left_out} of {moving.n_vehicles} ({share}) are left "
-        "out of theirs, for they would come into the way of car or road user"
-    )
-    if moving.n_waiting:
-        wanted = moving.n_departed + moving.n_waiting
-        text += f"; SUMO found no room for {moving.n_waiting} of {wanted} vehicles"
-    return text
+    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else tr("none")
+    per_run, n_waiting = moving.n_vehicles / moving.n_runs, moving.n_waiting
+    values: dict[str, Any] = {"n": moving.n_vehicles, "n_left_out": moving.n_left_out}
+    values |= {"per_run": per_run, "source": found.traffic_source, "share": share}
+    text = say("sampled_worlds.traffic", **values)
+    if not n_waiting:
+        return text
+    no_room = mark("; SUMO found no room for {n} of {n_all} vehicles")
+    return text + tr(no_room, n=n_waiting, n_all=moving.n_departed + n_waiting)
 
 
 def is_open(difference: SampledPairRecord) -> bool:
@@ -355,24 +402,22 @@ def is_open(difference: SampledPairRecord) -> bool:
     return or_nan(difference.low) <= 0.0 <= or_nan(difference.high)
 
 
-def _worlds(count: int) -> str:
-    return "world" if count == 1 else "worlds"
-
-
 def table(found: SampledRecord) -> Table:
     """APR of each layout: as planned, its mean with the interval, and in bad worlds."""
-    tail = f"worst {100.0 * found.tail:g} %"
+    tail = tr("worst {tail:g} %", tail=100.0 * found.tail)
     columns: dict[str, Callable[[SampledLayoutRecord], str]] = {
-        "layout": lambda one: shortened(one.name, _MAX_NAME_LENGTH),
-        "planned": lambda one: percent(one.planned),
-        "mean": lambda one: percent(one.mean),
-        "95 % interval": lambda one: f"{percent(one.low)} .. {percent(one.high)}",
-        tail: lambda one: f"{percent(one.cvar)} (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})",
-        "worst": lambda one: percent(one.worst),
+        tr("layout"): lambda one: shortened(one.name, _MAX_NAME_LENGTH),
+        tr("planned"): lambda one: percent(one.planned),
+        tr("mean"): lambda one: percent(one.mean),
+        tr("95 % interval"): lambda one: f"{percent(one.low)} .. {percent(one.high)}",
+        tail: lambda one: (
+            percent(one.cvar) + localized(f" (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})")
+        ),
+        tr("worst"): lambda one: percent(one.worst),
     }
     if found.tail == 1.0:  # the mean of all is there already
         del columns[tail]
-    return tabulate("APR in sampled worlds", found.layouts, columns, numeric=range(1, 6))
+    return tabulate(tr("APR in sampled worlds"), found.layouts, columns, numeric=range(1, 6))
 
 
 def _points(share: float | None) -> float:
@@ -383,16 +428,15 @@ def sampled_picture(found: SampledRecord) -> Picture:
     """Picture of the layouts' APR."""
     return build_picture(
         plot_sampled_apr(found),
-        title="APR in sampled worlds",
-        caption="Worlds that were not used for the choice. Drawn at random: "
-        f"{what_is_uncertain(found)}.",
-        alt=f"Intervals. {' '.join(uncertainty_sentences(found))}",
+        title=tr("APR in sampled worlds"),
+        caption=say("sampled_worlds.drawn", drawn=what_is_uncertain(found)),
+        alt=tr("Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))),
     )
 
 
 def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     """The layouts in sampled worlds."""
-    return Section("sampled", "If the world is not as planned", [picture, table(found)])
+    return Section("sampled", tr("If the world is not as planned"), [picture, table(found)])
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:
@@ -408,10 +452,7 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
     axes.set_yticks(range(len(layouts)), [_name(one.name) for one in layouts], fontsize=8)
     axes.set_ylim(len(layouts) - 0.5, -0.5)
-    words = (
-        "share of the accidents avoided, APR (%)\nmean and its 95 % interval; dotted: "
-        "from the worst to the best world"
-    )
+    words = say("sampled_worlds.share_axis")
     finish_axes(axes, x=words, grid="x")
     return axes
 
@@ -422,16 +463,15 @@ def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
     for row, pair in enumerate(pairs):
         _whisker(axes, row, pair, is_hollow=is_open(pair))
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
-    names = [f"{_name(pair.first)}\nminus {_name(pair.second)}" for pair in pairs]
+    minus = mark("{first}\nminus {second}")
+    names = [tr(minus, first=_name(pair.first), second=_name(pair.second)) for pair in pairs]
     axes.set_yticks(range(len(pairs)), names, fontsize=8)
     axes.set_ylim(len(pairs) - 0.5, -0.5)
     low, high = axes.get_xlim()
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
     axes.set_xlim(middle - half, middle + half)
-    words = (
-        "difference of the APR in the same worlds (points)\nwith its 95 % interval; open: may be "
-    )
-    finish_axes(axes, x=f"{words}zero", grid="x")
+    words = say("sampled_worlds.difference_axis")
+    finish_axes(axes, x=words, grid="x")
     return axes
 
 

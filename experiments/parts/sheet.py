@@ -27,7 +27,8 @@ from placement.question import Question
 from placement.setting import Setting, build_setting
 
 from ..figures.axes import BLUE, VERMILION, Style, drawing_any_name, literal, unit_labels
-from ..figures.plan import ALL_ROUND, blind_footprint, draw_scene, ground_footprint, ring_path
+from ..figures.plan import blind_footprint, draw_scene, ground_footprint, ring_path
+from ..language import localized, mark, said, say, tr
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record
@@ -52,7 +53,7 @@ def mounting_sheet(
     """A PDF with an A4 page per unit: where, how high, where it looks, what it will see."""
     labels = unit_labels(layout)
     buffer = io.BytesIO()
-    metadata = {"Title": f"Mounting sheet: {layout.name}"}
+    metadata = {"Title": tr("Mounting sheet: {name}", name=layout.name)}
     with drawing_any_name(), PdfPages(buffer, metadata=metadata) as pages:
         for unit, tolerance in zip(layout.units, tolerances, strict=True):
             figure = _page(layout, unit, labels[unit.id], setting, tolerance, compute)
@@ -72,8 +73,13 @@ def _page(
     figure = Figure(figsize=_A4_IN)
     name = literal(label if label == unit.id else f"{label}: {unit.id}")
     figure.text(0.08, 0.955, name, fontsize=20, fontweight="bold")
-    what = literal(f"{scene.name}, layout {layout.name}; {unit.sensor.name}")
-    figure.text(0.08, 0.935, what, fontsize=10, color="#444444")
+    what = tr(
+        "{scene}, layout {name}; {sensor}",
+        scene=scene.name,
+        name=layout.name,
+        sensor=unit.sensor.name,
+    )
+    figure.text(0.08, 0.935, literal(what), fontsize=10, color="#444444")
     top, bottom = 0.905, 0.05
     for head, text in _rows(unit, scene, tolerance):
         figure.text(0.08, top, head, fontsize=10, fontweight="bold", va="top")
@@ -88,31 +94,34 @@ def _page(
 
 def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple[str, str]]:
     level = above_ground(unit, scene)
-    x, y, z = level.pose.position_m
-    where = f"{x:.2f} m east, {y:.2f} m north in the junction's coordinates"
+    x, y, z = level.pose.position_m.tolist()
+    where = tr("{x:.2f} m east, {y:.2f} m north in the junction's coordinates", x=x, y=y)
     if scene.crs:
         lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
-        where += f"\n{lat_deg:.6f}{_DEGREE} latitude, {lon_deg:.6f}{_DEGREE} longitude"
+        where += "\n" + tr(
+            "{lat:.6f}° latitude, {lon:.6f}° longitude", lat=float(lat_deg), lon=float(lon_deg)
+        )
     return [
-        ("Mount", _mount(unit, scene)),
-        ("Where", where),
-        ("Height", f"{z:.2f} m above the road"),
-        ("Scans" if is_ring(unit.sensor) else "Looks", _direction(unit)),
-        ("Tilt", _tilt(level)),
-        ("May be off", _tolerance_text(tolerance)),
-        ("Landmarks", "\n".join(_landmarks(unit, scene)) or "none within 40 m"),
+        (tr("Mount"), _mount(unit, scene)),
+        (tr("Where"), where),
+        (tr("Height"), tr("{z:.2f} m above the road", z=z)),
+        (tr("Scans") if is_ring(unit.sensor) else tr("Looks"), _direction(unit)),
+        (tr("Tilt"), _tilt(level)),
+        (tr("May be off"), _tolerance_text(tolerance)),
+        (tr("Landmarks"), "\n".join(_landmarks(unit, scene)) or tr("none within 40 m")),
     ]
 
 
 def _mount(unit: CandidatePose, scene: Scene) -> str:
     """The site, its kind and where it is; and what is assumed of it."""
     if not unit.site_id:
-        return "on a mount of its own"
+        return tr("on a mount of its own")
     kinds = {site.id: site.kind for site in scene.sites}
     (place,) = whereabouts(scene, unit.pose.position_m[None, :2])
-    words = [text for text in (unit.site_id, kinds.get(unit.site_id), place) if text]
+    kind = said(kinds.get(unit.site_id, ""))
+    words = [text for text in (unit.site_id, kind, said(place)) if text]
     assumed = assumed_sites(scene.notes).get(unit.site_id)
-    doubt = f"ASSUMED, look on site first: {assumed}" if assumed else ""
+    doubt = tr("ASSUMED, look on site first: {what}", what=said(assumed)) if assumed else ""
     texts = (", ".join(words), doubt)
     return "\n".join(line for text in texts for line in textwrap.wrap(text, _LINE_LETTERS))
 
@@ -120,38 +129,41 @@ def _mount(unit: CandidatePose, scene: Scene) -> str:
 def _direction(unit: CandidatePose) -> str:
     yaw_deg = unit.pose.yaw_deg
     point = COMPASS[round(yaw_deg / 45.0) % 8]
-    yaw = (
-        f"to the {point}: compass bearing {compass_bearing_deg(yaw_deg):.1f}{_DEGREE} "
-        f"(clockwise from north),\nyaw {yaw_deg:.1f}{_DEGREE} (counter-clockwise from east)"
-    )
+    values = {
+        "point": said(point),
+        "bearing": float(compass_bearing_deg(yaw_deg)),
+        "yaw": float(yaw_deg),
+    }
     if not is_ring(unit.sensor):
-        return yaw
-    is_same = is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg)
-    turned = ": turned it sees the same, only its axes turn with it" if is_same else ""
-    return f"{ALL_ROUND}{turned}\nits front {yaw}"
+        return say("sheet.looks", **values)
+    front = say("sheet.front_looks", **values)
+    turned = tr("all round")
+    if is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
+        turned = tr("all round: turned it sees the same, only its axes turn with it")
+    return f"{turned}\n{front}"
 
 
 def _tilt(unit: CandidatePose) -> str:
     pitch_deg, height_m = unit.pose.pitch_deg, float(unit.pose.position_m[2])
     if is_ring(unit.sensor):
         if pitch_deg == 0.0:
-            return "none: level, its axis upright"
-        side = "down" if pitch_deg < 0.0 else "up"
-        return f"its front {abs(pitch_deg):.1f}{_DEGREE} {side}, its back as much the other way"
+            return tr("none: level, its axis upright")
+        down = mark("its front {angle:.1f}° down, its back as much the other way")
+        up = mark("its front {angle:.1f}° up, its back as much the other way")
+        return tr(down if pitch_deg < 0.0 else up, angle=abs(pitch_deg))
     if pitch_deg >= 0.0:
-        return f"{pitch_deg:.1f}{_DEGREE} above level"
-    reach_m = height_m / math.tan(math.radians(-pitch_deg))
-    return (
-        f"{-pitch_deg:.1f}{_DEGREE} below level: the middle of the picture lies on the road "
-        f"{reach_m:.1f} m away"
+        return tr("{angle:.1f}° above level", angle=pitch_deg)
+    return say(
+        "sheet.below_level", angle=-pitch_deg, reach=height_m / math.tan(math.radians(-pitch_deg))
     )
 
 
 def _tolerance_text(tolerance: Tolerance) -> str:
     def at_least(value: float, most: float, unit: str) -> str:
         if value <= 0.0:
-            return f"less than the smallest step tried (0{unit})"
-        return f"{value:g}{unit}" + (" or more" if value >= most else "")
+            return tr("less than the smallest step tried (0{unit})", unit=unit)
+        shown = localized(f"{value:g}{unit}")
+        return tr("{value} or more", value=shown) if value >= most else shown
 
     right, left, down, up = (
         at_least(value_deg, TURNS_DEG[-1], _DEGREE)
@@ -160,10 +172,8 @@ def _tolerance_text(tolerance: Tolerance) -> str:
     lower, higher = (
         at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm") for value_m in tolerance.height_m
     )
-    return (
-        f"{left} to the left, {right} to the right\n{up} up, {down} down\n"
-        f"{higher} higher, {lower} lower\n"
-        "one thing at a time, the other units as planned; beyond, a run is lost"
+    return say(
+        "sheet.tolerances", left=left, right=right, up=up, down=down, higher=higher, lower=lower
     )
 
 
@@ -183,7 +193,13 @@ def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
         if 0.3 < distance_m <= _LANDMARK_WITHIN_M:
             bearing = math.degrees(math.atan2(nearest.y - here.y, nearest.x - here.x))
             point = COMPASS[round(bearing / 45.0) % 8]
-            words = f"{distance_m:.2f} m to the {point}: {thing.class_name} {thing.id}"
+            words = say(
+                "sheet.landmark",
+                distance=distance_m,
+                point=said(point),
+                kind=said(thing.class_name),
+                name=thing.id,
+            )
             found.append((distance_m, words))
     found.sort(key=lambda entry: entry[0])
     return [words for _, words in found[:_N_LANDMARKS]]
@@ -210,7 +226,7 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
     axes.set_xlim(middle[0] - 2.0 * half, middle[0] + 2.0 * half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
     axes.set_aspect("equal")
-    axes.set_xlabel("east (m); north is up", fontsize=8)
+    axes.set_xlabel(tr("east (m); north is up"), fontsize=8)
     axes.tick_params(labelsize=7)
 
 
@@ -221,12 +237,12 @@ def _yaw(unit: CandidatePose) -> float:
 def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Compute) -> None:
     axes.set_axis_off()
     if not isinstance(unit.sensor, CameraModel):
-        axes.text(0.5, 0.5, "A LiDAR takes no picture.", ha="center", va="center", fontsize=11)
+        axes.text(0.5, 0.5, tr("A LiDAR takes no picture."), ha="center", va="center", fontsize=11)
         return
     rgb, run, time_s = draw_view(unit, setting, compute=compute)
     axes.imshow(rgb)
-    when = f"{run.id}, {abs(time_s):.1f} s before the impact"
-    axes.set_title(literal(f"What it will see, rendered: {when}"), fontsize=9, loc="left")
+    title = say("sheet.picture", run=run.id, time=abs(time_s))
+    axes.set_title(literal(title), fontsize=9, loc="left")
 
 
 class SheetResult(Record, frozen=True, kw_only=True):

@@ -13,17 +13,13 @@ from placement.question import BLIND, Question
 from placement.setting import Setting
 from scenarios.cases import select_cases
 
-from ..results.numbers import count_runs, percent
+from ..language import said, say, tr, trn
+from ..results.numbers import percent
 from ..results.record import says
 from .baselines import Score, build_score
 from .section import Section, Table
 
 STAGE = "study's cases"
-NOTE = (
-    "What the CarlaNCAP study drives, as it reads it: its cases by day, each at its one place, "
-    "every run alike, and a track that is confirmed once lives for ever. All else is as in the "
-    "question above. By the evaluator; layouts were not chosen for these runs."
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,18 +107,26 @@ def section(record: StudyCases | None) -> Section | None:
     """The layouts on the study's cases; None where these are what was asked about."""
     if record is None:
         return None
-    return Section("study-cases", "On the study's cases", [NOTE, table(record)])
+    return Section(
+        "study-cases", tr("On the study's cases"), [say("study_cases.note"), table(record)]
+    )
 
 
 def table(record: StudyCases) -> Table:
     """APR of each layout and of the car by itself: a row for all runs, and for each case."""
     cases = list(record.parties[0].by_case)
     return Table(
-        caption=f"APR on the study's {count_runs(record.runs)}",
-        columns=["case", *(party.name for party in record.parties)],
+        caption=trn("APR on the study's {n} run", "APR on the study's {n} runs", record.runs),
+        columns=[tr("case"), *(said(party.name) for party in record.parties)],
         rows=[
-            ["all runs", *(percent(one.all) for one in record.parties)],
-            ["runs avoided", *(f"{one.runs_avoided} of {record.runs}" for one in record.parties)],
+            [tr("all runs"), *(percent(one.all) for one in record.parties)],
+            [
+                tr("runs avoided"),
+                *(
+                    tr("{n} of {n_all}", n=one.runs_avoided, n_all=record.runs)
+                    for one in record.parties
+                ),
+            ],
             *([case, *(percent(one.by_case[case]) for one in record.parties)] for case in cases),
         ],
         numeric=range(1, 1 + len(record.parties)),

@@ -14,6 +14,7 @@ from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import compass_word, looking_words, plot_plan
+from ..language import localized, mark, said, say, tr
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
 from .section import Block, Box, Picture, Section, Table, build_picture
@@ -23,8 +24,9 @@ _MAX_UNITS_IN_WORDS = 40
 _MAX_NARROW_UNITS = 6  # labels of more would lie on one another
 _MAX_FLAT_ROWS = 24  # a longer table is to unfold
 _COLUMNS = (
-    *("mark", "id", "site", "kind", "where", "east (m)", "north (m)", "height (m)"),
-    *("bearing (°)", "tilt down (°)", "yaw (°)", "pitch (°)", "looks to the", "sensor"),
+    *(mark("mark"), mark("id"), mark("site"), mark("kind"), mark("where"), mark("east (m)")),
+    *(mark("north (m)"), mark("height (m)"), mark("bearing (°)"), mark("tilt down (°)")),
+    *(mark("yaw (°)"), mark("pitch (°)"), mark("looks to the"), mark("sensor")),
 )
 _MAX_NAMED = 6  # pairs of unit and area in a sentence
 MAX_UNITS, MAX_AREAS = 12, 60
@@ -35,15 +37,15 @@ def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene
     """Places and directions of the units of layouts, by display name, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
     is_flat = terrain_of(scene) is None
-    where = "the road is at height 0" if is_flat else "height is that above the ground below"
-    note = (
-        f"East, north and height are metres in the junction's own coordinates; {where}. The "
-        "bearing is that of a compass, clockwise from north; yaw is counted counter-clockwise from "
-        "east; pitch is negative where the sensor looks down. An assumed site is one that the map "
-        "does not have, or not there."
-    )
+    where = say("units.heights")
+    if not is_flat:
+        where = say("units.heights_above_ground")
+    directions = say("units.angles")
+    note = f"{where} {directions}"
     tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
-    return Section("units", "The units", [*tables, note, Box("beside" if is_beside else "", plans)])
+    return Section(
+        "units", tr("The units"), [*tables, note, Box("beside" if is_beside else "", plans)]
+    )
 
 
 def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
@@ -53,9 +55,9 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
         [
             labels[record.id],
             record.id,
-            f"{record.site} (assumed)" if record.assumed else record.site or NOTHING,
-            record.kind or NOTHING,
-            record.place or NOTHING,
+            tr("{site} (assumed)", site=record.site) if record.assumed else record.site or NOTHING,
+            said(record.kind or NOTHING),
+            said(record.place or NOTHING),
             *(number(value) for value in above_ground(unit, scene).pose.position_m.tolist()),
             number(compass_bearing_deg(record.yaw_deg), 1),
             number(-record.pitch_deg, 1),
@@ -66,13 +68,14 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
         ]
         for unit, record in zip(layout.units, build_unit_records(layout, scene), strict=True)
     ]
-    caption = f"Units of {name}"
+    caption = tr("Units of {name}", name=name)
+    is_long = len(rows) > _MAX_FLAT_ROWS
     return Table(
         caption=caption,
-        columns=_COLUMNS,
+        columns=[*map(tr, _COLUMNS)],
         rows=rows,
         numeric=range(5, 12),
-        summary=f"{caption}: all {len(rows)}" if len(rows) > _MAX_FLAT_ROWS else "",
+        summary=tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else "",
     )
 
 
@@ -87,13 +90,9 @@ def build_plans(
         build_picture(
             draw(layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
             narrow=draw(layout, width_in=NARROW_IN) if are_few and not are_side_by_side else None,
-            title=f"Plan of {setting.scene.name} with {name}",
-            caption=(
-                "Coloured outlines: the ground in each sensor's field of view, up to "
-                f"{_PLAN_RANGE_M:g} m; they see farther. Walls and parked cars hide parts "
-                "of it, which is taken into account in the numbers but not drawn here."
-            ),
-            alt="Plan of the junction, north up. " + _units_in_words(layout),
+            title=tr("Plan of {scene} with {name}", scene=setting.scene.name, name=name),
+            caption=say("units.plan", range=_PLAN_RANGE_M),
+            alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),
         )
         for name, layout in detailed.items()
     ]
@@ -101,11 +100,16 @@ def build_plans(
 
 def _units_in_words(layout: Layout) -> str:
     if len(layout.units) > _MAX_UNITS_IN_WORDS:
-        return f"{len(layout.units)} units: where each is says the table above."
+        return tr("{n} units: where each is says the table above.", n=len(layout.units))
     labels = unit_labels(layout)
     return " ".join(
-        f"{labels[unit.id]} at {number(unit.pose.position_m[0], 1)} m east, "
-        f"{number(unit.pose.position_m[1], 1)} m north, {looking_words(unit)}."
+        say(
+            "units.place",
+            unit=labels[unit.id],
+            east=number(unit.pose.position_m[0], 1),
+            north=number(unit.pose.position_m[1], 1),
+            looking=looking_words(unit),
+        )
         for unit in layout.units
     )
 
@@ -140,16 +144,15 @@ def build_private_ground_record(
 def private_ground_sentence(found: PrivateGroundRecord) -> str:
     """Which unit sees how much of which area."""
     seen = [
-        f"{unit} sees {percent(share)} of {name}"
+        tr("{unit} sees {share} of {area}", unit=unit, share=percent(share), area=name)
         for unit, shares in found.units.items()
         for name, share in shares.items()
         if share > 0.0
     ]
     n_areas = len(found.areas)
-    what = "the private area" if n_areas == 1 else f"any of the {n_areas} private areas"
     if not seen:
-        return f"No camera has {what} in its picture."
-    return f"Of private ground, {'; '.join(seen)}."
+        return say("units.nothing_private", n_areas)
+    return tr("Of private ground, {views}.", views="; ".join(seen))
 
 
 def private_ground_sentences(
@@ -176,24 +179,21 @@ def private_ground_section(
     seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
     shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
     told = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
-    caption = "Share of each private area that a unit sees"
+    caption = tr("Share of each private area that a unit sees")
     if len(shown) < len(units):
-        caption += f"; of {len(units)} units the {len(shown)} that matter most"
+        caption += tr("; of {all} units the {n} that matter most", all=len(units), n=len(shown))
     if len(told) < len(areas):
-        caption += f"; of {len(areas)} areas the {len(told)} that matter most"
-    heads = ["area", "size (m\N{SUPERSCRIPT TWO})", "most, by one unit"]
+        caption += tr("; of {all} areas the {n} that matter most", all=len(areas), n=len(told))
+    heads = [tr("area"), tr("size (m²)"), tr("most, by one unit")]
     columns = [*heads, *(labels.get(unit_id, unit_id) for unit_id in shown)]
     rows = []
     for area in told:
         shares = (most_seen[area.name], *(units[unit_id][area.name] for unit_id in shown))
-        rows.append([area.name, f"{area.area_m2:.0f}", *map(percent, shares)])
+        rows.append([area.name, localized(f"{area.area_m2:.0f}"), *map(percent, shares)])
     table = Table(caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown)))
-    note = (
-        "Seen is what lies in a camera's picture with nothing in between, at the height of "
-        "people's eyes. LiDARs take no pictures."
-    )
+    note = say("units.seen")
     blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
-    return Section("private-ground", "Private ground", blocks)
+    return Section("private-ground", tr("Private ground"), blocks)
 
 
 def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) -> str:
@@ -203,7 +203,12 @@ def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) 
     if n_seen * n_seeing <= _MAX_NAMED:
         return private_ground_sentence(found)
     worst = max(most_seen, key=lambda name: most_seen[name])
-    return (
-        f"{n_seeing} of {len(found.units)} units see something of {n_seen} of "
-        f"{len(most_seen)} private areas; the most is {percent(most_seen[worst])} of {worst}."
+    return say(
+        "units.private_in_short",
+        seeing=n_seeing,
+        units=len(found.units),
+        seen=n_seen,
+        areas=len(most_seen),
+        share=percent(most_seen[worst]),
+        worst=worst,
     )

@@ -23,7 +23,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.files import is_abandoned, read_bytes, read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
-from geometry.sensors import CameraModel
+from geometry.sensors import CameraModel, to_calibrated
 from geometry.terrain import on_ground
 from placement.compute import Compute
 from placement.detectors import Evidence, is_matched, load_min_iou
@@ -41,7 +41,7 @@ from placement.recordings.files import read_labels
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
-from ..export.calibration import calibrations, camera_matrix, refuse_lenses
+from ..export.calibration import refuse_lenses
 from ..progress import StageProgress
 from ..results.record import Record
 from .drawing import DEPTHS, DRAW, MASKS, DatasetWish, DrawTask, Viewer, draw_all
@@ -61,6 +61,7 @@ _ACTOR_TYPES = {**_COCO_CLASSES, "cyclist": "bicycle"}
 _TASK_PICTURES = 60  # drawn by one worker before it gives word
 _BYTES_PER_PIXEL = 1.75  # of a PNG with sensor noise, as measured by day
 _BYTES_PER_POINT = 16
+_NOWHERE = Pose(position_m=np.zeros(3), yaw_deg=0.0)  # of the camera that drives
 
 
 class DatasetUnit(Record, frozen=True):
@@ -216,21 +217,19 @@ def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:
 def _build_record(
     setting: Setting, layout: Layout, viewers: Sequence[Viewer], wish: DatasetWish, seed: int
 ) -> DatasetRecord:
-    cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     refuse_lenses(layout, "dataset")  # its records have no place for them
-    by_id = {found.id: found for found in calibrations(layout, "dataset")} if cameras else {}
     units = [
         DatasetUnit(
             folder=viewer.folder,
             id=viewer.id,
             width_px=viewer.camera.width_px,
             height_px=viewer.camera.height_px,
-            camera_matrix=_rows(camera_matrix(viewer.camera)),
-            world_to_camera=_rows(found.world_to_camera) if found else None,
-            translation_m=tuple(found.translation_m.tolist()) if found else None,
+            camera_matrix=_rows(found.K),
+            world_to_camera=None if viewer.pose is None else _rows(found.R_camera_world),
+            translation_m=None if viewer.pose is None else tuple(found.translation_m.tolist()),
         )
         for viewer in viewers
-        for found in [by_id.get(viewer.id)]
+        for found in [to_calibrated(viewer.camera, viewer.pose or _NOWHERE)]
     ]
     scenario: dict[tuple[str, ...], int] = {}
     numbers = itertools.accumulate((len(run.time_s) for run in setting.runs), initial=0)

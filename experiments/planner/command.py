@@ -34,6 +34,7 @@ _LOCAL = "127.0.0.1"
 @options.layout_option
 @options.from_table("plan")
 @options.question_options(*_ASKED)
+@options.language_option
 @options.quiet_option
 @options.compute_options(has_cache=True)
 @click.pass_obj
@@ -133,6 +134,9 @@ def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") 
         check_layout(layout, scene)
         if key_of(layout.units) not in known:
             variants.append(Variant(name=layout.name, units=layout.units))
+        if name.endswith(".json"):
+            opened = read_plan(read_bytes(Path(name), max_bytes=MAX_PLAN_BYTES), name)
+            begun = replace(begun, poles=(*begun.poles, *opened.poles))
     return replace(begun, variants=tuple(variants))
 
 

@@ -1,29 +1,38 @@
 """Messages to the page: the junction once, then units and numbers whenever they change."""
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from geometry.catalogue import Sensor, sensor_kind
-from geometry.scene import Scene
+from geometry.errors import InputError, check_one_of
+from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
+from placement.detectors import DETECTOR_NAMES
 from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, run_outcomes
 from placement.ground import BANDS, PrivateGround, PrivateSight, find_ground_coverage
 from placement.layout import Layout
-from placement.setting import Setting
-from scenarios.runs import Run
+from placement.question import BLIND, SEE, Question, question_fields, read_cars
+from placement.setting import Setting, check_question
+from scenarios.cases import load_case_sets
+from scenarios.runs import WEATHERS, Run
+from scenarios.scores import AVOIDED
+from scenarios.weights import WEIGHT_WORDS, default_weights
 
+from ..cli.options import JUDGED, option_of
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
 from ..results.record import build_evaluation_record
-from .plan import SCHEMA, Background, History, PlanState, mount_range_m
+from .plan import SCHEMA, Background, ChangeQuestion, History, PlanState, mount_range_m
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"
 
@@ -52,15 +61,7 @@ def scene_record(
     return {
         "name": scene.name,
         "plan": plan_record(scene, np.zeros((0, 2))),
-        "sites": [
-            {
-                **{"id": site.id, "kind": site.kind, "place": centimetres(site.position_m[:2])},
-                **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
-                "capacity": site.capacity_units,
-                "isForbidden": site.use == "forbidden",
-            }
-            for site in scene.sites
-        ],
+        "sites": [_site_record(site) for site in scene.sites],
         "sensors": [
             {
                 **{"name": model.name, "kind": sensor_kind(model), "price": model.price_eur},
@@ -70,13 +71,27 @@ def scene_record(
         ],
         "grid": list(chosen),
         "runs": [
-            {"id": run.id, "title": describe_run(axis, index), "frames": len(run.time_s)}
+            {
+                **{"id": run.id, "title": describe_run(axis, index), "frames": len(run.time_s)},
+                "ends": centimetres(run.vru_position_m[-1]),
+                "weight": float(axis.weight[index] / axis.weight.sum()),
+            }
             for index, run in enumerate(setting.runs)
         ],
         "cases": {run.case.name: run.case.title for run in setting.runs},
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
         "private": [] if ground is None else _private_areas(ground),
+    }
+
+
+def _site_record(site: Site, *, is_own: bool = False) -> dict[str, Any]:
+    return {
+        **{"id": site.id, "kind": site.kind, "place": centimetres(site.position_m[:2])},
+        **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
+        "capacity": site.capacity_units,
+        "isForbidden": site.use == "forbidden",
+        "isOwn": is_own,
     }
 
 
@@ -104,6 +119,68 @@ def centimetres(values_m: Any) -> Any:
     return np.rint(100.0 * np.asarray(values_m)).astype(int).tolist()
 
 
+# ---------- what is asked
+
+
+def change_question(question: Question, change: ChangeQuestion, begun: Question) -> Question:
+    """A question with what a browser changes; files are those that the session has `begun` with.
+
+    Raises InputError: a value is none that can be chosen.
+    """
+    asked = msgspec.structs.asdict(change)
+    given = {name: value for name, value in asked.items() if value is not msgspec.UNSET}
+    for name in ("detector", "weights"):
+        if name in given:
+            check_one_of(name, given[name], _choices(begun)[name])
+    cases = given.get("cases", "")
+    if ".toml" in cases.lower() and cases != begun.cases:
+        raise InputError("cases", cases, "sets and names of cases")
+    changed = replace(question, **given)
+    if 0.0 < read_cars(changed.cars) < 1.0:
+        raise InputError("cars", changed.cars, f"{BLIND} or {SEE}: the page tells each run once")
+    check_question(replace(changed, detector=DETECTOR_NAMES[0]))
+    return changed
+
+
+def _choices(begun: Question) -> dict[str, list[str]]:
+    known = {"detector": DETECTOR_NAMES, "weights": ("", *WEIGHT_WORDS), "cars": (BLIND, SEE)}
+    return {name: [*dict.fromkeys([*words, getattr(begun, name)])] for name, words in known.items()}
+
+
+def question_record(question: Question, begun: Question) -> dict[str, Any]:
+    """What the page lets choose of a question, and how the numbers are made again elsewhere."""
+    names = msgspec.structs.fields(ChangeQuestion)
+    weights = question.weights or default_weights(question.cases)
+    meaning = _MEANINGS.get(weights, f"Runs count by the weights of {weights}")
+    if question.score != AVOIDED:
+        meaning += "; one that is not avoided counts by the speed that is left"
+    return {
+        "now": {field.name: getattr(question, field.name) for field in names},
+        "choices": _choices(begun) | {"weather": WEATHERS, "cases": [*load_case_sets()]},
+        "defaultWeights": default_weights(question.cases),
+        "meaning": f"{meaning}.",
+        "command": evaluate_command(question),
+    }
+
+
+_MEANINGS = {
+    "case": "Mean over cases, and in each over approaches, positions and runs; not over all runs",
+    "run": "Share of all runs: each counts the same, so cases with more runs count more",
+    "fhwa-crash-types": "Cases count by how often cars hit people so, not by their runs",
+    "euroncap-rating-2026": "Cases count by their points in Euro NCAP's rating, not by their runs",
+}
+
+
+def evaluate_command(question: Question) -> str:
+    """Command that evaluates the saved layout, as a shell takes it."""
+    words = ["place-rsus", "evaluate", "--layout", "layout.json"]
+    for field in question_fields().values():
+        value = getattr(question, field.name)
+        if field.name in ("no_look", *JUDGED) and value != field.default:
+            words += [option_of(field)] if value is True else [option_of(field), f"{value}"]
+    return shlex.join(words)
+
+
 def state_record(history: History, scene: Scene) -> dict[str, Any]:
     """Units of the variant that is worked on, and the names of all variants."""
     state = history.state
@@ -114,6 +191,7 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
         "units": [record | own for record, own in zip(drawn, fields, strict=True)],
         "variants": [{"name": one.name, "units": len(one.units)} for one in state.variants],
         "current": state.current,
+        "poles": [_site_record(pole, is_own=True) for pole in state.poles],
         "canUndo": history.can_undo,
         "canRedo": history.can_redo,
         "cost": cost_record(units, scene),
@@ -158,7 +236,16 @@ def _sum(amounts: Sequence[float | None]) -> float | None:
 
 def layout_text(state: PlanState, scene: Scene) -> str:
     """The current variant as the layout file of ``--layout``; InputError: nothing is mounted."""
-    return to_json(state.variant.layout(scene))
+    return to_json_text(json.loads(to_json(state.variant.layout(scene))) | _pole_places(state))
+
+
+def _pole_places(state: PlanState) -> dict[str, Any]:
+    """Poles of one's own as files have them; nothing where there is none."""
+    places = [
+        {"id": pole.id, "x_m": float(pole.position_m[0]), "y_m": float(pole.position_m[1])}
+        for pole in state.poles
+    ]
+    return {"poles": places} if places else {}
 
 
 def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
@@ -169,7 +256,7 @@ def plan_text(state: PlanState, scene: Scene, background: Background | None = No
         else {"name": variant.name, "layout": []}
         for variant in state.variants
     ]
-    record: dict[str, Any] = {"schema": SCHEMA, "scene": scene.name, "variants": variants}
+    record = {"schema": SCHEMA, "scene": scene.name, "variants": variants, **_pole_places(state)}
     if background is not None:
         record["background"] = msgspec.to_builtins(background)
     return to_json_text(record)

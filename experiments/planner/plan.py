@@ -1,22 +1,24 @@
 """The plan as pure values: variants, every way to change them, undo and redo, and its file."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+import shapely
 from msgspec import UNSET, Struct, UnsetType
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import pick
+from geometry.files import pick, read_table
 from geometry.poses import Pose, wrap_deg
-from geometry.scene import Scene, Site
+from geometry.scene import Scene, Site, containing_instance, road_area
 from geometry.sensors import CameraModel, with_fov
 from geometry.terrain import ground_height_m
 from placement.candidates import CandidatePose, is_ring, load_candidate_grid
@@ -34,6 +36,7 @@ _DEFAULT_PITCH_DEG = -15.0
 _LEVEL_DEG = 0.5  # an axis less steep meets the ground too far away to be aimed at it
 _FAR_M = 45.0
 _DECIMALS = 6  # of degrees and metres: finer than anybody mounts
+_FARTHEST_POLE_M, _SAME_PLACE_M = 500.0, 0.01
 _MAX_SIDE_PX = 30_000
 _LEAST_APART_PX, _LEAST_APART_M = 2.0, 0.5
 _MAX_COORDINATE_M = 1.0e6
@@ -57,8 +60,10 @@ class Variant:
         check_count(len(self.units), "units", MAX_UNITS)
 
     def layout(self, scene: Scene) -> Layout:
-        """Layout of a scene. Raises InputError if nothing is mounted."""
-        return Layout(name=self.name, units=self.units, scene_name=scene.name)
+        """Layout of a scene; what it has no site for is mounted by itself. InputError: no unit."""
+        known = {site.id for site in scene.sites}
+        units = [one if one.site_id in known else replace(one, site_id="") for one in self.units]
+        return Layout(name=self.name, units=tuple(units), scene_name=scene.name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,6 +73,7 @@ class PlanState:
     variants: tuple[Variant, ...]
     current: int = 0
     workspace: Any = None
+    poles: tuple[Site, ...] = ()  # of one's own, beside the scene's sites
 
     @property
     def variant(self) -> Variant:
@@ -160,9 +166,22 @@ class Redo(_Request, tag="redo"):
     """Make the change again that was taken back."""
 
 
-Change = (
-    AddUnit | ChangeUnit | RemoveUnit | AddVariant | SelectVariant | RenameVariant | RemoveVariant
-)
+class PutPole(_Request, tag="pole"):
+    """Put a pole of one's own somewhere, or the one that is named, with all that hangs on it."""
+
+    east_m: float
+    north_m: float
+    site: str = ""
+
+
+class RemovePole(_Request, tag="remove-pole"):
+    """Take a pole of one's own away that carries nothing."""
+
+    site: str
+
+
+_OfUnits = AddUnit | ChangeUnit | RemoveUnit | PutPole | RemovePole
+Change = _OfUnits | AddVariant | SelectVariant | RenameVariant | RemoveVariant
 
 
 class Ask(_Request, tag="ask"):
@@ -208,7 +227,18 @@ class ChooseSensors(_Request, tag="sensors"):
     names: list[str]
 
 
-_Other = Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
+class ChangeQuestion(_Request, tag="question"):
+    """Drive other cases, or see and judge them otherwise; what is not given stays as it is."""
+
+    cases: str | UnsetType = UNSET
+    weather: str | UnsetType = UNSET
+    detector: str | UnsetType = UNSET
+    weights: str | UnsetType = UNSET
+    cars: str | UnsetType = UNSET
+    vam_rate: float | UnsetType = UNSET
+
+
+_Other = ChangeQuestion | Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
 Message = Change | Undo | Redo | Revert | _Other
 _DECODER = msgspec.json.Decoder(Message)
 
@@ -248,6 +278,10 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
         case RemoveUnit(unit=name):
             index = _find(units, name)
             return state.with_units([*units[:index], *units[index + 1 :]])
+        case PutPole():
+            return _put_pole(state, change, stock.scene)
+        case RemovePole(site=name):
+            return _remove_pole(state, name)
         case AddVariant(name=name):
             name = name or free_name({variant.name for variant in state.variants}, "Variant ")
             return add_variant(state, Variant(name=name, units=units))
@@ -434,6 +468,106 @@ def _printable(name: str) -> str:
     return name
 
 
+# ---------- poles of one's own
+
+
+class PolePlace(Struct, frozen=True):
+    """A pole of one's own in a file; its height and what it carries are as the scene's."""
+
+    id: str
+    x_m: float
+    y_m: float
+
+
+@lru_cache(maxsize=8)
+def with_poles(scene: Scene, poles: tuple[Site, ...]) -> Scene:
+    """A scene with further sites."""
+    return replace(scene, sites=(*scene.sites, *poles))
+
+
+def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
+    """A pole as most of a scene's are, at another place.
+
+    Raises InputError: it would stand in something or on the road, too far away, or no pole of the
+    scene says what is usual.
+    """
+    standing = [site for site in scene.sites if site.kind != "mast arm"]
+    if not standing:
+        raise InputError("pole", Unquoted("a scene without any"), "one whose poles it can be like")
+    kinds = [(one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing]
+    usual = standing[kinds.index(max(kinds, key=kinds.count))]
+    east_m, north_m = (round(_finite("pole", value), 2) for value in place_m)
+    point, foot_m = shapely.Point(east_m, north_m), np.array([east_m, north_m, 0.0])
+    if not shapely.dwithin(point, shapely.Polygon(scene.outline_m), _FARTHEST_POLE_M):
+        expected = f"one at most {_FARTHEST_POLE_M:g} m from the junction"
+        raise InputError("pole", Unquoted("a place farther away"), expected)
+    foot_m[2] = ground_height_m(scene, foot_m[:2])
+    if around := containing_instance(scene, foot_m + [0.0, 0.0, 1.0]):
+        got = Unquoted(f"a place inside {around.class_name} {around.id}")
+        raise InputError("pole", got, "one in the open air")
+    if road_area(scene).contains(point):
+        raise InputError("pole", Unquoted("a place on the carriageway"), "one beside it")
+    return replace(usual, id=name, position_m=foot_m, use="free")
+
+
+def _own_pole(state: PlanState, name: str) -> Site:
+    return pick({pole.id: pole for pole in state.poles}, name, "pole")
+
+
+def _put_pole(state: PlanState, change: PutPole, scene: Scene) -> PlanState:
+    place_m = change.east_m, change.north_m
+    if not change.site:
+        name = free_name({site.id for site in scene.sites}, "own-")
+        return replace(state, poles=(*state.poles, build_pole(scene, name, place_m)))
+    before = _own_pole(state, change.site)
+    after = build_pole(scene, before.id, place_m)
+
+    def moved(unit: CandidatePose) -> CandidatePose:
+        if unit.site_id != before.id:
+            return unit
+        at_m = unit.pose.position_m + after.position_m - before.position_m
+        return replace(unit, pose=replace(unit.pose, position_m=at_m))
+
+    poles = tuple(after if pole is before else pole for pole in state.poles)
+    return replace(_each_unit(state, moved), poles=poles)
+
+
+def _each_unit(state: PlanState, change: Callable[[CandidatePose], CandidatePose]) -> PlanState:
+    """The state with each unit of each variant changed."""
+    variants = [replace(one, units=tuple(map(change, one.units))) for one in state.variants]
+    return replace(state, variants=tuple(variants))
+
+
+def _remove_pole(state: PlanState, name: str) -> PlanState:
+    pole = _own_pole(state, name)
+    for variant in state.variants:
+        if unit := next((one for one in variant.units if one.site_id == name), None):
+            got = Unquoted(f"{name}, which carries {unit.id} of {variant.name}")
+            raise InputError("pole", got, "one that carries nothing")
+    return replace(state, poles=tuple(one for one in state.poles if one is not pole))
+
+
+def lay_poles(state: PlanState, places: Sequence[PolePlace], scene: Scene) -> PlanState:
+    """The state with the poles of a file, where none is yet, and what hangs on them."""
+    for place in places:
+        if any(_is_at(pole, (place.x_m, place.y_m)) for pole in state.poles):
+            continue
+        ids = {site.id for site in (*scene.sites, *state.poles)}
+        name = free_name(ids, "own-") if place.id in ids else _printable(place.id)
+        pole = build_pole(scene, name, (place.x_m, place.y_m))
+        state = replace(state, poles=(*state.poles, pole))
+
+    def hung(unit: CandidatePose) -> CandidatePose:
+        there = (pole.id for pole in state.poles if _is_at(pole, unit.pose.position_m))
+        return unit if unit.site_id else replace(unit, site_id=next(there, ""))
+
+    return _each_unit(state, hung)
+
+
+def _is_at(pole: Site, place_m: Any) -> bool:
+    return math.dist(pole.position_m[:2], place_m[:2]) < _SAME_PLACE_M
+
+
 # ---------- undo and redo
 
 
@@ -598,6 +732,7 @@ class Plan:
     variants: tuple[Variant, ...]
     scene_name: str = ""
     background: Background | None = None
+    poles: tuple[PolePlace, ...] = ()
 
 
 def check_plan(plan: Plan, scene: Scene) -> None:
@@ -616,7 +751,8 @@ def read_plan(text: bytes, where: str) -> Plan:
         raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
     if not (isinstance(document, dict) and document.get("schema") == SCHEMA):
         variants = [_read_variant(document, text, where, Path(where).stem)]
-        return Plan(variants=tuple(variants), scene_name=_scene_of(document))
+        poles = _read_poles(document, where)
+        return Plan(variants=tuple(variants), scene_name=_scene_of(document), poles=poles)
     records = document.get("variants")
     if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
         raise InputError(f"{where}: variants", Unquoted("none"), f"a list of 1 to {MAX_VARIANTS}")
@@ -634,7 +770,18 @@ def read_plan(text: bytes, where: str) -> Plan:
     background = document.get("background")
     if background is not None:
         background = _read_background(background, f"{where}: background")
-    return Plan(variants=tuple(variants), scene_name=_scene_of(document), background=background)
+    return Plan(
+        variants=tuple(variants),
+        scene_name=_scene_of(document),
+        background=background,
+        poles=_read_poles(document, where),
+    )
+
+
+def _read_poles(document: Any, where: str) -> tuple[PolePlace, ...]:
+    poles = read_table(document.get("poles", []), list[PolePlace], f"{where}: poles")
+    check_count(len(poles), f"{where}: poles", MAX_UNITS)
+    return tuple(poles)
 
 
 def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:

@@ -8,7 +8,7 @@ import shutil
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from functools import cache
 from importlib.resources import files
@@ -19,7 +19,7 @@ from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
 
-from .numbers import layout_text
+from .numbers import evaluate_command, layout_text
 from .plan import MAX_IMAGE_BYTES, MAX_PLAN_BYTES, build_background, read_plan
 from .session import MAX_MAP_BYTES, Session
 from .tasks import Cancelled, TaskError
@@ -40,6 +40,7 @@ except ModuleNotFoundError as error:
 
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_NAME_BYTES = 500
+_WIDEST_PX = 640  # of a picture that is drawn while a camera is turned
 _EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
 _MAX_WAITING = 2000  # messages for a browser that does not read
 _CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
@@ -118,7 +119,8 @@ def page_files() -> dict[str, tuple[bytes, str]]:
         if Path(item.name).suffix in kinds
     }
     report = files("experiments.report") / "templates"
-    shared = [(report / name).read_bytes() for name in ("run_numbers.js", "plan_drawing.js")]
+    scripts = ("words.js", "run_numbers.js", "plan_drawing.js")
+    shared = [(report / name).read_bytes() for name in scripts]
     exported = b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "
     exported += b"wedgeCorners, points, unpackBits, stretches, seconds };\n"
     found["shared.js"] = (b"\n".join([*shared, exported]), "text/javascript")
@@ -153,6 +155,7 @@ class Pages:
             Route("/explain", self._answer(self._explain)),
             Route("/private", self._answer(self._private)),
             Route("/background", self._answer(self._background), methods=["GET", "POST"]),
+            Route("/seen", self._answer(self._seen)),
             Route("/picture", self._answer(self._picture)),
             Route("/report.zip", self._answer(self._report)),
             Route("/sheet.pdf", self._answer(self._sheet)),
@@ -239,6 +242,19 @@ class Pages:
     async def _background(self, request: Request) -> Response:
         """The image below the plan; by POST another one, or with an empty body none."""
         session = self._session
+        name = unquote(request.headers.get("x-file-name", ""))[:200]
+        if request.method == "POST" and name:  # it says itself, or a world file, where it lies
+            path = await self._received(request, _plain_name(name, Path(name).suffix))
+            world, crs = (request.headers.get(f"x-{key}", "")[:500] for key in ("world", "crs"))
+            if world:
+                path.with_suffix(".wld").write_text("\n".join(world.split()))
+            try:
+                session.lay_background(await session.call("lay_raster", str(path), crs))
+            except TaskError as error:
+                raise TaskError(str(error).replace(str(path), name)) from None
+            finally:
+                _remove(path)
+            return JSONResponse({})
         if request.method == "POST":
             content = await _body(request, MAX_IMAGE_BYTES)
             points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
@@ -252,18 +268,26 @@ class Pages:
     async def _explain(self, request: Request) -> Response:
         return JSONResponse(await self._of_run("explain", request))
 
+    async def _seen(self, request: Request) -> Response:
+        """What a camera sees while it is aimed, small."""
+        values = request.query_params
+        found = await self._session.camera_picture(
+            values.get("unit", ""),
+            run_id=values.get("run", ""),
+            frame=_whole_number(values, "frame", -1),
+            width_px=min(max(_whole_number(values, "width", _WIDEST_PX), 1), _WIDEST_PX),
+        )
+        return JSONResponse(found)
+
     async def _picture(self, request: Request) -> Response:
         values = request.query_params
-        try:
-            frame = int(values.get("frame", "-1")[:9])
-        except ValueError:
-            raise InputError("frame", values["frame"], "a whole number") from None
+        frame = _whole_number(values, "frame", -1)
         asked = self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
         picture = await self._session.call("picture", *asked)
         return Response(picture, media_type="image/jpeg")
 
     async def _report(self, request: Request) -> Response:
-        asked = self._session.layout(), "place-rsus plan"
+        asked = self._session.layout(), evaluate_command(self._session.work.question)
         content = await self._session.call("report", *asked, is_long=True)
         return _download(content, "report.zip", "application/zip")
 
@@ -326,6 +350,13 @@ class Pages:
             _remove(path)
             raise
         return path
+
+
+def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:
+    try:
+        return int(values.get(name, str(default))[:9])
+    except ValueError:
+        raise InputError(name, values[name], "a whole number") from None
 
 
 async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:

@@ -21,18 +21,22 @@ from placement.candidates import CandidatePose, build_grid, load_candidate_grid,
 from placement.ground import PrivateGround, PrivateSight, load_private_ground
 from placement.layout import Layout
 from placement.live import LiveTable, table_verdict
+from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
+from ..parts.camera_views import live_picture
 from ..parts.player import svg_path, unit_records
 from . import plan
 from .numbers import (
     centimetres,
+    change_question,
     cost_record,
     coverage_record,
     key_of,
     plan_text,
     private_record,
+    question_record,
     scene_record,
     state_record,
     table_numbers,
@@ -219,13 +223,18 @@ class Session:
         self.workspace = Workspace(work, setting, save=save)
         self._make_worker = make_worker
         self.workspace.background = begun.background if begun else None
-        self.history: History = plan.begin_history(begun.variants if begun else (), self.workspace)
+        first = plan.begin_history(begun.variants if begun else (), self.workspace).state
+        first = plan.lay_poles(first, begun.poles if begun else (), setting.scene)
+        self.history = History(states=(first,))
         self._saves = [save] if save else []
         self.revision = 0
         self.listeners: set[Listener] = set()
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
         self.is_lost = False
         self._exact, self._advice = make_worker(work), make_worker(work)
+        self._begun = work.question
+        # The question that is to come, and whose worker builds its setting
+        self._coming: tuple[Question, Worker | None] = work.question, None
         self._proposals: list[Proposal] = []
         self._numbers_of_proposals = count(1)
         self._words = sensor_words(work.question.sensors)
@@ -238,6 +247,7 @@ class Session:
         self._shows_coverage = False
         self._changed, self._rests, self._moved = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self._views: dict[str, tuple[Key, dict[str, Any]]] = {}  # by unit, with its pose
+        self._picture_turn, self._newest_picture = asyncio.Lock(), object()
         self._tasks: set[asyncio.Task[None]] = set()
         self._doing: dict[str, Any] = {}
 
@@ -250,6 +260,11 @@ class Session:
     def setting(self) -> Setting:
         """Scene and runs."""
         return self.workspace.setting
+
+    @property
+    def scene(self) -> Scene:
+        """The scene with the poles of one's own."""
+        return plan.with_poles(self.setting.scene, self.history.state.poles)
 
     # ---------- life
 
@@ -267,8 +282,9 @@ class Session:
 
     def stop_processes(self) -> None:
         """End everything that works in other processes; from any thread."""
-        for worker in (self._exact, self._advice):
-            worker.stop()
+        for worker in (self._exact, self._advice, self._coming[1]):
+            if worker is not None:
+                worker.stop()
 
     def _spawn(self, work: Any) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -291,6 +307,7 @@ class Session:
         self.listeners.add(listener)
         self.left_at_s = None
         listener(self._scene_message())
+        listener(self._question_message())
         listener(self._state_message())
         listener(self._proposals_message())
         listener(plan.background_message(self.workspace.background))
@@ -320,11 +337,14 @@ class Session:
             },
         }
 
+    def _question_message(self) -> dict[str, Any]:
+        return {"type": "question", **question_record(self.work.question, self._begun)}
+
     def _stock(self) -> plan.Stock:
-        return plan.Stock(scene=self.setting.scene, models=self._models)
+        return plan.Stock(scene=self.scene, models=self._models)
 
     def _state_message(self) -> dict[str, Any]:
-        record = state_record(self.history, self.setting.scene)
+        record = state_record(self.history, self.scene)
         return {"type": "state", "revision": self.revision, **record}
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
@@ -344,6 +364,9 @@ class Session:
                 self._go_to(self.history.redone())
             case plan.Revert(gesture=gesture):
                 self._go_to(self.history.reverted(gesture))
+            case plan.ChangeQuestion():
+                before = self.work.question if self._coming[1] is None else self._coming[0]
+                self._ask(change_question(before, message, self._begun))
             case plan.Ask():
                 if self._advice.is_busy:
                     got = Unquoted("another request")
@@ -384,10 +407,13 @@ class Session:
         plan.check_plan(opened, self.setting.scene)
         state = self.history.state
         if len(state.variants) == 1 and not state.variant.units:
-            state = plan.begin_history(opened.variants, self.workspace).state
+            state = replace(
+                plan.begin_history(opened.variants, self.workspace).state, poles=state.poles
+            )
         else:
             for variant in opened.variants:
                 state = plan.add_variant(state, variant, source=source)
+        state = plan.lay_poles(state, opened.poles, self.setting.scene)
         if opened.background is not None:
             self.lay_background(opened.background)
         self._go_on(state)
@@ -407,6 +433,7 @@ class Session:
             self._proposals = []
             self._views.clear()
             self.send(self._scene_message())
+            self.send(self._question_message())
         self.history = history
         self.revision += 1
         self.send(self._state_message())
@@ -472,12 +499,28 @@ class Session:
         model = self._chosen[0] if self._chosen else load_candidate_grid().sensors[0].name
         return plan.first_units(self._stock(), model)
 
-    async def private_view(self, unit_id: str) -> list[list[int]]:
-        """Places of private ground in a unit's picture, centimetres; InputError: no such unit."""
+    async def camera_picture(self, unit_id: str, **shown: Any) -> dict[str, Any]:
+        """What a camera sees as the newest state has it; see `live_picture`.
+
+        Of those that wait for their turn only the newest is drawn. InputError: there is no such
+        unit, run or frame. Cancelled: another one was asked for meanwhile.
+        """
+        self._newest_picture = asked = object()
+        async with self._picture_turn:
+            if asked is not self._newest_picture:
+                raise Cancelled
+            unit, given = self._unit(unit_id), {"compute": self.work.compute, **shown}
+            return await asyncio.to_thread(live_picture, unit, self.setting, **given)
+
+    def _unit(self, unit_id: str) -> CandidatePose:
         unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
         if unit is None:
             raise InputError("unit", unit_id, "one that is mounted there")
-        return await asyncio.to_thread(self.workspace.private_places, unit)
+        return unit
+
+    async def private_view(self, unit_id: str) -> list[list[int]]:
+        """Places of private ground in a unit's picture, centimetres; InputError: no such unit."""
+        return await asyncio.to_thread(self.workspace.private_places, self._unit(unit_id))
 
     async def _judge(self) -> None:
         """Numbers by the evaluator, of whatever is shown and rests: the newest first."""
@@ -505,7 +548,7 @@ class Session:
 
     async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
         key, workspace = key_of(units), self.workspace
-        layout = Layout(name="plan", units=units, scene_name=self.setting.scene.name)
+        layout = Variant(name="plan", units=units).layout(self.setting.scene)
         self._do("evaluator", "evaluate")
         try:
             stages = self._stages("evaluator")
@@ -546,7 +589,7 @@ class Session:
 
     def _summary(self, units: Sequence[CandidatePose]) -> dict[str, Any]:
         key, workspace = key_of(units), self.workspace
-        cost = cost_record(units, self.setting.scene)
+        cost = cost_record(units, self.scene)
         source = "table" if key in workspace.by_table else "none"
         found = {"apr": workspace.by_table.get(key, ""), "byCase": {}, "oneFails": ""}
         if numbers := workspace.known.get(key):
@@ -583,7 +626,8 @@ class Session:
         words = [self._words[name] for name in self._chosen]
         tell("start", 0, 0)
         try:
-            await self._advice.call("choose_sensors", ",".join(words), on_progress=tell)
+            may = ",".join(words), self.history.state.poles
+            await self._advice.call("choose", *may, on_progress=tell)
             answers = await self._advice.call(
                 "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
             )
@@ -611,7 +655,7 @@ class Session:
         self._rests.set()
 
     def _proposals_message(self) -> dict[str, Any]:
-        scene = self.setting.scene
+        scene = self.scene
         records = [each.record(self._summary(each.units), scene) for each in self._proposals]
         return {"type": "proposals", "proposals": records}
 
@@ -627,6 +671,49 @@ class Session:
         self._proposals = [each for each in self._proposals if each is not proposal]
         self._go_on(state)
         self.send(self._proposals_message())
+
+    # ---------- what is asked
+
+    def _ask(self, question: Question) -> None:
+        """Go on with another question when its runs are there; of several the newest counts."""
+        if self._coming[1] is not None:
+            self._coming[1].stop()
+        self._coming = question, None
+        self._do("setting", "")
+        if question == self.work.question:
+            self.send(self._question_message())
+            return
+        work = replace(self.work, question=question)
+        exact = self._make_worker(work)
+        self._coming = question, exact
+        self._spawn(self._ask_otherwise(work, exact))
+
+    async def _ask_otherwise(self, work: Work, exact: Worker) -> None:
+        """Judge by another question; the layout stays, and Undo leads back."""
+        before, workspace, problem = self.workspace, None, ""
+        self._do("setting", "start")
+        try:
+            setting = await exact.call("open_setting", on_progress=self._stages("setting"))
+            workspace, problem = await asyncio.to_thread(
+                build_workspace, work, setting, title=before.title, save=before.save
+            )
+        except Cancelled:
+            pass
+        except Exception as error:  # whatever it is, what was asked before goes on
+            problem = str(error)
+        if self._coming[1] is not exact:  # something else is asked by now
+            exact.stop()
+            return
+        self._coming = work.question, None
+        self._do("setting", "")
+        self._notice(problem)
+        if workspace is None or self.workspace is not before:  # another scene was opened
+            exact.stop()
+            self.send(self._question_message())
+            return
+        workspace.background = self.workspace.background
+        state = replace(self.history.state, workspace=workspace)
+        self._go_to(self.history.went_on(state).of_newest(_MAX_WORKSPACES), exact)
 
     # ---------- answers to addresses
 

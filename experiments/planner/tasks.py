@@ -3,6 +3,7 @@
 import asyncio
 import io
 import multiprocessing
+import warnings
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -14,8 +15,13 @@ from typing import Any
 
 import numpy as np
 from msgspec import UNSET
+from pyproj.exceptions import CRSError
 
-from geometry.errors import InputError, check_one_of
+from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.files import reading
+from geometry.frames import parse_crs
+from geometry.maps.georeferences import transform
+from geometry.scene import Site
 from geometry.scene_files import load_scene
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
@@ -30,14 +36,17 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.confirmation import is_in_time
 
+from ..parts.camera_views import to_jpeg
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
 from .numbers import evaluated_numbers, key_of
+from .plan import Background, Lie, LiePoint, with_poles
 
 _MAX_EVALUATIONS = 40
 _MAX_JUNCTIONS = 400
+_AERIAL_M, _FINEST_M = 150.0, 0.1  # of an image: to each side of the junction, and a pixel
 _REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
 
 
@@ -60,7 +69,8 @@ class Tasks:
         self._of_units = replace(self._compute, cache_folder=work.scratch / "views")
         self._evaluations: OrderedDict[tuple[object, ...], Evaluation] = OrderedDict()
         self._adviser: Adviser | None = None
-        self._sensors = work.question.sensors
+        self._poles: tuple[Site, ...] = ()
+        self._chosen: tuple[str, list[Any]] = work.question.sensors, []
 
     @cached_property
     def setting(self) -> Setting:
@@ -141,8 +151,6 @@ class Tasks:
 
     def picture(self, layout: Layout, unit_id: str, run_id: str, frame: int) -> bytes:
         """Picture of a camera in a frame of a run, as JPEG."""
-        from PIL import Image
-
         from placement.evaluator.pictures import find_frame, find_viewpoint, render
         from placement.imaging import Picture
 
@@ -152,15 +160,67 @@ class Tasks:
         seen = render(self.setting.scene, run, frame, viewpoint, compute=self._of_units)
         if not isinstance(seen, Picture):
             raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
-        buffer = io.BytesIO()
-        Image.fromarray(seen.rgb).save(buffer, format="JPEG", quality=85)
-        return buffer.getvalue()
+        return to_jpeg(seen.rgb)
 
-    def choose_sensors(self, sensors: str) -> None:
-        """Models that advice may mount, with commas between; none: the grid's own."""
-        if sensors != self._sensors:
+    def lay_raster(self, path: str, crs: str) -> Background:
+        """The part of an aerial image that lies around the junction, north up.
+
+        `crs` is the reference system of a world file next to it. Raises InputError: it does not say
+        where it lies, or lies elsewhere.
+        """
+        try:
+            import rasterio
+            from rasterio.vrt import WarpedVRT
+        except ImportError:
+            expected = "rasterio to read it: pip install place-rsus[terrain]"
+            raise InputError(path, Unquoted("an image with a place"), expected) from None
+        scene, file = self.setting.scene, Path(path)
+        expected = "an image of the junction in 8 bits per colour that says where it lies"
+        driver = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}.get(file.suffix.lower(), "GTiff")
+        unplaced = rasterio.errors.NotGeoreferencedWarning
+        with (
+            reading(file, expected, rasterio.errors.RasterioError, CRSError),
+            rasterio.Env(GDAL_PAM_ENABLED="NO"),
+            warnings.catch_warnings(action="ignore", category=unplaced),
+            rasterio.open(path, driver=driver) as raster,
+        ):
+            grid, own = raster.transform, raster.crs.to_wkt() if raster.crs else crs
+            is_coloured = raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
+            if grid.is_identity or not (own and scene.crs and is_coloured):
+                raise InputError(path, Unquoted("another one, or a scene at no place"), expected)
+            edges = [(x, y) for x in (0, raster.width) for y in (0, raster.height)]
+            corners_m = transform([grid @ edge for edge in edges], own, scene.crs)
+            low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
+            step_m = max(float(high_m[0] - low_m[0]) / raster.width, _FINEST_M)
+            centre_m = scene.outline_m.mean(axis=0)
+            west, south = np.maximum(low_m, centre_m - _AERIAL_M).tolist()
+            east, north = np.minimum(high_m, centre_m + _AERIAL_M).tolist()
+            if not (west < east and south < north):
+                raise InputError(path, Unquoted("an image of elsewhere"), expected)
+            width, height = (int(np.ceil(span / step_m)) for span in (east - west, north - south))
+            has_alpha = any(band.name == "alpha" for band in raster.colorinterp)
+            with WarpedVRT(
+                raster,
+                src_crs=parse_crs(own).to_wkt(),
+                crs=parse_crs(scene.crs).to_wkt(),
+                transform=rasterio.Affine(step_m, 0.0, west, 0.0, -step_m, north),
+                **{"width": width, "height": height, "add_alpha": not has_alpha},
+            ) as part:
+                rgb = part.read([1, 2, 3] if raster.count >= 3 else [1, 1, 1])
+                rgb[:, part.dataset_mask() == 0] = 255
+        points = (
+            LiePoint(0.0, 0.0, west, north),
+            LiePoint(width, height, west + width * step_m, north - height * step_m),
+        )
+        lie = Lie(width_px=width, height_px=height, points=points)
+        return Background(lie=lie, image=to_jpeg(np.moveaxis(rgb, 0, -1)))
+
+    def choose(self, sensors: str, poles: tuple[Site, ...] = ()) -> None:
+        """Models that advice may mount, with commas between (none: the grid's), and own poles."""
+        chosen = sensors, [(pole.id, *pole.position_m) for pole in poles]
+        if chosen != self._chosen:
             own_models(sensors)  # names are checked now
-            self._sensors, self._adviser = sensors, None
+            self._chosen, self._poles, self._adviser = chosen, poles, None
 
     def advise(
         self, units: Sequence[CandidatePose], request: str, *, n_units: int = 0, site: str = ""
@@ -188,10 +248,10 @@ class Tasks:
         if self._adviser is None:
             nothing: dict[str, Any] = {"budget": None, "budget_cost": None, "target": ""}
             nothing |= {"survive": "0", "min_case_apr": 0.0}
-            question = replace(self._work.question, sensors=self._sensors, **nothing)
-            assembly = assemble(
-                question, setting=self.setting, counts_money=True, compute=self._compute
-            )
+            question = replace(self._work.question, sensors=self._chosen[0], **nothing)
+            scene = with_poles(self.setting.scene, self._poles)
+            setting = replace(self.setting, scene=scene)
+            assembly = assemble(question, setting=setting, counts_money=True, compute=self._compute)
             self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
 

@@ -14,7 +14,7 @@ from placement.evaluation import Evaluation
 from placement.setting import Setting
 
 from ..figures.axes import unit_labels
-from ..language import tr, trn
+from ..language import language, mark, tr, trn
 from ..parts import added, answer, comparison, dangers, proof, road_users, study_cases
 from ..parts.accidents import accidents_section, cases_section, runs_section, unit_apr_table
 from ..parts.alternatives import failures_section
@@ -57,7 +57,7 @@ def page_environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals |= {"tr": tr, "trn": trn}
+    environment.globals |= {"tr": tr, "trn": trn, "mark": mark, "language": language}
     return environment
 
 
@@ -119,7 +119,7 @@ def build_report(
         failures_section(subject, setting.rule, labels),
         Section(
             "alone",
-            "What each unit achieves alone",
+            tr("What each unit achieves alone"),
             [unit_apr_table(name, item) for name, item in detailed.items()],
         ),
         private_ground_section(result.private_ground, labels),

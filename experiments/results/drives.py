@@ -12,7 +12,8 @@ from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
 
-from .numbers import count_runs, finite_or_none, joined
+from ..language import said, say, tr
+from .numbers import capital, count_runs, finite_or_none, joined
 from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
@@ -90,10 +91,11 @@ def _without_effect(setting: Setting) -> Iterator[str]:
         if name != "day" and contrast >= detector.min_contrast:
             alike.append(name)
     if alike:
-        changes = "changes" if len(alike) == 1 else "change"
-        yield (
-            f"{joined(alike).capitalize()} {changes} nothing for cameras here: the "
-            f"{detector.name} detector knows no light. --detector response does."
+        yield say(
+            "drives.no_light",
+            len(alike),
+            weathers=capital(joined([*map(said, alike)])),
+            detector=detector.name,
         )
 
 
@@ -103,13 +105,14 @@ def describe_driven(setting: Setting) -> list[str]:
     if not lacking_room(setting):
         return limits
     n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
-    first = f"{n_runs} of {n_possible} possible runs could be driven"
+    first = tr("{n} of {all} possible runs could be driven", n=n_runs, all=n_possible)
     if n_runs == n_possible:
-        first = f"All {n_runs} possible runs are driven"
+        first = tr("All {n} possible runs are driven", n=n_runs)
     gaps = list(_gaps(setting))
-    more = [f"{len(gaps) - _MOST_GAPS} more below"] if len(gaps) > _MOST_GAPS else []
-    said = "; ".join([*gaps[:_MOST_GAPS], *more])
-    return [f"{first}: {said}." if said else f"{first}.", *_reasons(setting), *limits]
+    n_left = len(gaps) - _MOST_GAPS
+    more = [tr("{n} more below", n=n_left)] if n_left > 0 else []
+    missing = "; ".join([*gaps[:_MOST_GAPS], *more])
+    return [f"{first}: {missing}." if missing else f"{first}.", *_reasons(setting), *limits]
 
 
 def describe_limits(setting: Setting) -> list[str]:
@@ -119,12 +122,17 @@ def describe_limits(setting: Setting) -> list[str]:
         return []
     arms: dict[str, dict[str, None]] = {}
     for one in found:
-        arms.setdefault(f"{one.limit_kmh:g} km/h", {})[one.approach] = None
-    where = joined([f"{limit} from the {joined(list(names))}" for limit, names in arms.items()])
-    n_runs = sum(len(one.speeds_kmh) for one in found) * _n_weathers(setting)
+        arms.setdefault(f"{one.limit_kmh:g} km/h", {})[said(one.approach)] = None
+    where = [
+        tr("{limit} from the {arms}", limit=limit, arms=joined(list(names)))
+        for limit, names in arms.items()
+    ]
     return [
-        f"Left out: {count_runs(n_runs)} of the protocol faster than the map's speed limits, "
-        f"{where} (--speeds all drives them)."
+        say(
+            "drives.too_fast",
+            sum(len(one.speeds_kmh) for one in found) * _n_weathers(setting),
+            where=joined(where),
+        )
     ]
 
 
@@ -141,18 +149,14 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
     """Cases that meet somebody who is not protected, and cases that are laid nowhere."""
     names = unprotected_cases(setting)
     if names:
-        verb = "do" if len(names) > 1 else "does"
-        yield (
-            f"Only vulnerable road users are protected: {joined(names)}, where a car is met, "
-            f"{verb} not count (--protect all counts cars, too)."
-        )
+        yield say("drives.unprotected", len(names), cases=joined(names))
     reasons: dict[str, dict[str, None]] = {}
     for one in setting.refusals:
         if one.left_out == "not laid":
             reasons.setdefault(one.reason.removesuffix("."), {})[one.case.name] = None
     if reasons:
-        said = "; ".join(f"{joined(list(cases))}: {reason}" for reason, cases in reasons.items())
-        yield f"Not laid at any junction: {said}."
+        listed = [f"{joined(list(cases))}: {said(reason)}" for reason, cases in reasons.items()]
+        yield tr("Not laid at any junction: {cases}.", cases="; ".join(listed))
 
 
 def unprotected_cases(setting: Setting) -> list[str]:
@@ -179,24 +183,28 @@ def _gaps(setting: Setting) -> Iterator[str]:
     missing = {pair: one for pair, one in refused.items() if pair not in driven}
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
-        yield f"no {joined(list(dict.fromkeys(nowhere)))} at all"
+        yield tr("no {cases} at all", cases=joined(list(dict.fromkeys(nowhere))))
     left = {
         pair: one for pair, one in missing.items() if pair[0] not in nowhere and one.is_possible
     }
     from_arms = {arm for _, arm in driven}
     silent = dict.fromkeys(arm for _, arm in left if arm not in from_arms)
     if silent:
-        yield f"nothing from the {joined(list(silent))}"
+        yield tr("nothing from the {arms}", arms=joined([*map(said, silent)]))
     kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
-    told: dict[str, list[str]] = {}
+    told: dict[tuple[bool, str], list[str]] = {}  # of a kind, or of a case; name; arms
     for name, arm in left:
         if arm in silent:
             continue
         kind = kinds[name]
         has_kind = any(kinds[other] == kind for other, from_arm in driven if from_arm == arm)
-        told.setdefault(f"no {name}" if has_kind else f"no {kind} case", []).append(arm)
-    for what in sorted(told, key=lambda text: not text.endswith(" case")):
-        yield f"{what} from the {joined(list(dict.fromkeys(told[what])))}"
+        told.setdefault((False, name) if has_kind else (True, kind), []).append(said(arm))
+    for is_kind, name in sorted(told, key=lambda what: not what[0]):
+        arms = joined(list(dict.fromkeys(told[is_kind, name])))
+        if is_kind:
+            yield tr("no {kind} case from the {arms}", kind=said(name), arms=arms)
+        else:
+            yield tr("no {case} from the {arms}", case=name, arms=arms)
 
 
 def _reasons(setting: Setting) -> Iterator[str]:
@@ -217,10 +225,19 @@ def _reasons(setting: Setting) -> Iterator[str]:
         cases: dict[str, list[str]] = {}
         for name, of_case in places.items():
             cases.setdefault(describe_places(of_case), []).append(name)
-        where = "; ".join(f"{joined(names)} from the {found}" for found, names in cases.items())
-        what = count_runs(count(group))
-        prefix = "" if group[0].is_possible else "Not possible, "
-        yield f"{prefix}{what}: {reason.removesuffix('.')} ({where})."
+        where = [
+            tr("{cases} from the {places}", cases=joined(names), places=found)
+            for found, names in cases.items()
+        ]
+        values = {
+            "runs": count_runs(count(group)),
+            "reason": said(reason.removesuffix(".")),
+            "where": "; ".join(where),
+        }
+        if group[0].is_possible:
+            yield tr("{runs}: {reason} ({where}).", **values)
+        else:
+            yield tr("Not possible, {runs}: {reason} ({where}).", **values)
 
 
 def describe_places(positions: Mapping[str, Sequence[str]]) -> str:
@@ -236,9 +253,16 @@ def describe_places(positions: Mapping[str, Sequence[str]]) -> str:
     arms: dict[str, list[str]] = {}
     for arm, found in positions.items():
         names = list(dict.fromkeys(found))
-        where = "" if names == [AT_ZERO.name] else f" (at {', '.join(names)})"
-        arms.setdefault(where, []).append(arm)
-    return joined([f"{joined(found)}{where}" for where, found in arms.items()])
+        where = "" if names == [AT_ZERO.name] else ", ".join(names)
+        arms.setdefault(where, []).append(said(arm))
+    return joined(
+        [
+            tr("{arms} (at {positions})", arms=joined(found), positions=where)
+            if where
+            else joined(found)
+            for where, found in arms.items()
+        ]
+    )
 
 
 def versions() -> dict[str, str]:

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 
+from ..language import localized, tr, trn
+
 NOTHING = "\N{EN DASH}"
 """Stands where there is no number."""
 
@@ -20,10 +22,10 @@ def percent(share: float | None) -> str:
     if share is None or math.isnan(share):
         return NOTHING
     if 0.9995 <= share < 1.0 - 1.0e-9:
-        return ">99.9 %"
+        return localized(">99.9 %")
     if 1.0e-9 < share < 0.0005:
-        return "<0.1 %"
-    return f"{100.0 * share:.1f} %"
+        return localized("<0.1 %")
+    return localized(f"{100.0 * share:.1f} %")
 
 
 def cars_words(cars: float) -> str:
@@ -36,7 +38,7 @@ def cars_words(cars: float) -> str:
     """
     if not cars:
         return ""
-    return ", cars see" if cars == 1.0 else f", {percent(cars)} of the cars see"
+    return tr(", cars see") if cars == 1.0 else tr(", {share} of the cars see", share=percent(cars))
 
 
 def points(share: float) -> str:
@@ -47,8 +49,8 @@ def points(share: float) -> str:
     >>> points(0.022), points(0.01)
     ('2.2 points', '1 point')
     """
-    shown = number(100.0 * share, 1)
-    return "1 point" if shown == "1.0" else f"{shown} points"
+    shown = round(100.0 * share, 1) + 0.0
+    return tr("1 point") if shown == 1.0 else tr("{n} points", n=number(shown, 1))
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -56,7 +58,8 @@ def number(value: float | None, digits: int = 2) -> str:
     if value is None or not math.isfinite(value):
         return NOTHING
     # Adding zero turns -0.0 into 0.0.
-    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    text = f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    return localized(text)
 
 
 def euros(amount: float | None) -> str:
@@ -67,7 +70,7 @@ def euros(amount: float | None) -> str:
     >>> euros(4500.0), euros(None)
     ('4,500 EUR', 'unknown')
     """
-    return "unknown" if amount is None else f"{amount:,.0f} EUR"
+    return tr("unknown") if amount is None else tr("{amount:,.0f} EUR", amount=amount)
 
 
 def finite_or_none(value: float) -> float | None:
@@ -92,13 +95,13 @@ def several(count: int, one: str, many: str) -> str:
 
 def count_runs(n_runs: int) -> str:
     """'1 run', '2 runs' and so on."""
-    return several(n_runs, "run", "runs")
+    return trn("{n} run", "{n} runs", n_runs)
 
 
 def joined(words: Sequence[str]) -> str:
     """Words as a list in a sentence: "a", "a and b", "a, b and c"."""
     *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
+    return tr("{first} and {last}", first=", ".join(first), last=last) if first else last
 
 
 def capital(text: str) -> str:
@@ -110,7 +113,7 @@ def first_of(words: Sequence[str], most: int) -> str:
     """The first words of a list with commas, and how many more there are."""
     listed = ", ".join(words[:most])
     n_left = len(words) - most
-    return f"{listed} and {n_left} more" if n_left > 0 else listed
+    return tr("{listed} and {n} more", listed=listed, n=n_left) if n_left > 0 else listed
 
 
 def shortened(text: str, width: int) -> str:

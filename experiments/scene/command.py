@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _MAX_LISTED = 20
 
 
-def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
+def reading_options(command: Callable[..., Any], *, staggered_m: float = 0.0) -> Callable[..., Any]:
     """Add the options about facts that files do not state; the command gets one `reading`."""
 
     @wraps(command)
@@ -31,7 +31,7 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         from geometry.maps.importing import ReadingOptions
 
         side = values.pop("driving_side")
-        names = ("unit", "up", "class_name", "crs", "layer", "offset_m")
+        names = ("unit", "up", "class_name", "crs", "layer", "offset_m", "staggered_m")
         reading = ReadingOptions(
             keeps_left=None if side == "map" else side == "left",
             **{name: values.pop(name) for name in names},
@@ -39,7 +39,8 @@ def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(*args, reading=reading, **values)
 
     offset = {"type": lambda text: read_point(text, "--offset")}
-    return options.from_table("reading", offset_m=offset)(with_reading)
+    staggered = {"default": staggered_m}
+    return options.from_table("reading", offset_m=offset, staggered_m=staggered)(with_reading)
 
 
 @click.group()

@@ -1,9 +1,12 @@
 """Pictures: plan and view of a scene, and the junctions of a map."""
 
+import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import shapely
+from jinja2 import PackageLoader
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patheffects import withStroke
@@ -21,6 +24,8 @@ from geometry.scene import Scene, road_area
 from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
 from ..figures.labels import Label, arm_names, draw_labels
 from ..figures.plan import draw_scene
+from ..language import language
+from ..report.page import page_environment
 
 _COLOURS = {
     "ground": (0.93, 0.92, 0.89),
@@ -40,6 +45,7 @@ _MAX_TRIANGLES = 400_000  # of buildings; more are not drawn
 _ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
 _BEYOND = 0.08  # of the span of the junctions, around them
 _LEAST_M = 120.0
+_NAMED_M, _NAMED_AGAIN_M = 45.0, 250.0  # a street's name from a junction; and again
 _FEW, _MOST_WIDTHS = 12, 3.0  # junctions in a figure of the usual width; its widest
 HALO = withStroke(linewidth=2.5, foreground="white")
 
@@ -168,6 +174,44 @@ def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> A
     ]
     draw_labels(axes, names, marks_m=places)
     return axes
+
+
+def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str) -> str:
+    """A page to choose one of the junctions of the first map, on its streets with their names.
+
+    It loads nothing. `command` makes a scene of a junction whose id follows.
+    """
+    places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
+    low, high = places.min(axis=0), places.max(axis=0)
+    around = _BEYOND * (high - low) + _LEAST_M
+    left, top = low[0] - around[0], high[1] + around[1]
+
+    def on_page(points_m: FloatArray) -> FloatArray:
+        return np.asarray(np.round((points_m[..., :2] - [left, top]) * [1.0, -1.0], 1))
+
+    lines = [lane.centreline_m for lane in maps[0].lanes if lane.kind == "driving"]
+    ways = [
+        shapely.get_coordinates(shapely.simplify(shapely.LineString(on_page(one)), 0.5))
+        for one in lines
+    ]
+    names: dict[tuple[str, int, int], dict[str, Any]] = {}
+    for road in (road for one in surveyed for road in one.junction.roads):
+        x, y = on_page(road.point_m + _NAMED_M * road.direction)
+        turn_deg = -np.degrees(np.arctan2(road.direction[1], road.direction[0]))
+        upright_deg = (turn_deg + 90.0) % 180.0 - 90.0
+        place = {"name": road.name, "x": x, "y": y, "turn_deg": round(upright_deg)}
+        if not re.fullmatch(r"(way|road) \S+", road.name):
+            names.setdefault((road.name, x // _NAMED_AGAIN_M, y // _NAMED_AGAIN_M), place)
+    environment = page_environment().overlay(loader=PackageLoader(__package__, ""))
+    return environment.get_template("junctions.html.j2").render(
+        name=maps[0].name,
+        box=[0, 0, *np.round(high - low + 2.0 * around, 1)],
+        streets="".join("M" + "L".join(f"{x:g},{y:g}" for x, y in way) for way in ways),
+        names=list(names.values()),
+        junctions=list(zip(surveyed, on_page(places).tolist(), strict=True)),
+        command=command,
+        language=language,
+    )
 
 
 def new_map_axes(

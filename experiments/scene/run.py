@@ -1,6 +1,7 @@
 """``place-rsus scene``: import scenes, show them, check them; and what there is to say of them."""
 
 import hashlib
+import shlex
 import tempfile
 from collections.abc import Sequence
 from functools import partial
@@ -44,9 +45,10 @@ from ..figures.axes import to_png
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder, write_files
 from ..results.record import Record
-from .pictures import plot_junctions, plot_scene_plan, plot_scene_view
+from .pictures import junctions_page, plot_junctions, plot_scene_plan, plot_scene_view
 
-PLAN_NAME, VIEW_NAME, JUNCTIONS_NAME = "plan.png", "view.png", "junctions.png"
+PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
+JUNCTIONS_NAME, JUNCTIONS_PAGE = "junctions.png", "junctions.html"
 _STUDY = "town05"
 _DIGITS = 3  # a millimetre
 IMPORT_VERSION = 2
@@ -323,7 +325,9 @@ def run_show(
             skipped=tuple(skip for source in maps for skip in source.skipped),
             crs=roads.source_crs or roads.crs or None,
         )
-        draw = partial(_picture_of_map, maps, listed)
+        command = f"place-rsus scene import {shlex.join(map(str, paths))}"
+        command += f" --staggered {reading.staggered_m:g}" if reading.staggered_m else ""
+        draw = partial(_pictures_of_map, maps, listed, command)
     else:
         scene = load_scene(paths[0] if paths else "")
         result = build_scene_result(scene)
@@ -335,8 +339,14 @@ def run_show(
     return replace(result, written=str(out))
 
 
-def _picture_of_map(maps: Sequence[SourceMap], listed: Sequence[Surveyed]) -> dict[str, bytes]:
-    return {JUNCTIONS_NAME: to_png(plot_junctions(maps, listed))}
+def _pictures_of_map(
+    maps: Sequence[SourceMap], listed: Sequence[Surveyed], command: str
+) -> dict[str, bytes]:
+    page = junctions_page(maps, listed, command=f"{command} --junction")
+    return {
+        JUNCTIONS_NAME: to_png(plot_junctions(maps, listed)),
+        JUNCTIONS_PAGE: page.encode(),
+    }
 
 
 def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:

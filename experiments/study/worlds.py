@@ -4,6 +4,7 @@ For cars that see or are blind, as planned or in sampled worlds, by the mean or 
 what is found is judged in fresh worlds that nothing was chosen in, beside greedy choice.
 """
 
+import math
 import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geometry.arrays import FloatArray
+from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes, write_atomically
 from geometry.scene_files import load_scene
@@ -95,6 +97,7 @@ class Records(msgspec.Struct, kw_only=True):
     chosen: dict[str, list[Chosen]] = {}  # by name of where
     fresh: dict[str, dict[str, list[float]]] = {}  # by scene and cars, by rows: APR by world
     planned: dict[str, dict[str, tuple[float, float]]] = {}  # as fresh: APR, and if one unit fails
+    too_large: list[str] = []  # names of where, which do not fit into memory: nothing is chosen
 
 
 def scene_name(scene: str) -> str:
@@ -218,23 +221,36 @@ def in_own_process(function: Callable[..., T], *arguments: object) -> T:
         return pool.submit(function, *arguments).result()
 
 
-def run(study: Study, path: Path, compute: Compute) -> Records:
+class TimeUp(Exception):
+    """No further part begins: the time given is over."""
+
+
+def run(study: Study, path: Path, compute: Compute, *, until_s: float = math.inf) -> Records:
     """Compute what the file of records lacks, and save it after each part.
 
-    Raises InputError if the file is of another question, or of other code.
+    Raises TimeUp once a part ends after the instant `until_s` of `geometry.clock`; InputError if
+    the file is of another question, or of other code.
     """
     records = _read(path, study.question)
 
     def save() -> None:
         write_atomically(path, msgspec.json.encode(records))
+        if now_s() > until_s:
+            raise TimeUp
 
     wheres = [*study.wheres()]
     for index, where in enumerate(wheres):
         compute.progress("choose", index, len(wheres))
         known = records.chosen.setdefault(where.name, [])
         have = {one.wanted for one in known}
-        if missing := [one for one in study.wanted(where) if one not in have]:
-            known += in_own_process(choose, study.question, where, missing, compute)
+        missing = [one for one in study.wanted(where) if one not in have]
+        if missing and where.name not in records.too_large:
+            try:
+                known += in_own_process(choose, study.question, where, missing, compute)
+            except InputError as error:
+                if error.where != "memory":
+                    raise
+                records.too_large.append(where.name)
             save()
     for scene, cars in product(study.scenes, CARS):
         layouts = study.layouts(records, scene, cars)
@@ -379,6 +395,8 @@ def _sight_rows(study: Study, records: Records, scene: str) -> Iterator[list[str
     places = [(0, 0.0), (0, GIVE_UP), *((n_worlds, 0.0) for n_worlds in study.samples)]
     for budget, (n_worlds, given), chosen_for in product(study.budgets, places, CARS):
         where = Where(scene=scene, cars=chosen_for, n_worlds=n_worlds)
+        if where.name in records.too_large:
+            continue
         key = _key(_one(records, where, budget, given).found)
         cells = [str(budget), place_name(n_worlds, given), chosen_for]
         for judged in wheres:
@@ -430,9 +448,9 @@ def plot_layouts(study: Study, records: Records, compute: Compute) -> Figure:
         place_name(0, 0.0): _one(records, plan, budget).found,
         "plan, greedy": _one(records, plan, budget).greedy,
     }
-    for n_worlds in study.samples[-1:]:
-        in_worlds = replace(plan, n_worlds=n_worlds)
-        shown[place_name(n_worlds, 0.0)] = _one(records, in_worlds, budget).found
+    in_worlds = [replace(plan, n_worlds=n_worlds) for n_worlds in study.samples]
+    for where in [one for one in in_worlds if one.name not in records.too_large][-1:]:
+        shown[place_name(where.n_worlds, 0.0)] = _one(records, where, budget).found
     figure = new_figure(len(shown) * WIDTH_IN, 1.3 * WIDTH_IN)
     for (name, rows), axes in zip(shown.items(), figure.subplots(1, len(shown)), strict=True):
         layout = pick_layout(assembly.candidates, rows, name)
@@ -465,6 +483,8 @@ def describe(study: Study, records: Records, pictures: Sequence[str]) -> str:
         "that were chosen in; the gap is what the layout may lack of the best over all worlds at "
         f"most, with 95 %, by {study.n_blocks} blocks of worlds; its bias is what more worlds in a "
         "block or a better layout would take away. Processor seconds have those of the table.",
+        "",
+        *(f"Not in the memory of this machine: {name}." for name in records.too_large),
         "",
     ]
     for scene, picture in zip(study.scenes, pictures[1:], strict=True):
@@ -520,6 +540,7 @@ def _numbers(text: str, *, least: int = 1) -> tuple[int, ...]:
 @click.option("--judge", "n_judged", type=click.IntRange(2), default=60, show_default=True)
 @click.option("--speeds", default="", help="VUT speeds; default: those of the question.")
 @click.option("--time-limit", type=click.FloatRange(1.0), default=120.0, show_default=True)
+@click.option("--hours", type=click.FloatRange(0.0), help="Begin no part later; default: all.")
 @click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Threads.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default="results/worlds.md", show_default=True
@@ -535,6 +556,7 @@ def main(
     n_judged: int,
     speeds: str,
     time_limit: float,
+    hours: float | None,
     workers: int,
     out: Path,
 ) -> None:
@@ -557,7 +579,11 @@ def main(
     progress.start(quiet=False)
     compute = Compute(workers=workers, progress=progress, cache_folder=folder / "cache")
     try:
-        records = run(study, folder / "records.json", compute)
+        until_s = math.inf if hours is None else now_s() + 3600.0 * hours
+        records = run(study, folder / "records.json", compute, until_s=until_s)
+    except TimeUp:
+        click.echo(f"The time is up; the same command goes on with {folder}.")
+        return
     except InputError as error:
         raise click.UsageError(str(error)) from None
     finally:

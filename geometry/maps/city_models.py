@@ -16,7 +16,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import read_text
+from ..files import load_data, read_text
 from ..notes import Note
 from ..scene import join
 from ..untrusted_files import local_name, parse_object, read_xml
@@ -40,32 +40,13 @@ _VERSIONS = ("1.0", "1.1", "2.0")
 _MAX_RING = 100_000
 _SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
 _SURFACES_AT |= {"CompositeSolid": 2}
-_HEIGHTS = ("measuredHeight", "height", "Height", "Hoehe")
 _WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
-# Class of thing by the type of an object.
-CLASS_OF_TYPE = {
-    "Building": "building",
-    "BuildingPart": "building",
-    "BuildingInstallation": "building",  # balconies, outer stairs, chimneys
-    "BuildingConstructiveElement": "building",
-    "OtherConstruction": "wall",  # city walls, sheds, tanks
-    "CityFurniture": "wall",  # opaque like one, unless its name says lamp or tree
-    "SolitaryVegetationObject": "vegetation",
-    "PlantCover": "vegetation",
-}
+_TYPES: dict[str, Any] = load_data("geometry.maps", "words.toml")["city"]
+CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
+"""Class of thing by the type of an object."""
 _Table = Mapping[str, Any]
 _GML = "CityGML"
-_OTHER_TYPES = (
-    *("Bridge", "BridgePart", "Tunnel", "TunnelPart", "HollowSpace", "Road", "Railway", "Track"),
-    *("Square", "Waterway", "WaterBody", "LandUse", "ReliefFeature", "TINRelief", "RasterRelief"),
-    *("GenericCityObject", "GenericOccupiedSpace", "TransportationComplex", "CityObjectGroup"),
-    *("Room", "BuildingRoom", "BuildingFurniture", "BuildingUnit", "Storey"),
-)
-_SURFACE_TYPES = (
-    *("GroundSurface", "WallSurface", "RoofSurface", "ClosureSurface", "OuterCeilingSurface"),
-    *("OuterFloorSurface", "GenericThematicSurface"),
-)
 _GEOMETRY = re.compile(r"lod([0-4])(\w+)")
 _FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
 _NAMES_OF_GML = ("name", "class", "function", "usage")
@@ -75,7 +56,6 @@ _GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
 _HREF = "{http://www.w3.org/1999/xlink}href"
 # Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
 _Shape = tuple[int, int, list[Polygon3D]]
-_HEIGHT_UNITS_M = {"m": 1.0, "metre": 1.0, "meter": 1.0, "ft": 0.3048, "cm": 0.01, "km": 1000.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,20 +92,14 @@ def read_cityjson(path: Path) -> SourceMap:
     scale, translate = _transform(head.get("transform"), where)
     templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
-        with np.errstate(over="ignore"):  # city_map refuses what is not finite
+        with np.errstate(over="ignore"):  # _city_map refuses what is not finite
             corners = _vectors(document.get("vertices", []), f"{where}: vertices")
             vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
-    return city_map(
-        objects,
-        name=path.name,
-        where=where,
-        declared_crs=crs if isinstance(crs, str) else "",
-        follows_authority=False,  # CityJSON has easting first, whatever the reference system says
-        skipped=skipped,
-    )
+    # Easting comes first, whatever the reference system says.
+    return _city_map(path, objects, skipped, crs if isinstance(crs, str) else "", by_axes=False)
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
@@ -192,10 +166,9 @@ class _Templates:
         template, here = self.templates[index], f"{self.where}.templates[{index}]"
         if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
             refuse(here, "no geometry", "one")
-        return [
-            [ring @ matrix[:3, :3].T + matrix[:3, 3] + vertices[anchor[0]] for ring in polygon]
-            for polygon in _polygons(template, self.vertices, here)
-        ]
+        turn, shift, foot = matrix[:3, :3].T, matrix[:3, 3], vertices[anchor[0]]
+        polygons = _polygons(template, self.vertices, here)
+        return [[ring @ turn + shift + foot for ring in polygon] for polygon in polygons]
 
 
 def _objects(
@@ -242,7 +215,7 @@ def _objects(
 
 def _height_m(attributes: _Table) -> float | None:
     """Height in the first of the known attributes; None: there is none, or no number."""
-    value = next((attributes[key] for key in _HEIGHTS if key in attributes), None)
+    value = next((attributes[key] for key in _TYPES["heights"] if key in attributes), None)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if abs(value) <= sys.float_info.max else None
@@ -312,16 +285,19 @@ def _is_index(value: Any, n: int) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < n
 
 
-def city_map(
+def _city_map(
+    path: Path,
     objects: Sequence[CityObject],
-    *,
-    name: str,
-    where: str,
-    declared_crs: str,
-    follows_authority: bool,
     skipped: Sequence[Note],
+    declared_crs: str,
+    *,
+    by_axes: bool,
 ) -> SourceMap:
-    """Build a map from the objects of a city model; InputError: nothing solid, or too much."""
+    """Map of the objects of a city model, whose axes may be in the order of its reference system.
+
+    Raises InputError: nothing solid, or too much.
+    """
+    where = str(path)
     objects = [item for item in objects if item.polygons]
     if not objects:
         expected = "objects of level of detail 0 to 3" + _said(skipped)
@@ -330,9 +306,7 @@ def city_map(
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
         refuse(where, "a coordinate that is not finite", "finite numbers")
-    place = georeference(
-        points[:, :2], declared_crs, where=where, follows_authority=follows_authority
-    )
+    place = georeference(points[:, :2], declared_crs, where=where, follows_authority=by_axes)
     points = place.to_metres(points, where)
     in_metres = iter(np.split(points, np.cumsum([len(ring) for ring in rings])[:-1]))
     things: list[Thing] = []
@@ -353,7 +327,7 @@ def city_map(
     if not things:
         refuse(where, "no surface with an area", "buildings" + _said(flat))
     return SourceMap(
-        name=name,
+        name=path.name,
         crs=place.crs,
         source_crs=place.source_crs,
         heights="absolute",
@@ -400,22 +374,12 @@ def read_citygml(path: Path) -> SourceMap:
     document = _Document(where, root)
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
-    objects = [
-        item
-        for feature in document.features(left_out)
-        if (item := document.city_object(feature, empty)) is not None
-    ]
+    found = (document.city_object(feature, empty) for feature in document.features(left_out))
+    objects = [item for item in found if item is not None]
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3 in this file")
     declared, follows_authority = _reference_system(root, where)
-    return city_map(
-        objects,
-        name=path.name,
-        where=where,
-        declared_crs=declared,
-        follows_authority=follows_authority,
-        skipped=skipped,
-    )
+    return _city_map(path, objects, skipped, declared, by_axes=follows_authority)
 
 
 class _Document:
@@ -437,23 +401,19 @@ class _Document:
                 name = local_name(child)
                 if name in CLASS_OF_TYPE:
                     yield child
-                elif name in _OTHER_TYPES:
+                elif name in _TYPES["left_out"]:
                     left_out[name] += 1
-                    continue  # with its content: rooms, bridge parts
+                    continue
                 stack.append(child)
 
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:
         """An object with its own surfaces, without those of its parts."""
         type_name = local_name(feature)
         shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
-        level, kind = max(
-            ((level, rank) for level, rank, _ in shapes),
-            key=lambda one: (_rank(one[0]), one[1]),
-            default=(-1, -1),
-        )
-        has_parts = any(
-            local_name(part) in CLASS_OF_TYPE and part is not feature for part in feature.iter()
-        )
+        ranks = [(level, rank) for level, rank, _ in shapes]
+        level, kind = max(ranks, key=lambda one: (_rank(one[0]), one[1]), default=(-1, -1))
+        parts = (part for part in feature.iter() if part is not feature)
+        has_parts = any(local_name(part) in CLASS_OF_TYPE for part in parts)
         if level < 0 or (level == 0 and has_parts):
             if not has_parts:
                 empty[type_name] += 1
@@ -478,11 +438,11 @@ class _Document:
             if match:
                 level = int(match[1])
                 is_flat = match[2] in _FOOTPRINTS
-                if level == 0 and (not is_flat or local_name(element) in _SURFACE_TYPES[1:]):
+                if level == 0 and (not is_flat or local_name(element) in _TYPES["surfaces"][1:]):
                     continue
                 rank = 2 if "Solid" in match[2] else int(match[2] != "RoofEdge")
                 yield level, rank, list(self._polygons(child, depth + 1, 0))
-            elif name in ("boundedBy", "boundary") or name in _SURFACE_TYPES:
+            elif name in ("boundedBy", "boundary") or name in _TYPES["surfaces"]:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
@@ -561,7 +521,7 @@ def _measured_height_m(feature: Element) -> float | None:
         for value in values:
             unit = value.attrib.get("uom", "m").rpartition("#")[2].rpartition(":")[2].lower()
             with suppress(ValueError, KeyError):
-                return float((value.text or "").strip()) * _HEIGHT_UNITS_M[unit]
+                return float((value.text or "").strip()) * float(_TYPES["height_units_m"][unit])
     return None
 
 

@@ -186,7 +186,7 @@ def build_scene(
         name=name,
         **join_bodies(bodies),
         sites=tuple(
-            replace(site, position_m=on_ground(site.position_m[:2], terrain)) for site in sites
+            replace(one, position_m=on_ground(one.position_m[:2], terrain)) for one in sites
         ),
         outline_m=surroundings.outline_m,
         lanes=surroundings.lanes,
@@ -220,12 +220,8 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
                 step = chain[1] - chain[0]
                 chain = np.array([chain[0], chain[0] + free_m * step / np.hypot(*step)])
             if free_m > _LEAST_ASSUMED_M:
-                yield Lane(
-                    id=f"{lane.id} beyond the map",
-                    kind=ASSUMED,
-                    width_m=lane.width_m,
-                    centreline_m=chain[::-1],
-                )
+                lane_id, line_m = f"{lane.id} beyond the map", chain[::-1]
+                yield Lane(id=lane_id, kind=ASSUMED, width_m=lane.width_m, centreline_m=line_m)
 
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
@@ -308,16 +304,13 @@ def _leads_straight_on(points_m: FloatArray) -> bool:
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:
     """Lanes through a junction, as straight on as there is a lane; none for those that turn."""
     bends: dict[tuple[int, int], float] = {}
-    mouths = [
-        [lane_line(lane, is_in=is_in, length_m=_MOUTH_M)[0] for lane in lanes]
-        for is_in, lanes in ((True, ends), (False, begins))
-    ]
-    for one, before in enumerate(mouths[0]):
-        for other, after in enumerate(mouths[1]):
+    entries = [lane_line(lane, is_in=True, length_m=_MOUTH_M)[0] for lane in ends]
+    exits = [lane_line(lane, is_in=False, length_m=_MOUTH_M)[0] for lane in begins]
+    for one, before in enumerate(entries):
+        for other, after in enumerate(exits):
             ahead = unit(after.point_m - before.point_m)
-            bend_deg = np.degrees(
-                np.arccos(np.clip([before.direction @ ahead, after.direction @ ahead], -1.0, 1.0))
-            )
+            cosines = [before.direction @ ahead, after.direction @ ahead]
+            bend_deg = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
             if bend_deg.max() <= _STRAIGHT_ON_DEG:
                 bends[one, other] = float(bend_deg.sum())
     wanted = {
@@ -330,7 +323,7 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
             id=f"{ends[one].id} to {begins[other].id}",
             kind=CONNECTING,
             width_m=min(ends[one].width_m, begins[other].width_m),
-            centreline_m=curve_between(mouths[0][one], mouths[1][other]),
+            centreline_m=curve_between(entries[one], exits[other]),
         )
 
 

@@ -46,12 +46,9 @@ class LocalFrame:
         """Points (..., 2 or 3) of a map, or else in the roads' system, here; heights stay."""
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
-            refuse(
-                source.name,
-                f"coordinates in {source.crs}",
-                "a file without a coordinate reference system, as the map with the junction; or "
-                "`crs` for that one",
-            )
+            alike = "a file without a coordinate reference system, as the map with the junction"
+            got = f"coordinates in {source.crs}"
+            refuse(source.name, got, f"{alike}; or `crs` for that one")
         if not self.crs:
             points[..., :2] -= self.origin_m
             return points
@@ -156,10 +153,8 @@ def georeference(
     if crs is None:
         _refuse_degrees(box, where)
         text = str(declared or "").strip()
-        note = Note(
-            what=f"coordinate reference system {text[:80]}",
-            why="not a known horizontal one: taken as metres without a place on earth",
-        )
+        why = "not a known horizontal one: taken as metres without a place on earth"
+        note = Note(f"coordinate reference system {text[:80]}", why)
         return Georeference(crs="", source_crs="", notes=(note,) if text else ())
     name = crs_name(crs)
     z_m = _vertical_unit_m(declared)

@@ -6,7 +6,7 @@ import sqlite3
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import check_file, open_file, read_text, reading
+from ..files import check_file, load_data, open_file, read_text, reading
 from ..notes import Note
 from ..scene import CLASS_NAMES, join
 from ..untrusted_files import parse_object, unpacked
@@ -48,21 +48,8 @@ _GEOMETRY_TYPES = (
 _MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
-# Names of columns, without units, in lower case with _ for everything between words.
-_TOPS = (
-    *("height", "building_height", "bldg_height", "bldgheight", "measuredheight"),
-    *("measured_height", "hoehe", "gebaeudehoehe", "building_h", "h"),  # Shapefiles: 10 letters
-)
-_BOTTOMS = ("min_height", "building_min_height", "minheight", "base_height", "base")
-_STOREYS = (
-    *("building_levels", "levels", "storeys", "stories", "floors", "num_floors", "geschosse"),
-    *("storeysaboveground", "storeys_above_ground", "building_l"),
-)
-_LOWEST_STOREYS = ("building_min_level", "min_level", "min_levels")
-_KINDS = ("class_name", "class", "kind", "type", "barrier", "fclass")
-_IDS = ("id", "gml_id", "osm_id", "fid", "objectid", "identifier")
-_UNITS_M = {"m": 1.0, "meter": 1.0, "metre": 1.0, "meters": 1.0, "metres": 1.0, "cm": 0.01}
-_UNITS_M |= {"mm": 0.001, "ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "'": 0.3048}
+_WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["gis"]
+_UNITS_M: dict[str, float] = _WORDS["units_m"]
 _NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
 
 
@@ -239,10 +226,9 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     if not table.features:
         refuse(where, "an empty layer", "footprints")
     left_out: Counter[str] = Counter()
+    kinds = [_kind(feature, class_name, left_out) for feature in table.features]
     solid = [
-        (feature, kind)
-        for feature in table.features
-        if (kind := _kind(feature, class_name, left_out)) is not None
+        (one, kind) for one, kind in zip(table.features, kinds, strict=True) if kind is not None
     ]
     if not solid:
         got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
@@ -253,7 +239,8 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     failed: list[Note] = []
     ids: Counter[str] = Counter()
     for feature, kind in solid:
-        wanted = next((str(feature.named[key]) for key in _IDS if key in feature.named), "")
+        named = feature.named
+        wanted = next((str(named[key]) for key in _WORDS["ids"] if key in named), "")
         thing_id = unique_id(wanted or feature.where.rpartition(": ")[2], ids)
         try:
             things.append(_raised(feature, kind, thing_id, place))
@@ -276,7 +263,7 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
         return None
     types = {part.geom_type for part in parts_of(feature.geometry)}
     values = feature.named
-    said = kind_from_name(" ".join(str(values[key]) for key in _KINDS if key in values))
+    said = kind_from_name(" ".join(str(values[key]) for key in _WORDS["kinds"] if key in values))
     if said is not None and said.kind not in ("wall", "fence", "hedge"):
         said = None
     is_line = bool(types & {"LineString", "LinearRing"})
@@ -287,9 +274,8 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
 
 
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
-    geometry = shapely.transform(
-        shapely.force_2d(feature.geometry), lambda points: place.to_metres(points, feature.where)
-    )
+    flat, where = shapely.force_2d(feature.geometry), feature.where
+    geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
     parts = parts_of(geometry)
     if not any(part.geom_type == "Polygon" for part in parts):
         style = {"cap_style": "flat", "join_style": "mitre"}
@@ -297,11 +283,8 @@ def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeferenc
         strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
         parts = [part for strip in strips for part in parts_of(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
-    pieces = [
-        extrude_polygon(part, bottom_m=bottom_m, top_m=top_m, where=thing_id)
-        for part in parts
-        if part.geom_type == "Polygon" and not part.is_empty
-    ]
+    areas = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
+    pieces = [extrude_polygon(one, bottom_m=bottom_m, top_m=top_m, where=thing_id) for one in areas]
     if not pieces:
         refuse(thing_id, "no area", "a footprint")
     return Thing.of(thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed)
@@ -310,19 +293,20 @@ def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeferenc
 def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
     """Heights of floor and roof above ground, and whether that of the roof is assumed."""
     defaults = thing_defaults()
-    top, storeys = _length_m(values, _TOPS), _length_m(values, _STOREYS)
+    top, storeys, bottom, lowest = (
+        _length_m(values, _WORDS[key]) for key in ("tops", "storeys", "bottoms", "lowest_storeys")
+    )
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
         top = storeys * defaults.storey_height_m
     if top is not None and not 0.0 < top <= defaults.max_height_m:
         top = None
-    bottom, lowest = _length_m(values, _BOTTOMS), _length_m(values, _LOWEST_STOREYS)
     if bottom is None:
         bottom = (lowest or 0.0) * defaults.storey_height_m
     top_m = kind.height_m if top is None else top
     return bottom if 0.0 <= bottom < top_m else 0.0, top_m, top is None
 
 
-def _length_m(values: Mapping[str, Any], names: tuple[str, ...]) -> float | None:
+def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
     """First finite number, in metres, of the columns with one of the names, or None."""
     found: dict[int, float] = {}
     for key, value in values.items():

@@ -49,7 +49,9 @@ _READERS = {
     ".xodr": ("opendrive", "read_opendrive", ()),
     "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
     "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
-    **dict.fromkeys(_STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left",))),
+    **dict.fromkeys(
+        _STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left", "staggered_m"))
+    ),
     **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
     ".city.json": ("city_models", "read_cityjson", ()),
     ".citygml": ("city_models", "read_citygml", ()),
@@ -73,6 +75,7 @@ class Surveyed:
     position: FloatArray
     n_signals: int = 0  # poles with traffic lights inside it, or at most 15 m from its outline
     n_crossings: int = 0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
+    roads: tuple[tuple[str, int], ...] = ()  # of each arm: class, and driving lanes in and out
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
@@ -202,11 +205,11 @@ def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset
 def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
     """Words of street names, and their endings, to how they are shortened."""
     table = load_data(__package__, "streets.toml")
-    words, endings = (
-        {long: short for short, longs in table[key].items() for long in longs}
-        for key in ("words", "endings")
-    )
-    return words, endings
+
+    def short_of(key: str) -> dict[str, str]:
+        return {long: short for short, longs in table[key].items() for long in longs}
+
+    return short_of("words"), short_of("endings")
 
 
 def _listed(surveyed: Sequence[Surveyed]) -> str:
@@ -232,16 +235,10 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
     if source.crs and source.source_crs not in ("", source.crs):
         position = transform(position, source.crs, source.source_crs)
     # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
-    near = [
-        Lane(
-            id=lane.id,
-            kind=lane.kind,
-            width_m=lane.width_m,
-            centreline_m=lane.centreline_m[:, :2] - middle,
-        )
-        for lane in lanes
-        if lane.kind in ("driving", "parking")
-    ]
+    near = []
+    for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
+        line_m = lane.centreline_m[:, :2] - middle
+        near.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m))
     scene = Scene(
         name=junction.id,
         vertices_m=np.zeros((0, 3)),
@@ -258,10 +255,13 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         arms = build_junction(scene).arms
     except InputError:  # no lane ends at the outline
         arms = {}
+    classes = {lane.id: lane.road_class for lane in lanes}
+    lanes_of = [(*arm.entry_lanes, *arm.exit_lanes) for arm in arms.values()]
     return Surveyed(
         junction=junction,
         arms=tuple(arms),
-        n_lanes=sum(len(arm.entry_lanes) + len(arm.exit_lanes) for arm in arms.values()),
+        n_lanes=sum(map(len, lanes_of)),
+        roads=tuple((classes[here[0].id] if here else "", len(here)) for here in lanes_of),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
     )
@@ -276,6 +276,8 @@ class ReadingOptions:
     up: str | None = None
     class_name: str = "building"  # of meshes, point clouds and footprints that do not state theirs
     keeps_left: bool | None = None  # whether traffic keeps left; by default what the map says
+    # side roads that meet a road of OpenStreetMap from either side, no farther apart: one junction
+    staggered_m: float = 0.0
     crs: str = ""  # coordinate reference system of files that do not name one; empty: none
     layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
     # shift of everything without roads, which is then taken to lie in the coordinates of the map
@@ -465,12 +467,8 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, radius_m),
     )
-    return ImportedScene(
-        scene=replace(scene, notes=notes),
-        junctions=(chosen,),
-        chosen=chosen,
-        sources=tuple(source.name for source in maps),
-    )
+    scene, names = replace(scene, notes=notes), tuple(source.name for source in maps)
+    return ImportedScene(scene=scene, junctions=(chosen,), chosen=chosen, sources=names)
 
 
 def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
@@ -496,6 +494,5 @@ def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
     assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
     for class_name, number in assumed.most_common():
         what = f"heights of {number} of {every[class_name]} x {class_name}"
-        yield Note(
-            what, "not in the map: the usual ones of their kinds are assumed", kind="heights"
-        )
+        why = "not in the map: the usual ones of their kinds are assumed"
+        yield Note(what, why, kind="heights")

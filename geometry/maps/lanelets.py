@@ -15,12 +15,12 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted
-from ..files import float_of
-from ..lines import along_m, apart, length_m
+from ..files import float_of, load_data
+from ..lines import along_m, apart, length_m, points_at
 from ..notes import Note
 from ..untrusted_files import local_name, read_xml
 from .georeferences import WGS84, local_crs, transform
-from .opendrive.junctions import fit_outline, largest_polygon
+from .opendrive.junctions import fit_outline, lanes_by_junction, largest_polygon
 from .openstreetmap.elements import Elements, Relation, read_elements
 from .source_map import (
     MapJunction,
@@ -33,17 +33,8 @@ from .source_map import (
     kind_of_class,
 )
 
-_KINDS = {  # by subtype in Lanelet2, by type in CommonRoad; others carry no traffic on the ground
-    **dict.fromkeys(
-        ("", "road", "highway", "play_street", "bus_lane", "emergency_lane", "urban", "country",
-         "main_road", "mainCarriageWay", "interstate", "accessRamp", "exitRamp", "driveWay",
-         "busLane", "intersection", "access_ramp", "exit_ramp"),
-        "driving",
-    ),
-    **dict.fromkeys(("bicycle_lane", "bicycleLane"), "cycling"),
-    **dict.fromkeys(("walkway", "shared_walkway", "sidewalk"), "walking"),
-    "crosswalk": "crosswalk",
-}  # fmt: skip
+_WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelets"]
+_KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
 _SPEED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(km/?h|kmph|mph|m/?s|mps)?\s*")
 _KMH = {"mph": 1.609344, "ms": 3.6, "m/s": 3.6, "mps": 3.6}
 _JOINED_M = 0.5  # between the end of a lanelet and the beginning of the next one, at both bounds
@@ -71,26 +62,21 @@ class Lanelet:
     @property
     def polygon(self) -> Any:
         """Its ground."""
-        return shapely.make_valid(
-            shapely.Polygon(np.concatenate([self.left_m[:, :2], self.right_m[::-1, :2]]))
-        )
+        ring_m = np.concatenate([self.left_m[:, :2], self.right_m[::-1, :2]])
+        return shapely.make_valid(shapely.Polygon(ring_m))
 
     @property
     def edges_m(self) -> FloatArray:
         """Points of both bounds side by side, (2, m, 3)."""
-        lengths_m = [length_m(bound) for bound in (self.left_m, self.right_m)]
-        n_points = max(2, round(max(lengths_m) / _STEP_M) + 1)
-        return np.array([_resampled(bound, n_points) for bound in (self.left_m, self.right_m)])
+        bounds = self.left_m, self.right_m
+        n_points = max(2, round(max(map(length_m, bounds)) / _STEP_M) + 1)
+        ends_m = [along_m(bound)[-1] for bound in bounds]
+        at = [np.linspace(0.0, end_m, n_points) for end_m in ends_m]
+        return np.array([points_at(*pair) for pair in zip(bounds, at, strict=True)])
 
     def turned(self) -> "Lanelet":
         """The other way."""
         return replace(self, id=f"{self.id}r", left_m=self.right_m[::-1], right_m=self.left_m[::-1])
-
-
-def _resampled(line_m: FloatArray, n_points: int) -> FloatArray:
-    reached = along_m(line_m)
-    at = np.linspace(0.0, reached[-1], n_points)
-    return np.array([np.interp(at, reached, column) for column in line_m.T]).T
 
 
 def _lanelet(name: str, left_m: FloatArray, right_m: FloatArray, **known: Any) -> Lanelet:
@@ -126,19 +112,12 @@ def _build(
     junction_of = {one: f"j{number}" for number, some in enumerate(members, 1) for one in some}
     paths = [_map_lane([one], one.id) for one in lanelets if one.kind in ("walking", "cycling")]
     lanes = [*_lanes(roads, follows, junction_of), *paths]
+    tips_of = lanes_by_junction(lanes)
     junctions, connections = [], []
     for group in members:
         name = junction_of[group[0]]
         surface = largest_polygon(shapely.union_all([ground[one].buffer(0.05) for one in group]))
-        tips = [
-            (lane, line)
-            for lane in lanes
-            for at, line in (
-                (lane.from_junction, lane.centreline_m[:, :2]),
-                (lane.to_junction, lane.centreline_m[::-1, :2]),
-            )
-            if at == name
-        ]
+        tips = tips_of[name]
         if surface is None or not tips:
             omissions.add("junctions", f"junction {name}", "no lane leads to it")
             continue
@@ -147,19 +126,13 @@ def _build(
         outline_m = np.asarray(surface.exterior.coords)[:-1]
         junctions.append(MapJunction(id=name, name="", outline_m=outline_m, height_m=height_m))
         connections += _connections(roads, follows, group, name)
-    known = {junction.id for junction in junctions}
-    return (
-        [
-            replace(
-                lane,
-                from_junction=lane.from_junction if lane.from_junction in known else "",
-                to_junction=lane.to_junction if lane.to_junction in known else "",
-            )
-            for lane in lanes
-        ],
-        connections,
-        junctions,
-    )
+    known = {junction.id: junction.id for junction in junctions}
+    ends = [(known.get(lane.from_junction, ""), known.get(lane.to_junction, "")) for lane in lanes]
+    linked = [
+        replace(lane, from_junction=before, to_junction=after)
+        for lane, (before, after) in zip(lanes, ends, strict=True)
+    ]
+    return linked, connections, junctions
 
 
 def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[Lanelet]:
@@ -176,9 +149,8 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
     for index in np.flatnonzero(is_wrong).tolist():
         why = "its left and right are exchanged: only so it leads from others, or to others"
         omissions.add("lanelets with exchanged sides", f"lanelet {roads[index].id}", why)
-    return [
-        other if wrong else one for one, other, wrong in zip(roads, turned, is_wrong, strict=True)
-    ]
+    every = zip(roads, turned, is_wrong, strict=True)
+    return [other if wrong else one for one, other, wrong in every]
 
 
 def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
@@ -237,16 +209,12 @@ def _lanes(
                 break
             chain.append(following)
             done.add(following)
-        ends = [
-            next((junction_of[one] for one in some if one in junction_of), "")
-            for some in (before[start], follows[chain[-1]])
-        ]
-        yield _map_lane(
-            [roads[one] for one in chain],
-            roads[start].id,
-            from_junction=ends[0],
-            to_junction=ends[1],
+        ends = (before[start], follows[chain[-1]])
+        begin, end = (
+            next((junction_of[one] for one in some if one in junction_of), "") for some in ends
         )
+        pieces = [roads[one] for one in chain]
+        yield _map_lane(pieces, roads[start].id, from_junction=begin, to_junction=end)
 
 
 def _connections(
@@ -322,9 +290,8 @@ def _source_map(
     if keeps_left is None:
         why = "no lanelets side by side show it: taken to keep right"
         notes = (Note(what="side of the road", why=why, kind="side of the road"), *notes)
-    crossings = [
-        one.edges_m.mean(axis=0)[[0, -1], :2] for one in lanelets if one.kind == "crosswalk"
-    ]
+    walks = [one for one in lanelets if one.kind == "crosswalk"]
+    crossings = [one.edges_m.mean(axis=0)[[0, -1], :2] for one in walks]
     return SourceMap(
         name=path.name,
         lanes=tuple(lanes),
@@ -451,9 +418,8 @@ def _buildings(
         outline_m = _bound(relation, "outer", ways)
         name = f"area {relation.id}"
         if subtype != "building":
-            omissions.add(
-                f"areas of {subtype or 'other kinds'}", name, "nothing that hides anybody"
-            )
+            kind = f"areas of {subtype or 'other kinds'}"
+            omissions.add(kind, name, "nothing that hides anybody")
         elif len(outline_m) < 3:
             omissions.add("outlines", name, "it is not closed, or misses nodes")
         else:
@@ -491,27 +457,15 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         name = element.get("id", "")
         if not name:
             continue  # a reference to one
-        kind = next(
-            (
-                _KINDS[text]
-                for one in element.iter("laneletType")
-                if (text := one.text or "") in _KINDS
-            ),
-            "driving",
-        )
+        types = [one.text or "" for one in element.iter("laneletType")]
+        kind = next((_KINDS[text] for text in types if text in _KINDS), "driving")
         if any(len(bound) < 2 for bound in bounds):
             omissions.add("lanelets without bounds", f"lanelet {name}", "a bound has no points")
             continue
-        two_way = element.find("userBidirectional") is not None
-        lanelets.append(
-            _lanelet(
-                name,
-                *bounds,
-                kind=kind,
-                is_oneway=not two_way,
-                is_in_junction=name in crossing and kind == "driving",
-            )
-        )
+        one_way = element.find("userBidirectional") is None
+        inside = name in crossing and kind == "driving"
+        one = _lanelet(name, *bounds, kind=kind, is_oneway=one_way, is_in_junction=inside)
+        lanelets.append(one)
     poles = [
         Pole(id=f"{kind}-{one.get('id')}".replace(" ", "-"), kind=kind, position_m=place[0])
         for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign"))

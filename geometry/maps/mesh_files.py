@@ -65,19 +65,15 @@ def read_mesh(
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()
-    things = [
-        Thing.of(
-            unique_id(name, ids),
-            kind.class_name if (kind := kind_from_name(name)) else class_name,
-            (vertices @ axes.T, _outwards(vertices, triangles)),
-        )
-        for name, vertices, triangles in parts
-    ]
+    things = []
+    for name, vertices, triangles in parts:
+        kind, mesh = kind_from_name(name), (vertices @ axes.T, _outwards(vertices, triangles))
+        its_class = kind.class_name if kind else class_name
+        things.append(Thing.of(unique_id(name, ids), its_class, mesh))
     _check_size(things, where, unit)
     _check_roofs(things, where, up)
-    return SourceMap(
-        name=path.name, crs="", things=tuple(things), skipped=tuple(counted(left_out, "no mesh"))
-    )
+    skipped = tuple(counted(left_out, "no mesh"))
+    return SourceMap(name=path.name, crs="", things=tuple(things), skipped=skipped)
 
 
 def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, refuse
-from ..files import csv_rows, float_of, read_text
+from ..files import csv_rows, float_of, load_data, read_text
 from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import Feature, Features, read_features
@@ -26,31 +26,10 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 SUFFIXES = (".csv", ".geojson", ".json")
 _MAX_SITES = 50_000
-# Field to the names it goes by, without units, in lower case with _ between words.
-PLACE_FIELDS = {
-    "x": ("x", "easting", "east", "ost", "rechtswert"),
-    "y": ("y", "northing", "north", "nord", "hochwert"),
-    "z": ("z", "elevation", "altitude"),
-    "lat": ("lat", "latitude", "breite", "breitengrad"),
-    "lon": ("lon", "lng", "long", "longitude", "länge", "laenge", "längengrad"),
-    "height": ("height", "höhe", "hoehe", "pole_height", "mast_height", "masthöhe"),
-}
-_FIELDS = PLACE_FIELDS | {
-    "id": ("id", "name", "site", "site_id", "pole_id", "nr", "nummer", "mast", "bezeichnung"),
-    "min_height": ("min_height", "height_min", "min_mount_height"),
-    "max_height": ("max_height", "height_max", "max_mount_height"),
-    "kind": ("kind", "type", "class", "art", "typ"),
-    "cost": ("cost", "price", "costs", "kosten", "preis"),
-    "power": ("power", "has_power", "electricity", "strom"),
-    "fibre": ("fibre", "fiber", "has_fibre", "has_fiber", "glasfaser"),
-    "capacity": ("capacity", "max_units"),
-    "forbidden": ("forbidden", "is_forbidden", "blocked", "gesperrt"),
-}
-_UNITS = {"m", "eur", "units", "deg", "degrees", "metres", "meters", "euro", "euros"}
-_UNITS |= {"grad", "meter"}
-_OTHER_UNITS = {"ft", "feet", "in", "inch", "inches", "cm", "mm", "km", "usd", "gbp"}
-_YES_NO = {"yes": True, "y": True, "true": True, "1": True, "ja": True}
-_YES_NO |= {"no": False, "n": False, "false": False, "0": False, "nein": False}
+_WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["places"]
+PLACE_FIELDS: dict[str, list[str]] = _WORDS["fields"]
+_FIELDS: dict[str, list[str]] = PLACE_FIELDS | _WORDS["site_fields"]
+_YES_NO: dict[str, bool] = _WORDS["answers"]
 _Row = tuple[str, dict[str, Any]]
 _NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
 _COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
@@ -80,15 +59,10 @@ class SiteWish:
     @property
     def n_said(self) -> int:
         """How many details are given."""
-        said: list[object] = [
-            self.z_m,
-            self.min_height_m,
-            self.max_height_m,
-            self.cost_eur,
-            self.capacity_units,
-        ]
-        said += [self.has_power, self.has_fibre, self.kind or None, self.is_forbidden or None]
-        return sum(value is not None for value in said)
+        numbers = (self.z_m, self.min_height_m, self.max_height_m, self.cost_eur)
+        others = (self.capacity_units, self.has_power, self.has_fibre)
+        said = [value is not None for value in (*numbers, *others)]
+        return sum(said) + bool(self.kind) + self.is_forbidden
 
 
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
@@ -131,11 +105,12 @@ def known_columns(
     field_of = {alias: field for field, aliases in fields.items() for alias in aliases}
     for name in names:
         words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
-        while words and words[-1] in _UNITS and len(words) > 1:
+        while words and words[-1] in _WORDS["units"] and len(words) > 1:
             words.pop()
             if words[-1] == "in" and len(words) > 1:  # "height in m"
                 words.pop()
-        if len(words) > 1 and words[-1] in _OTHER_UNITS and "_".join(words[:-1]) in field_of:
+        is_other = len(words) > 1 and words[-1] in _WORDS["other_units"]
+        if is_other and "_".join(words[:-1]) in field_of:
             raise InputError(f"{where}: column {name!r:.60}", words[-1], "metres and euros")
         field = field_of.get("_".join(words))
         if field is None:
@@ -365,11 +340,10 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
     elif places is None:
-        fields = [known_columns(list(row), where) for where, row in rows]
-        places = [
-            read_position({known[name]: row[name] for name in known}, where, crs)
-            for (where, row), known in zip(rows, fields, strict=True)
-        ]
+        places = []
+        for where, row in rows:
+            known = known_columns(list(row), where)
+            places.append(read_position({known[one]: row[one] for one in known}, where, crs))
     positions = None if places is None else np.array(places).reshape(-1, 2)
     values = np.array(counts)
     return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
@@ -399,9 +373,8 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
         got = f"coordinates in {table.crs[:80] or 'an unknown system'}"
         refuse(feature.where, got, "a map that says where on earth it lies: `crs`")
     declared = _declared_crs(table, feature.where)
-    moved: BaseGeometry = shapely.transform(
-        shapely.force_2d(feature.geometry), lambda points: transform(points, declared.to_wkt(), crs)
-    )
+    flat, own_crs = shapely.force_2d(feature.geometry), declared.to_wkt()
+    moved: BaseGeometry = shapely.transform(flat, lambda points: transform(points, own_crs, crs))
     if not np.isfinite(shapely.get_coordinates(moved)).all():
         refuse(feature.where, "a place that is nowhere", f"places in {crs}")
     return moved

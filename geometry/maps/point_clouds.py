@@ -617,9 +617,8 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
     hangs = (np.minimum.reduceat(cells[:, 2], start) - _MIDDLE) > 0.5 * top
     is_next = (np.diff(columns[:, 0]) == 0) & (np.diff(columns[:, 1]) == 1)
     is_even = np.abs(np.diff(top)[is_next]) <= 1
-    return bool(
-        hangs.mean() > _MIN_FLAT_SHARE and len(is_even) and is_even.mean() > _MIN_FLAT_SHARE
-    )
+    is_flat = len(is_even) > 0 and is_even.mean() > _MIN_FLAT_SHARE
+    return bool(hangs.mean() > _MIN_FLAT_SHARE and is_flat)
 
 
 # ---------- voxels: cubes where there are points

@@ -159,11 +159,8 @@ def _on_level(
     points_m: FloatArray, roads: SourceMap, junction: MapJunction, frame: LocalFrame
 ) -> FloatArray:
     """Points that are not far above or below the nearest road that leads to the junction."""
-    arms = [
-        lane.centreline_m
-        for lane in roads.lanes
-        if junction.id in (lane.from_junction, lane.to_junction)
-    ]
+    own = [one for one in roads.lanes if junction.id in (one.from_junction, one.to_junction)]
+    arms = [lane.centreline_m for lane in own]
     middle = np.append(junction.position_m, junction.height_m)
     level = frame.take(np.concatenate([middle[None], *arms]), roads)
     away_m, nearest = cKDTree(level[:, :2]).query(points_m[:, :2])

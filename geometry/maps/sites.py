@@ -14,6 +14,7 @@ from shapely import Polygon
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
 from ..files import float_of
+from ..junction import compass_point
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
 from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
@@ -43,7 +44,6 @@ _LONGER_M = 1.0  # the outline is not square to every lane
 _BELOW_ROOF_M = 0.3  # a sensor and its bracket
 AUTO, MAP, KERB = "auto", "map", "kerb:"
 _SPACINGS_M = (2.0, 100.0)
-_OCTANTS = ("e", "ne", "n", "nw", "w", "sw", "s", "se")
 # Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
 SETBACK_M = 0.5
 _MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
@@ -158,10 +158,8 @@ def tidy_sites(
         raise InputError("snap_m", snap_m, "metres, at least 0")
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
-    reasons = {
-        index: f"inside {thing.class_name} {thing.id}"
-        for index, thing in _things_over(positions, buildings).items()
-    }
+    around = _things_over(positions, buildings)
+    reasons = {at: f"inside {thing.class_name} {thing.id}" for at, thing in around.items()}
     left = [index for index in range(len(sites)) if index not in reasons]
     kept: list[int] = []
     for index in sorted(left, key=lambda index: (-sites[index].n_said, index)):
@@ -338,9 +336,8 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> lis
     named = []
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     for wish in sorted(wishes, key=lambda wish: float(np.hypot(*wish.position_m))):
-        east, north = wish.position_m
-        if np.hypot(east, north) <= radius_m:
-            octant = _OCTANTS[round(np.degrees(np.arctan2(north, east)) / 45.0) % 8]
+        if np.hypot(*wish.position_m) <= radius_m:
+            octant = "".join(word[0] for word in compass_point(wish.position_m).split("-"))
             count[octant] += 1
             named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
     return named
@@ -349,10 +346,8 @@ def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> lis
 def _listed(
     path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float, notes: list[Note]
 ) -> list[SiteWish]:
-    every = [
-        replace(wish, position_m=surroundings.frame.take(wish.position_m, roads))
-        for wish in read_sites(path, crs=roads.crs)
-    ]
+    listed, frame = read_sites(path, crs=roads.crs), surroundings.frame
+    every = [replace(wish, position_m=frame.take(wish.position_m, roads)) for wish in listed]
     wishes = [wish for wish in every if np.hypot(*wish.position_m) <= radius_m]
     if n_far := len(every) - len(wishes):
         why = f"farther than {radius_m:g} m from the junction"
@@ -412,11 +407,8 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
     is_on_road = shapely.intersects_xy(road, *positions.T)
-    solid = [
-        thing
-        for thing in standing_things(surroundings)
-        if thing.class_name in ("building", "wall") and len(thing.triangles)
-    ]
+    standing = [thing for thing in standing_things(surroundings) if len(thing.triangles)]
+    solid = [thing for thing in standing if thing.class_name in ("building", "wall")]
     walls = _things_over(positions, solid)
     boxes = [_box(thing) for thing in solid]
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
@@ -450,14 +442,10 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
 
 def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
+    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
+    islands = [[one for one in part.interiors if Polygon(one).area > _ISLAND_M2] for part in parts]
     return shapely.union_all(
-        [
-            Polygon(
-                part.exterior, [hole for hole in part.interiors if Polygon(hole).area > _ISLAND_M2]
-            )
-            for part in shapely.get_parts(area)
-            if part.geom_type == "Polygon"
-        ]
+        [Polygon(part.exterior, holes) for part, holes in zip(parts, islands, strict=True)]
     )
 
 
@@ -510,9 +498,8 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
     notes: list[Note] = []
     for pole, place in placed:
         what = f"{pole.kind} {pole.id}"
-        away_m = {
-            mast.id: float(np.hypot(*(mast.position_m - pole.position_m)[:2])) for mast in masts
-        }
+        offsets_m = {mast.id: (mast.position_m - pole.position_m)[:2] for mast in masts}
+        away_m = {name: float(np.hypot(*offset_m)) for name, offset_m in offsets_m.items()}
         mast = min(away_m, key=away_m.__getitem__, default="")
         hangs = bool(place.why) and pole.kind in ("traffic light", "sign")
         if hangs and mast and away_m[mast] <= _MAST_ARM_M:

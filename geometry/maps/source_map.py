@@ -67,13 +67,19 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     (a_x, a_y, a_z), (n_x, n_y, n_z) = across, normal
     onwards = (n_y * a_z - n_z * a_y, n_z * a_x - n_x * a_z, n_x * a_y - n_y * a_x)
     flat = (vertices - middle) @ np.array([across, onwards]).T
-    ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
-    triangles = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3).astype(np.int32)
-    a, b, c = flat[triangles[:, 0]], flat[triangles[:, 1]], flat[triangles[:, 2]]
+    return vertices, clip_ears(flat, np.cumsum([len(ring) for ring in rings]))
+
+
+def clip_ears(flat_m: FloatArray, ends: ArrayLike) -> NDArray[np.int32]:
+    """Counter-clockwise triangles (m, 3) of rings (n, 2), outer first, each up to one of `ends`."""
+    corners = np.asarray(ends, dtype=np.uint32)
+    found = mapbox_earcut.triangulate_float64(flat_m, corners)
+    triangles: NDArray[np.int32] = np.asarray(found, dtype=np.int32).reshape(-1, 3)
+    a, b, c = np.moveaxis(flat_m[triangles], 1, 0)
     ab, ac = b - a, c - a
-    signed = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    triangles[signed < 0.0] = triangles[signed < 0.0, ::-1]
-    return vertices, triangles
+    turns_right = ab[:, 0] * ac[:, 1] < ab[:, 1] * ac[:, 0]
+    triangles[turns_right] = triangles[turns_right, ::-1]
+    return triangles
 
 
 def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
@@ -142,9 +148,8 @@ def extrude(
     parts = polygons_of(shape, above_m2=_MIN_FOOTPRINT_M2)
     if not parts:
         refuse(where, "an outline without area", "a footprint")
-    solids = [
-        trimesh.creation.extrude_polygon(part, top_m - bottom_m, engine="earcut") for part in parts
-    ]
+    extruded = trimesh.creation.extrude_polygon
+    solids = [extruded(part, top_m - bottom_m, engine="earcut") for part in parts]
     vertices, triangles = join([(solid.vertices, solid.faces) for solid in solids])
     return vertices + [0.0, 0.0, bottom_m], triangles
 
@@ -203,6 +208,7 @@ class MapLane:
     to_junction: str = ""
     speed_limit_kmh: float | None = None  # where it leads into a junction, or else out of one
     turns: tuple[Turn, ...] = ()  # by its markings, see :class:`geometry.scene.Lane`
+    road_class: str = ""  # there, as OpenStreetMap calls it ("primary"); empty: not known
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
@@ -455,9 +461,8 @@ def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
     kind = load_pole_kinds()[pole.kind]
     height_m = pole.height_m or kind.height_m
     foot = np.append(pole.position_m[:2], 0.0)
-    body = trimesh.creation.cylinder(
-        radius=kind.radius_m, segment=[foot, foot + [0.0, 0.0, height_m]], sections=_SECTIONS
-    )
+    ends = [foot, foot + [0.0, 0.0, height_m]]
+    body = trimesh.creation.cylinder(radius=kind.radius_m, segment=ends, sections=_SECTIONS)
     class_name = "traffic light" if pole.kind == "traffic light" else "lamp post"
     return class_name, (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
 

@@ -67,6 +67,7 @@ class SolvedJunction:
     sites: int
     poses: int
     runs: int
+    possible_runs: int  # these, and those for which the junction has no room
     frames: int
     seconds: dict[str, float]  # processor time of the thread that solved it, by stage. [s]
 
@@ -114,6 +115,8 @@ def solve_junction(
         front, chosen = find_front(problem, effort=effort, begin=watch.begin, first=first)
     except UnmetError as error:
         raise InputError(error.where, error.got, error.expected) from None
+    setting = assembly.setting
+    refused = sum(len(one.speeds_kmh) for one in setting.refusals if one.is_possible)
     return SolvedJunction(
         front=front,
         layouts=tuple(
@@ -122,8 +125,9 @@ def solve_junction(
         ),
         sites=len(scene.sites),
         poses=len(candidates),
-        runs=len(assembly.setting.runs),
-        frames=assembly.setting.axis.n_frames,
+        runs=len(setting.runs),
+        possible_runs=len(setting.runs) + refused * len(set(setting.axis.weathers)),
+        frames=setting.axis.n_frames,
         seconds=watch.finish(),
     )
 

@@ -215,7 +215,7 @@ def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, Float
     camera = shot.camera
     if not camera.is_pinhole:
         at_depth_1 = pixel_grid(camera)[rows, columns]
-        rays = _lens_rays(shot, at_depth_1.reshape(-1, 2)).reshape(*at_depth_1.shape[:2], 3)
+        rays = lens_rays(shot.pose, at_depth_1.reshape(-1, 2)).reshape(*at_depth_1.shape[:2], 3)
         return np.empty((0, 3), dtype=np.float32), rays
     focal = camera.focal_length_px
     across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
@@ -231,7 +231,7 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     """Rays through points of the image, one metre deep, (n, 3)."""
     camera = shot.camera
     if not camera.is_pinhole:
-        return _lens_rays(shot, picture_rays(columns_px, rows_px, camera))
+        return lens_rays(shot.pose, picture_rays(columns_px, rows_px, camera))
     in_camera = np.empty((len(columns_px), 3), dtype=np.float32)
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
     in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
@@ -240,11 +240,11 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     return in_camera @ rotation.T.astype(np.float32)
 
 
-def _lens_rays(shot: Shot, at_depth_1: FloatArray) -> FloatRays:
+def lens_rays(pose: Pose, at_depth_1: FloatArray) -> FloatRays:
     """Rays (n, 3) of points (n, 2) at depth 1; zeros where a lens shows nothing."""
     in_camera = np.column_stack([at_depth_1, np.ones(len(at_depth_1))])
     in_camera[np.isnan(at_depth_1).any(axis=1)] = 0.0
-    rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
+    rotation = camera_rotation(pose.yaw_deg, pose.pitch_deg)
     return np.asarray((in_camera @ rotation.T).astype(np.float32))
 
 
@@ -535,7 +535,10 @@ def expose_image(
         exposure_s=imager["rain_exposure_s"],
         rng=np.random.default_rng([*seed, *size]),
     )
-    white_cdpm2 = exposure.white_luminance(radiance, imager)
+    metered = radiance
+    if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
+        metered = radiance[None, np.isfinite(pixel_grid(shot.camera)[..., 0])]
+    white_cdpm2 = exposure.white_luminance(metered, imager)
     rgb = np.empty((*size, 3), dtype=np.uint8)
 
     def expose(tile: tuple[slice, slice]) -> None:

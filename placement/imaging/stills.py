@@ -21,8 +21,7 @@ from geometry.kernels import kernel
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
-from geometry.sensors import CameraModel
-from geometry.sensors import pixel_rays as look_through
+from geometry.sensors import CameraModel, pixel_grid
 from geometry.weather import Weather
 from scenarios.runs import Run
 
@@ -52,6 +51,7 @@ from .picture import (
     build_shot,
     expose_image,
     ground_albedo,
+    lens_rays,
     names_of,
     pixel_rays,
     ray_parts,
@@ -421,9 +421,7 @@ def silhouette(
         rows = (below / focal).astype(np.float32)[:, None, None] * down
         ways = np.ascontiguousarray((ahead + rows + columns).reshape(-1, 3))
     else:
-        rows_px, columns_px = np.indices((window.height, window.width)).reshape(2, -1)
-        where = columns_px + window.left, rows_px + window.top
-        ways = np.nan_to_num(look_through(*where, pose, camera).astype(np.float32))
+        ways = lens_rays(pose, pixel_grid(camera)[window.rows, window.columns].reshape(-1, 2))
     _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
     return (triangle >= 0).reshape(window.height, window.width)
 
@@ -442,8 +440,11 @@ def _meter(shot: Shot) -> float:
     across = (np.arange(n_columns, dtype=np.float32) + 0.5) * (camera.width_px / n_columns)
     down = (np.arange(n_rows, dtype=np.float32) + 0.5) * (camera.height_px / n_rows)
     grid = np.stack(np.meshgrid(across, down), axis=-1).astype(np.float32).reshape(-1, 2)
-    seen: FloatRays = shade_rays(shot, pixel_rays(shot, grid[:, 0], grid[:, 1]))[0].radiance
-    return white_luminance(seen.reshape(n_rows, n_columns, 3), load_imager(), every=1)
+    ways = pixel_rays(shot, grid[:, 0], grid[:, 1])
+    seen: FloatRays = shade_rays(shot, ways)[0].radiance
+    seen = seen[ways.any(axis=1)]  # what a lens leaves dark does not count
+    n_rows = n_rows if len(seen) == len(ways) else 1
+    return white_luminance(seen.reshape(n_rows, -1, 3), load_imager(), every=1)
 
 
 def _window_camera(camera: CameraModel, window: Window) -> CameraModel:

@@ -51,12 +51,17 @@ def walk_by_pairs(
 ) -> Tied:
     """All sets as good as the best, by their mean over all worlds, as far as the time goes.
 
+    Where it does not go so far, an upper bound: ever nearer ones are proven first.
     Where only the worst worlds count, no more than an upper bound: that of the mean.
     """
     if reduced.measure.is_mean:
         walk = PairWalk(reduced, need=0.0)
+        value = float(union_apr(reduced, unions_of(reduced, units[None, :]))[0])
         search = TieSearch(
-            reduced, units, walk_from=lambda need, _: walk.again(need), on_better=on_better
+            *(reduced, units),
+            walk_from=lambda need, _: walk.again(need),
+            near=timing.NEAR_IN_WORLDS * value,
+            on_better=on_better,
         )
         return search.find(deadline)
     value = float(union_apr(reduced, unions_of(reduced, units[None, :]))[0])

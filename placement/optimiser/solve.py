@@ -298,12 +298,7 @@ def _solve_large(
     found = solve_placement(part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage)
     value = {stage.name: stage.objective for stage in found.certificate.stages}
     avoided = value[Objective.APR] if problem.tail == 1.0 else 0.0
-    bounds = dict.fromkeys(Objective, apr) | {
-        Objective.UNITS: 1.0,
-        Objective.COST: 0.0,
-        Objective.SMALLEST_MARGIN: most.mean_margin_limit_s(0.0),
-        Objective.MEAN_MARGIN: most.mean_margin_limit_s(avoided),
-    }
+    bounds = _loose_bounds(most, apr, avoided)
     stages = []
     for stage in found.certificate.stages:
         objective = Objective(stage.name)
@@ -318,6 +313,38 @@ def _solve_large(
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
     )
+
+
+def _loose_bounds(every: Search, apr: float, avoided: float) -> dict[Objective, float]:
+    """What all poses together reach, by objective; of the APR a bound is known, and what counts."""
+    return dict.fromkeys(Objective, apr) | {
+        Objective.UNITS: 1.0,
+        Objective.COST: 0.0,
+        Objective.SMALLEST_MARGIN: every.mean_margin_limit_s(0.0),
+        Objective.MEAN_MARGIN: every.mean_margin_limit_s(avoided),
+    }
+
+
+def instead(
+    problem: PlacementProblem,
+    reduced: ReducedProblem,
+    solution: Solution,
+    pose_index: Sequence[int],
+) -> Solution:
+    """Other poses in place of a solution's, with what its bounds say of them.
+
+    A stage's bound holds for poses that are as good as the solution's in all stages before; behind
+    the first one in which they are not, stages have what all poses together reach.
+    """
+    values, holds, stages = objective_values(problem, pose_index), True, []
+    loose = _loose_bounds(Search(reduced), reduced.measure.limit, values[Objective.APR])
+    for stage in solution.certificate.stages:
+        one = Objective(stage.name)
+        bound = stage.bound if holds else loose[one]
+        stages.append(build_stage(one, values[one], bound, stage.seconds))
+        holds &= abs(values[one] - stage.objective) <= one.tolerance
+    certificate = replace(solution.certificate, stages=tuple(stages))
+    return replace(solution, pose_index=tuple(sorted(pose_index)), certificate=certificate)
 
 
 def build_stage(objective: Objective, value: float, bound: float, seconds: float) -> Stage:

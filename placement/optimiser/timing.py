@@ -106,6 +106,10 @@ OSQP_TOLERANCE, OSQP_PENALTY, OSQP_OVERRELAXATION = 1.0e-5, 1.0, 1.8
 
 # ---------- walks
 NEAR = 0.009  # Relative: where ties are many, first it is proven that no set is better by more
+NEAR_IN_WORLDS = 0.02
+"""Relative: the first of such proofs where worlds are sampled; each next one is of half as much."""
+ALL_TIMES_NEAR = 6.0
+"""A walk for the best takes so many times as long as one for what is better by that; measured."""
 STOP_DEPTH = 2  # Nodes of this depth are handed out to threads
 OUT_SETS = 1 << 8  # Sets of classes that a walk finds before they are valued
 CLASS_POSES, MAX_LIKE_POSES = 12, 2000

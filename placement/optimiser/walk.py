@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 
 from . import timing
 from .allowed_sets import Limits, are_allowed, may_grow
@@ -407,9 +408,10 @@ class TieSearch:
 
     `units` is the best set so far; `walk_from` begins a walk for what whole sets must reach, and
     what must be left of them; `limit` bounds all sets that reach so much. Where `ahead` is not 0,
-    it is first proven that no set is better by that. `least_apr` is what the whole set must reach,
-    by default what must be left. `on_better` takes better sets and returns what they were improved
-    to.
+    it is first proven that no set is better by that. Where a walk may not end, it is proven before
+    that no set is better by `near`, by half of it, and so on. `least_apr` is what the whole set
+    must reach, by default what must be left. `on_better` takes better sets and returns what they
+    were improved to.
     """
 
     def __init__(
@@ -420,6 +422,7 @@ class TieSearch:
         walk_from: "Callable[[float, float], SomeWalk]",
         limit: Callable[[float, Deadline], float] | None = None,
         ahead: float = 0.0,
+        near: float = 0.0,
         n_failures: int = 0,
         least_apr: float | None = None,
         on_better: Callable[[IntArray], IntArray] = lambda units: units,
@@ -427,7 +430,7 @@ class TieSearch:
         self.reduced, self.walk_from, self.limit = reduced, walk_from, limit
         self.n_failures, self.least_apr, self.on_better = n_failures, least_apr, on_better
         self.best = float(self._value_of(np.sort(units)[None, :])[0])
-        self.ahead = ahead
+        self.ahead, self.near = ahead, near
         self.tied: list[IntArray] = []
         self.has_all = True
 
@@ -447,6 +450,7 @@ class TieSearch:
             need = self.best if self.least_apr is None else self.least_apr
             limit = min(limit, rounded_down(self.reduced, self.limit(need, deadline)))
         is_proven = False
+        limit = self._come_near(deadline, limit)
         if ahead > 0.0 and (not is_near or limit >= self.best + ahead):
             if not self._walk(deadline, ahead):
                 return self._tied(limit, False)
@@ -459,6 +463,19 @@ class TieSearch:
         if is_finished and self.has_all:
             sets = np.unique(np.sort(np.concatenate(self.tied), axis=1), axis=0)
         return self._tied(limit, is_proven or is_finished, sets)
+
+    def _come_near(self, deadline: Deadline, limit: float) -> float:
+        """A limit ever nearer to the best value, until a walk for all is likely to end in time."""
+        near = self.near
+        while near > 0.0 and self.best + near < limit and not deadline.is_over:
+            began_s = now_s()
+            if not self._walk(deadline, near):
+                break
+            limit = self.best + near
+            if timing.ALL_TIMES_NEAR * (now_s() - began_s) < deadline.left_s():
+                break
+            near /= 2.0
+        return limit
 
     def _tied(self, limit: float, is_proven: bool, sets: IntArray | None = None) -> Tied:
         limit = self.best if is_proven else max(limit, self.best)

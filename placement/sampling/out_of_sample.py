@@ -119,6 +119,8 @@ def resampled_cvar(apr_by_sample: ArrayLike, tail: float, *, seed: int = 0) -> F
 
 
 STAGE = "out of sample"
+APART = 100_000
+"""Number of the first world in which layouts are chosen among: the answer is judged in others."""
 N_DRAWS = 4  # of a world: a draw costs a sixth of a world
 
 

@@ -18,7 +18,7 @@ from .point_kernels import Array
 _SLACK = 1.0e-6  # of a cosine
 # By so much of its size and so many pixels a body may reach beyond its corners.
 _BULGE, _MARGIN_PX = 0.1, 2.0
-_FOCAL, _MIDDLE, _SIZE, _TANGENTIAL, _LIMIT, _AXES, _SHARES = 0, 2, 4, 6, 8, 10, 19
+_FOCAL, _MIDDLE, _SIZE, _TANGENTIAL, _LIMIT, _CONE, _AXES, _SHARES = 0, 2, 4, 6, 8, 10, 12, 21
 _N_SHARES = 2048
 
 
@@ -45,12 +45,11 @@ def _pack_model(camera: CameraModel) -> FloatArray:
     reach = min(math.tan(SEEN_RAD), lens.reach * (1.0 - 1.0e-12))
     if isinstance(lens, BrownConrady):
         tangential = lens.p1, lens.p2
-        lens = lens.radial
     most = reach**2 / (1.0 + reach**2)
     square = most * (1.0 - np.linspace(0.0, 1.0, _N_SHARES) ** 2)
     radius = np.sqrt(square / (1.0 - square)).clip(1.0e-9, reach)
-    shares = lens.distort(np.stack([radius, np.zeros_like(radius)], axis=1))[:, 0] / radius
-    focal_px = camera.focal_length_px
+    shares = lens.shown_radius(radius) / radius
+    focal_px, half_rad = camera.focal_length_px, math.radians(0.5 * camera.diagonal_fov_deg)
     return freeze(
         np.array(
             [
@@ -59,6 +58,7 @@ def _pack_model(camera: CameraModel) -> FloatArray:
                 *(camera.width_px, camera.height_px),
                 *tangential,
                 *(reach, 1.0 / most),
+                *(math.cos(half_rad), math.sin(half_rad)),  # of the cone that holds the picture
                 *np.eye(3).ravel(),
                 *shares,
                 shares[-1],  # to interpolate at the last one
@@ -109,59 +109,27 @@ def _widen(box: FloatArray, first: int, column: float, row: float) -> None:
 
 
 @kernel
-def _area(box: FloatArray, first: int) -> float:
-    """Area of a box of four numbers; 0 if it holds nothing."""
-    across, up = box[first + 2] - box[first], box[first + 3] - box[first + 1]
-    return float(max(across, 0.0) * max(up, 0.0))
-
-
-@kernel
-def _box_hull(
-    lens: FloatArray, hull: FloatArray, min_depth_m: float, min_height_px: float, box: FloatArray
-) -> tuple[bool, bool]:
-    """If a body may be seen, and if all of it is in the picture, by its corners (n, 3).
-
-    The box around them goes to the first four numbers of `box`.
-    """
-    box[0], box[1], box[2], box[3] = np.inf, np.inf, -np.inf, -np.inf
-    is_inside, is_ahead = True, True
-    for corner in range(len(hull)):
-        column, row, ahead, shown = _project(
-            lens, hull[corner, 0], hull[corner, 1], hull[corner, 2], min_depth_m
-        )
-        _widen(box, 0, column, row)
-        is_inside &= shown
-        is_ahead &= ahead
-    if not is_ahead:
-        return True, False
-    # Its edges are bent: it may reach a little farther than its corners.
-    beyond = _BULGE * max(box[2] - box[0], box[3] - box[1]) + _MARGIN_PX
-    high = min(box[3], lens[_SIZE + 1]) - max(box[1], 0.0) + 2.0 * beyond
-    is_near = box[2] + beyond >= 0.0 and box[0] - beyond <= lens[_SIZE]
-    return is_near and high >= min_height_px, is_inside
-
-
-@kernel
 def _box_points(
     lens: FloatArray,
-    points: FloatArray,
+    axes: Array,
+    eye: FloatArray,
     is_seen: Array,
     is_whole: bool,
     min_depth_m: float,
     box: FloatArray,
-) -> tuple[bool, bool]:
-    """If the picture cuts a body off, and if the lens folds where it would show some of it.
+) -> tuple[bool, bool, bool]:
+    """If a body is ahead, if the picture cuts it off, and if the lens folds where it would show it.
 
-    Four boxes of its points (n, 3) go to `box`: of all, of those that are seen and in the picture,
+    Four boxes of its points (3, n) go to `box`: of all, of those that are seen and in the picture,
     of those in the picture, and of those that are seen.
     """
     box[0::4] = box[1::4] = np.inf
     box[2::4] = box[3::4] = -np.inf
-    is_cut = is_folded = False
-    for point in range(len(points)):
-        column, row, is_ahead, is_shown = _project(
-            lens, points[point, 0], points[point, 1], points[point, 2], min_depth_m
-        )
+    is_all_ahead, is_cut, is_folded = True, False, False
+    for point in range(axes.shape[1]):
+        x, y, z = axes[0, point] - eye[0], axes[1, point] - eye[1], axes[2, point] - eye[2]
+        column, row, is_ahead, is_shown = _project(lens, x, y, z, min_depth_m)
+        is_all_ahead &= is_ahead
         _widen(box, 0, column, row)
         if is_whole or is_seen[point]:
             _widen(box, 12, column, row)
@@ -173,54 +141,42 @@ def _box_points(
         is_cut = True
         is_in_frame = 0.0 <= column <= lens[_SIZE] and 0.0 <= row <= lens[_SIZE + 1]
         is_folded |= is_ahead and is_in_frame
-    return is_cut, is_folded
+    return is_all_ahead, is_cut, is_folded
 
 
 @kernel
-def _box_seen(
-    lens: FloatArray, points: FloatArray, is_seen: Array, min_depth_m: float, box: FloatArray
-) -> None:
-    """The last of the boxes of :func:`_box_points`, of a body that is all in the picture."""
-    box[12], box[13], box[14], box[15] = np.inf, np.inf, -np.inf, -np.inf
-    for point in range(len(points)):
-        if is_seen[point]:
-            column, row, _, _ = _project(
-                lens, points[point, 0], points[point, 1], points[point, 2], min_depth_m
-            )
-            _widen(box, 12, column, row)
+def _is_out(lens: FloatArray, box: FloatArray, min_height_px: float) -> bool:
+    """True if a body ahead, with its corners in a box, is not so high in the picture."""
+    # Its edges are bent: it may reach a little farther than its corners.
+    beyond = _BULGE * max(box[2] - box[0], box[3] - box[1]) + _MARGIN_PX
+    high = min(box[3], lens[_SIZE + 1]) - max(box[1], 0.0) + 2.0 * beyond
+    return bool(box[2] + beyond < 0.0 or box[0] - beyond > lens[_SIZE] or high < min_height_px)
 
 
 @kernel
 def _share_inside(lens: FloatArray, is_folded: bool, box: FloatArray) -> float:
     """Share of a body's box in the picture, of the boxes of :func:`_box_points`."""
-    whole = max(_area(box, 0), 1.0e-9)
     if not is_folded:  # cut off by the picture's edges alone
         box[8], box[9] = max(box[0], 0.0), max(box[1], 0.0)
         box[10], box[11] = min(box[2], lens[_SIZE]), min(box[3], lens[_SIZE + 1])
-    return float(min(_area(box, 8) / whole, 1.0))
+    shown = max(box[10] - box[8], 0.0) * max(box[11] - box[9], 0.0)
+    return float(min(shown / max((box[2] - box[0]) * (box[3] - box[1]), 1.0e-9), 1.0))
 
 
 @kernel
-def _offsets(axes: Array, view: int, eye: FloatArray, offsets: FloatArray) -> None:
-    """Offsets (n, 3) of a view's points, (n_views, 3, n), from the eye."""
-    for axis in range(3):
-        for point in range(len(offsets)):
-            offsets[point, axis] = axes[view, axis, point] - eye[axis]
-
-
-@kernel
-def _is_near(lens: FloatArray, cone: FloatArray, middle: FloatArray, radius: float) -> bool:
+def _is_near(lens: FloatArray, middle: Array, eye: FloatArray, radius: float) -> bool:
     """True if a sphere around a middle, seen from the lens, reaches into the picture's cone."""
-    x, y, z = middle[0], middle[1], middle[2]
+    x, y, z = middle[0] - eye[0], middle[1] - eye[1], middle[2] - eye[2]
+    wide_cos, wide_sin = lens[_CONE], lens[_CONE + 1]
     away = math.sqrt(x * x + y * y + z * z)
     if away <= radius:
         return True
     sine = radius / away
     cosine = math.sqrt(1.0 - sine * sine)
-    if cone[1] * cosine + cone[0] * sine < 0.0:  # wider than half a turn
+    if wide_sin * cosine + wide_cos * sine < 0.0:  # wider than half a turn
         return True
     along = x * lens[_AXES + 6] + y * lens[_AXES + 7] + z * lens[_AXES + 8]
-    return bool(along >= (cone[0] * cosine - cone[1] * sine - _SLACK) * away)
+    return bool(along >= (wide_cos * cosine - wide_sin * sine - _SLACK) * away)
 
 
 @kernel
@@ -228,49 +184,42 @@ def box_through_lenses(
     bodies: tuple[Array, Array, Array, Array],
     eye: Array,
     sight: tuple[Array, Array, Array],
-    cameras: tuple[Array, Array],
+    lenses: Array,
     least: tuple[float, float],
     found: tuple[Array, Array, Array, Array, Array],
 ) -> tuple[int, int]:
     """Boxes of bodies through lenses, of those that are seen whole apart from the others.
 
-    Bodies, sight and what is found are as for :func:`.point_kernels.box_bodies`. Cameras: lenses
-    (k, n) of :func:`pack_lens`, and (k, 2) the cosine and sine of half the cone that holds each
-    picture.
+    Bodies, sight and what is found are as for :func:`.point_kernels.box_bodies`; lenses are (k, n),
+    of :func:`pack_lens`.
     """
     (points, hull, middle, radius), (min_depth_m, min_height_px) = bodies, least
-    (view_of_entry, is_visible, is_whole), (lenses, cones) = sight, cameras
+    view_of_entry, is_visible, is_whole = sight
     plain, plain_px, part, part_px, inside_share = found
-    box, centre = np.empty(16), np.empty(3)
-    every, corners = np.empty((points.shape[2], 3)), np.empty((hull.shape[2], 3))
+    box = np.empty(16)
     n_plain = n_part = 0
     for entry in range(len(view_of_entry)):  # bodies, and the cameras that may see each
         view = view_of_entry[entry]
-        for axis in range(3):
-            centre[axis] = middle[view, axis] - eye[axis]
-        _offsets(hull, view, eye, corners)
-        _offsets(points, view, eye, every)
         for camera in range(len(lenses)):
             lens = lenses[camera]
-            if not _is_near(lens, cones[camera], centre, radius[view]):
+            if not _is_near(lens, middle[view], eye, radius[view]):
                 continue
-            may_be, is_inside = _box_hull(lens, corners, min_depth_m, min_height_px, box)
-            if not may_be:
+            # Its corners alone, first.
+            is_ahead, is_cut, _ = _box_points(
+                lens, hull[view], eye, is_visible[entry], True, min_depth_m, box
+            )
+            if is_ahead and _is_out(lens, box, min_height_px):
                 continue
             high = box[3] - box[1]
-            if is_inside and is_whole[entry]:
+            if is_whole[entry] and not is_cut:
                 if high >= min_height_px and high > 0.0:
                     plain[n_plain, 0], plain[n_plain, 1] = camera, entry
                     plain_px[n_plain] = box[:4]
                     n_plain += 1
                 continue
-            if is_inside:
-                _box_seen(lens, every, is_visible[entry], min_depth_m, box)
-                is_cut = is_folded = False
-            else:
-                is_cut, is_folded = _box_points(
-                    lens, every, is_visible[entry], is_whole[entry], min_depth_m, box
-                )
+            _, is_cut, is_folded = _box_points(
+                lens, points[view], eye, is_visible[entry], is_whole[entry], min_depth_m, box
+            )
             seen, whole = (4, 8) if is_cut else (12, 0)
             high = box[seen + 3] - box[seen + 1]
             if not (high >= min_height_px and high > 0.0):

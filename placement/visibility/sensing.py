@@ -120,12 +120,16 @@ class Sensing:
             [self.detector.least_height_px(replace(whole, contrast=c)) for c in self.contrast]
         )
 
-    def _in_cone(self, candidate: CandidatePose) -> BoolArray:
-        """Entries of which some part may be in a sensor's field of view, (n,)."""
-        ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
-        half_angle = np.radians(0.5 * candidate.sensor.diagonal_fov_deg) + self.half_angle_rad
-        along = self.middle_m @ ahead + _SLACK * self.distance_m
-        return np.asarray(along >= np.cos(np.minimum(half_angle, np.pi)) * self.distance_m)
+
+def _in_cone(
+    candidate: CandidatePose, middle_m: FloatArray, distance_m: FloatArray, spread_rad: FloatArray
+) -> BoolArray:
+    """Bodies (n,) of which a part, so far off their middle, may be in a sensor's field of view."""
+    ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
+    half_rad = np.radians(0.5 * candidate.sensor.diagonal_fov_deg) + spread_rad
+    along = middle_m @ ahead + _SLACK * distance_m
+    is_in: BoolArray = along >= np.cos(np.minimum(half_rad, np.pi)) * distance_m
+    return is_in
 
 
 def build_sensing(
@@ -219,9 +223,7 @@ def _may_show(
     offsets = views.middle_m - eye
     away = np.linalg.norm(offsets, axis=1)
     spread = np.arcsin(np.minimum(1.0, (views.radius_m + _SLACK_M) / np.maximum(away, 1.0e-6)))
-    half_rad = np.radians(0.5 * camera.diagonal_fov_deg) + spread + turned_rad
-    ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
-    may_show: BoolArray = offsets @ ahead >= (np.cos(np.minimum(half_rad, np.pi)) - _SLACK) * away
+    may_show = _in_cone(candidate, offsets, away, spread + turned_rad)
     may_show &= 2.0 * spread * sharpest_px_per_rad(camera) >= height_px * (1.0 - turned_rad)
     return may_show
 
@@ -295,13 +297,9 @@ def _box(
 
         cameras = [one.sensor for one in chosen if isinstance(one.sensor, CameraModel)]
         turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen]
-        half_rad = np.radians([0.5 * camera.diagonal_fov_deg for camera in cameras])
         n_plain, n_part = box_through_lenses(
             *(bodies, sensing.eye_m, seen),
-            (
-                np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)]),
-                np.stack([np.cos(half_rad), np.sin(half_rad)], axis=1),
-            ),
+            np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)]),
             (_MIN_DEPTH_M, sensing.detector.min_box_height_px),
             found,
         )
@@ -410,9 +408,10 @@ def _detect_echoes(
     counts = np.bincount(entry, minlength=len(sight.view_index))
     found = np.zeros((len(candidates), *sensing.contrast.shape), dtype=bool)
     poses = [candidate.pose for candidate in candidates]
+    bodies = sensing.middle_m, sensing.distance_m, sensing.half_angle_rad
     count_echoes(
         np.stack([body_rotation(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
-        np.stack([sensing._in_cone(candidate) for candidate in candidates]),
+        np.stack([_in_cone(one, *bodies) for one in candidates]),
         np.concatenate([[0], np.cumsum(counts)]),
         np.ascontiguousarray(offsets / distance[:, None]),
         np.ascontiguousarray(expected),

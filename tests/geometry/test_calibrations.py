@@ -10,7 +10,7 @@ from readers import READERS
 from scipy.spatial.transform import Rotation
 from strategies import numbers, poses
 
-from experiments.export.calibration import calibrations, of_calibrated
+from experiments.export.calibration import calibrations
 from experiments.export.opencv import opencv_text
 from experiments.export.ros import ros_text
 from geometry.calibrations import read_cameras
@@ -48,7 +48,7 @@ def test_what_is_written_is_read_again(pose, terms, is_fisheye, is_ros, tmp_path
         else BrownConrady(k1=k1, k2=k2, p1=k3, p2=k4, k3=k5)
     )
     camera = camera_with(lens, pose)
-    named = [of_calibrated("north 1", camera), of_calibrated("south", camera)]
+    named = {"north 1": camera, "south": camera}
     path = tmp_path_factory.mktemp("read") / "cameras.yaml"
     path.write_text(ros_text(named) if is_ros else opencv_text(named, "both"))
     found = read_cameras(path)
@@ -75,7 +75,7 @@ def test_files_of_others_are_told_apart(tmp_path):
     with pytest.raises(InputError, match=r"calib\.txt: got no size of pictures; expected their"):
         read_cameras(tmp_path / "calib.txt")
     with pytest.raises(InputError, match="tsai: lens: got Tsai's radial term; expected Brown-Con"):
-        ros_text([of_calibrated("tsai", tsai)])
+        ros_text({"tsai": tsai})
 
 
 ROS = """image_width: 1280
@@ -93,7 +93,7 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0.1, 0, 0, 0, 0]}
         ("data: [0.1, 0, 0, 0, 0]", "data: [0.1, 0, 0, 0, 0, 1, 0, 0]", "distortion_model: got"),
         ("plumb_bob", "equidistant", "got 'equidistant with 5 terms'; expected plumb_bob, or 4"),
         ("data: [0.1, ", "data: [[0.1], ", "distortion_coefficients: got 5 of another kind"),
-        ("[900, 0, 640", "[900, 1, 640", "camera_matrix: got [900.0, 1.0, 640.0"),
+        ("[900, 0, 640", "[900, 1, 640", "camera_matrix: got [[900.0, 1.0, 640.0"),
         ("[900, 0, 640", "[-9, 0, 640", "fx_px: got -9.0; expected pixels, > 0"),
         ("360, 0, 0, 1]}", "360, 0", "; expected a calibration in YAML"),
         ("image_height: 720\n", "", "image_height: got nothing; expected 1 finite numbers"),
@@ -130,7 +130,7 @@ def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
     camera = replace(camera, R_camera_world=turn @ camera.R_camera_world)
     assume(np.isfinite(lens.angle_of(640.0 / 900.0)))
     path = tmp_path_factory.mktemp("layout") / "cameras.yaml"
-    path.write_text(opencv_text([of_calibrated("north", camera)], "one"))
+    path.write_text(opencv_text({"north": camera}, "one"))
     layout = load_layout(path)
     (unit,) = layout.units
     assert unit.sensor.lens == lens
@@ -150,16 +150,16 @@ def test_a_calibration_as_a_layout_sees_what_the_camera_saw(
         sensors={"north": read_sensor("north", own_sensor_record(unit.sensor), "camera", "here")},
     )
     assert again.units[0].sensor == unit.sensor
-    (found,) = calibrations(layout, "opencv")
+    (found,) = calibrations(layout, "opencv").values()
     assert found.lens == lens
-    assert found.camera_matrix[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([900, 880, 633, 361.5])
-    assert found.world_to_camera == pytest.approx(camera.R_camera_world, abs=1e-6)
+    assert found.K[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([900, 880, 633, 361.5])
+    assert found.R_camera_world == pytest.approx(camera.R_camera_world, abs=1e-6)
 
 
 def test_a_calibration_that_folds_before_its_edge_is_no_layout(tmp_path):
     camera = camera_with(BrownConrady(k1=-0.9), POSE)
     path = tmp_path / "folds.yaml"
-    path.write_text(opencv_text([of_calibrated("north", camera)], "one"))
+    path.write_text(opencv_text({"north": camera}, "one"))
     with pytest.raises(
         InputError, match="north: distortion: got a lens that folds the picture bef"
     ):

@@ -15,7 +15,6 @@ from geometry.lenses import (
     TsaiRadial,
     ground_points,
     project_distorted,
-    widest_rad,
 )
 from geometry.poses import camera_rotation
 from geometry.sensors import is_shown, picture_rays, project_points, shown_points
@@ -182,13 +181,13 @@ def test_to_undistort_what_is_distorted_finds_the_ray_again(lens, seed):
 
 @given(LENSES, numbers(0.05, 0.9))
 def test_the_angle_of_what_a_lens_shows_is_the_one_it_shows(lens, share):
-    angle = share * min(widest_rad(lens), 1.3)
+    angle = share * min(lens.widest_rad, 1.3)
     assert lens.angle_of(lens.shown_at(angle)) == pytest.approx(angle, abs=1e-8)
 
 
 @given(cameras(), LENSES, numbers(0.1, 0.95), numbers(-30.0, 30.0), st.integers(0, 2**32 - 1))
 def test_every_point_of_a_picture_is_where_its_ray_is_projected(camera, lens, share, roll, seed):
-    most_deg = min(2.0 * np.degrees(widest_rad(lens)), 150.0)
+    most_deg = min(2.0 * np.degrees(lens.widest_rad), 150.0)
     camera = replace(
         camera,
         lens=lens,

@@ -3,13 +3,14 @@ import math
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import cameras, numbers, points_m, poses
 
 from geometry.errors import InputError
 from geometry.poses import Pose, body_rotation
-from geometry.sensors import pixel_rays, project_points, with_fov
+from geometry.sensors import project_points, with_fov
 
 
 @given(poses(), cameras(), st.data(), numbers(0.1, 300.0))

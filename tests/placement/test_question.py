@@ -82,6 +82,14 @@ def test_a_number_is_taken_where_a_word_may_stand(path):
     assert load_question_values(path) == {"target": "0.99", "speeds": "30"}
 
 
+def test_the_number_of_worlds_may_be_a_word(path):
+    save_question(path, replace(Question(), samples="auto"))
+    assert path.read_text(encoding="utf-8").endswith('samples = "auto"\n')
+    assert load_question(path).samples == "auto"
+    with pytest.raises(InputError, match="samples: got 'auto'; expected a number"):
+        _ = load_question(path).n_samples
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -94,6 +102,7 @@ def test_a_number_is_taken_where_a_word_may_stand(path):
         ("track_memory = -inf", "track_memory: got -inf; expected a finite number"),
         ("track_memory = 0", "track_memory: got 0; expected seconds, more than 0, or inf"),
         ("vam_rate = 2", "vam_rate: got 2; expected a share of equipped road users, 0 to 1"),
+        ("samples = 'often'", "samples: got 'often'; expected auto, or a number of sampled worlds"),
         ("time_limit = 0", "time_limit: got 0; expected seconds, more than 0"),
         ("refine = 1", "refine: got 1; expected true or false"),
         ("cases = ['CBNA']", "cases: got ['CBNA']; expected text"),

@@ -116,6 +116,16 @@ def test_those_who_do_not_come_near_are_no_encounter():
     assert (found, sum(left_out.values())) == ((), 1)
 
 
+@pytest.mark.parametrize(("heading_deg", "faces_deg"), [(40.0, 40.0), (math.nan, 0.0)])
+def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_deg):
+    stands = track("p", "pedestrian", lambda _: (0.3, -1.75), yaw_deg=heading_deg)
+    found = find_one(car(last_s=3.8), stands, ttc_s=2.0)
+    assert found.vru_speed_kmh == 0.0
+    assert found.recorded.vru.yaw_deg == faces_deg
+    ahead = np.diff(found.recorded.vru.points_m, axis=0)[0]
+    assert np.degrees(np.arctan2(*ahead[::-1])) == pytest.approx(faces_deg, abs=0.1)
+
+
 def test_who_passes_near_is_replayed_without_the_time_between():
     passes = [car(front_at_s=4.0), walker(at_lane_s=2.0, last_s=8.0)]
     assert find_encounters(passes, ttc_s=0.5)[0] == ()

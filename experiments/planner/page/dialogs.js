@@ -93,9 +93,9 @@ export function openDialogs({ map, notice, scene, state, saved }) {
   document.addEventListener("drop", (event) => {
     event.preventDefault();
     document.body.classList.remove("dropping");
-    const [file] = event.dataTransfer.files;
+    const files = [...event.dataTransfer.files], [file] = files;
     if (!file) return;
-    if (file.type.startsWith("image/") && !PLANS.some((end) => file.name.endsWith(end))) showImage(file);
+    if (files.some((one) => one.type.startsWith("image/") || IS_WORLD.test(one.name)) && !PLANS.some((end) => file.name.endsWith(end))) takeImage(files);
     else open(file);
   });
 
@@ -187,7 +187,26 @@ export function openDialogs({ map, notice, scene, state, saved }) {
     if (!find("image-dialog").open) find("image-dialog").showModal();
   }
   find("background").addEventListener("click", () => find("image-dialog").showModal());
-  find("image-file").addEventListener("change", (event) => { const [file] = event.target.files; if (file) showImage(file); });
+  const IS_WORLD = /\.(pgw|jgw|wld|pngw|jpgw|tfw)$/i, IS_TIFF = /\.tiff?$/i;
+  async function laidByItself(file, world) {
+    const numbers = world ? (await world.text()).trim().split(/\s+/).join(" ") : "";
+    find("image-text").textContent = `${file.name} is being laid on the plan \u2026`;
+    const headers = { "X-File-Name": encodeURIComponent(file.name), "X-World": numbers.slice(0, 500), "X-Crs": find("image-crs").value };
+    try {
+      await give("background", file, { headers, most: scene().mostBytes.map });
+      find("image-text").textContent = "";
+      find("image-dialog").close();
+    } catch (error) {
+      find("image-text").textContent = error.message;
+    }
+  }
+  function takeImage(files) {
+    const world = files.find((file) => IS_WORLD.test(file.name)), file = files.find((one) => one !== world);
+    if (!file) { if (world) find("image-text").textContent = "Choose the image together with its world file."; return; }
+    if (world || IS_TIFF.test(file.name)) { if (!find("image-dialog").open) find("image-dialog").showModal(); laidByItself(file, world); } else showImage(file);
+  }
+  find("image-file").addEventListener("change", (event) => { takeImage([...event.target.files]); event.target.value = ""; });
+  find("opacity").addEventListener("input", (event) => map.fade(event.target.valueAsNumber / 100));
   find("image-shown").addEventListener("click", (event) => {
     const target = event.target, box = target.getBoundingClientRect();
     find(`x${turn}`).value = ((event.clientX - box.left) / box.width * target.naturalWidth).toFixed(1);
@@ -227,6 +246,7 @@ export function openDialogs({ map, notice, scene, state, saved }) {
 
   // What is laid, by whichever browser.
   function readBackground(message) {
+    find("opacity-row").hidden = !message.address;
     if (!message.address) {
       map.showImage("");
       return;

@@ -1,5 +1,6 @@
 // The junction from above: poles, sensors and their views, arms by the share that is avoided.
 
+import { drawDanger } from "./danger.js";
 import { createRunDrawing } from "./run.js";
 import { addPatterns, drawGround, drawScale, element, MARKS } from "./shared.js";
 
@@ -49,7 +50,7 @@ export function openView(unit, reachM = FREE_REACH_M) {
   };
   const steps = Array.from({ length: 13 }, (_, step) => step / 6 - 1);
   if (unit.kind === "camera") {
-    const [wide, high] = [unit.fovDeg, unit.verticalFovDeg].map((angle) => Math.tan(radians(angle) / 2));
+    const [wide, high] = [unit.fovDeg, unit.verticalFovDeg].map((angle) => Math.tan(radians(Math.min(angle, 172)) / 2)); // nothing is seen farther out
     const ray = (left, up) => add(Math.cos(pitch) - up * high * Math.sin(pitch), left * wide, Math.sin(pitch) + up * high * Math.cos(pitch));
     steps.forEach((step) => ray(step, 1));
     steps.forEach((step) => ray(1, -step));
@@ -98,13 +99,14 @@ export function createMap(holder, on) {
   addPatterns(svg);
   addHatching(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
-  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
+  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "danger", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
+  layers.danger.setAttribute("pointer-events", "none");
   const marks = element("g", {}, svg);
   const marked = Object.fromEntries(["arms", "names", "other", "run", "sites", "units", "aim", "drag", "ruler", "scale"].map((name) => [name, element("g", {}, marks)]));
   marked.scale.setAttribute("font-size", 11);
   let scene = null, units = [], selected = null, chosenSite = null;
   let middle = [0, 0], half = 5000, width = 600, height = 400, perCm = 0.05, origin = [0, 0];
-  let drawn = new Map(), placed = [], others = [], handle = null, pickPoint = null, views = new Map(), ruler = null;
+  let drawn = new Map(), placed = [], others = [], handle = null, pickPoint = null, views = new Map(), ruler = null, isPoling = false;
   const at = ([x, y]) => [origin[0] + x * perCm, origin[1] - y * perCm];
   const put = (mark, place) => { const [x, y] = at(place); mark.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`); };
   const placeOf = ([x, y]) => {
@@ -165,16 +167,29 @@ export function createMap(holder, on) {
     scene.arms.forEach((arm) => element("path", { d: along(lastOf(arm.way)), fill: "none", stroke: "none", "stroke-width": 5, "stroke-opacity": 0.75, class: "share", ...THIN }, layers.ways));
     scene.plan.arms.forEach((arm) => placed.push({ place: arm.place, mark: element("text", { text: arm.name, "font-size": 13, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3, fill: "#333" }, marked.names) }));
     scene.arms.forEach((arm) => placed.push({ place: arm.place, arm, mark: element("g", { class: "arm" }, marked.arms) }));
+    showSites(scene.sites);
+    showSite(null);
+  }
+
+  // Poles: the scene's, and those of one's own, which are square.
+  function showSites(sites) {
+    const focused = document.activeElement?.closest?.("[data-site]")?.dataset.site;
+    scene.sites = sites;
+    placed = placed.filter((item) => !item.site);
+    marked.sites.replaceChildren();
     scene.sites.forEach((site) => {
       const mark = element("g", { class: "site", tabindex: 0, role: "button", "data-site": site.id }, marked.sites);
       element("circle", { r: 14, fill: "transparent" }, mark);
-      element("circle", { r: 5, fill: site.isForbidden ? "#bbb" : "#fff", stroke: "#222", "stroke-width": 1.6, class: "dot" }, mark);
-      element("title", { text: `${site.id}: ${site.kind}${site.isForbidden ? ", forbidden" : `, carries ${site.capacity}`}` }, mark);
+      const drawn_ = { fill: site.isForbidden ? "#bbb" : "#fff", stroke: "#222", "stroke-width": 1.6, class: "dot" };
+      if (site.isOwn) element("rect", { x: -5, y: -5, width: 10, height: 10, ...drawn_ }, mark);
+      else element("circle", { r: 5, ...drawn_ }, mark);
+      element("title", { text: `${site.id}: ${site.isOwn ? "your own, " : ""}${site.kind}${site.isForbidden ? ", forbidden" : `, carries ${site.capacity}`}` }, mark);
       mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); if (ruler) rule(site.place); else on.site(site.id); } });
       placed.push({ place: site.place, site, mark });
     });
     layOut();
-    showSite(null);
+    showSite(chosenSite);
+    if (focused) marked.sites.querySelector(`[data-site="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
   }
 
   function showShares(shares) {
@@ -215,6 +230,11 @@ export function createMap(holder, on) {
     element("image", { href: canvas.toDataURL(), x: 0, y: 0, width: 1, height: 1, opacity: 0.8, preserveAspectRatio: "none", "image-rendering": "pixelated", transform: `matrix(${east - west} 0 0 ${south - north} ${west} ${north})` }, layers.coverage);
   }
 
+  let opacity = 0.75;
+  function fade(next) {
+    opacity = next;
+    layers.image.firstChild?.setAttribute("opacity", opacity);
+  }
   function showImage(address, size, pairs) {
     layers.image.replaceChildren();
     if (!address) return;
@@ -226,7 +246,7 @@ export function createMap(holder, on) {
     const [cos, sin] = [(ux * vx + uy * vy) / square, (ux * vy - uy * vx) / square];
     const [x, y] = [p[0], -p[1]];
     const shift = [a[0] - (cos * x - sin * y), a[1] - (sin * x + cos * y)];
-    element("image", { href: address, width: size[0], height: size[1], opacity: 0.75, transform: `matrix(${cos} ${sin} ${sin} ${-cos} ${shift[0]} ${shift[1]})` }, layers.image);
+    element("image", { href: address, width: size[0], height: size[1], opacity, transform: `matrix(${cos} ${sin} ${sin} ${-cos} ${shift[0]} ${shift[1]})` }, layers.image);
   }
 
   // ---------- mounted sensors
@@ -369,10 +389,19 @@ export function createMap(holder, on) {
     if (!ruler.isOpen) on.measured(rulerM());
   }
   function measure(isOn) {
+    if (isOn && isPoling) pole(false);
     ruler = isOn ? {} : null;
     svg.classList.toggle("measuring", isOn);
     drawRuler();
     on.measuring(isOn);
+  }
+
+  // Poles of one's own: a press puts one, a drag moves it.
+  function pole(isOn) {
+    if (isOn && ruler) measure(false);
+    isPoling = isOn;
+    svg.classList.toggle("measuring", isOn);
+    on.poling(isOn);
   }
 
   // ---------- the pointer
@@ -397,6 +426,7 @@ export function createMap(holder, on) {
     if (given?.kind === "ruler" || ruler?.isOpen) { ruler = {}; drawRuler(); return true; }
     if (given || pickPoint) { pickPoint = null; return true; }
     if (ruler) { measure(false); return true; }
+    if (isPoling) { pole(false); return true; }
     return false;
   }
 
@@ -409,6 +439,7 @@ export function createMap(holder, on) {
     drag = { from: [event.clientX, event.clientY], start: groundOf(event), middle: [...middle], isMoved: false, gesture: `${Date.now()}-${Math.random()}` };
     if (pickPoint) drag.kind = "pick";
     else if (ruler) Object.assign(drag, { kind: "ruler", wasOpen: ruler.isOpen });
+    else if (isPoling) Object.assign(drag, nearestSite(event) ? { kind: "pole", site: nearestSite(event) } : { kind: "pan" });
     else if (aim) Object.assign(drag, { kind: "aim", unit: aim, off: handle.aim.map((value, axis) => value - drag.start[axis]) });
     else if (unit) { Object.assign(drag, { kind: "unit", unit }); on.unit(unit); }
     else if (site) Object.assign(drag, { kind: "site", site: nearestSite(event) }); // marks overlap: not the upper one
@@ -456,7 +487,8 @@ export function createMap(holder, on) {
     } else if (drag.kind === "aim") {
       const aim = aimed(event);
       if (aim) on.aim(drag.unit, aim, drag.gesture);
-    } else if (drag.kind === "site" && !drag.site.isForbidden) line(drag.site.place, groundOf(event));
+    } else if (drag.kind === "pole" && drag.site.isOwn) line(drag.site.place, groundOf(event));
+    else if (drag.kind === "site" && !drag.site.isForbidden) line(drag.site.place, groundOf(event));
     else if (drag.kind === "unit") {
       const unit = units.find((item) => item.id === drag.unit);
       const site = nearestSite(event);
@@ -473,6 +505,12 @@ export function createMap(holder, on) {
     if (!done || done.kind === "pinch" || event.type === "pointercancel") return;
     if (done.kind === "pick") { const pick = pickPoint; pickPoint = null; pick(groundOf(event)); return; }
     if (done.kind === "ruler") { if (done.isMoved || done.wasOpen) rule(ruled(event)); return; }
+    if (isPoling && done.kind === "pan" && !done.isMoved) { on.putPole(groundOf(event)); return; }
+    if (done.kind === "pole") {
+      if (done.isMoved && done.site.isOwn) on.putPole(groundOf(event), done.site.id);
+      else { on.unit(null); on.site(done.site.id); }
+      return;
+    }
     if (done.kind === "pan" && !done.isMoved) { on.unit(viewUnder(event)); return; }
     if (done.kind === "site") {
       if (done.isMoved) {
@@ -516,8 +554,9 @@ export function createMap(holder, on) {
   new ResizeObserver(layOut).observe(holder);
 
   return {
-    showScene, showShares, showSeen, showCoverage, showImage, showUnits, showView, showOffered, showOther, showSite, turn, zoomBy, giveUp, measure, run,
+    showScene, showShares, showSeen, showCoverage, showDanger: (points) => drawDanger(layers.danger, points), showImage, showUnits, showView, showOffered, showOther, showSite, showSites, fade, turn, zoomBy, giveUp, measure, pole, run,
     isMeasuring: () => Boolean(ruler),
+    isPoling: () => isPoling,
     select(id) { selected = id; showUnits(units); },
     whole,
     pick(then) { pickPoint = then; },

@@ -1,11 +1,14 @@
 // The planner's page: shows the messages of the session, and sends it what is done here.
 
 import { compareVariants } from "./compare.js";
+import { fillDangerKey } from "./danger.js";
 import { openDialogs } from "./dialogs.js";
 import { bearingOf, createCompass, createSideView, giveUpHandle } from "./handles.js";
 import { ask, openLine } from "./line.js";
 import { bandColour, createMap } from "./map.js";
+import { createQuestion } from "./question.js";
 import { createPlayed } from "./run.js";
+import { createSeen } from "./seen.js";
 import { element } from "./shared.js";
 
 const find = (id) => document.getElementById(id);
@@ -37,6 +40,12 @@ const map = createMap(find("plan"), {
   snapped,
   refused,
   heightOf: (site) => Math.min(Math.max(8, site.low), site.high),
+  putPole,
+  poling: (isOn) => {
+    find("pole").setAttribute("aria-pressed", isOn);
+    if (isOn) find("own-poles").open = true;
+    find("ruler-text").textContent = isOn ? "Press where a pole is to stand; drag a square one to move it; Escape ends it." : "";
+  },
   measured: (metres) => { find("ruler-text").textContent = `${metres.toFixed(2)} m`; },
   measuring: (isOn) => {
     find("ruler").setAttribute("aria-pressed", isOn);
@@ -55,7 +64,9 @@ const onHandles = {
   giveUp, snapped, refused,
 };
 const compass = createCompass(find("compass-holder"), onHandles), sideView = createSideView(find("side-holder"), onHandles);
-const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => markPlayed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? "avoided"); } });
+const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => { markPlayed(); seen.changed(); }, onFrame: () => seen.changed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? "avoided"); } });
+const seen = createSeen({ scene: () => scene, unitNow: () => state?.units.find((unit) => unit.id === selected), runNow: () => (played.run() ? { run: played.run(), frame: played.frame() } : null) });
+const question = createQuestion({ send: (message) => line.send(message) });
 const comparison = compareVariants({ map, state: () => state, cases: () => scene.cases });
 const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
 
@@ -69,8 +80,8 @@ window.addEventListener("beforeunload", (event) => {
 function read(message) {
   const readers = {
     scene: readScene, state: readState, numbers: readNumbers, variants: readVariants, proposals: readProposals, view: readView,
-    coverage: readCoverage, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
-    problem: (message) => { settle(); mounting = null; notice(message.text); }, notice: (message) => notice(message.text),
+    coverage: readCoverage, question: (message) => { question.read(message); tellMeanings(); }, doing: readDoing, background: dialogs.readBackground, sensors: (message) => { scene.grid = message.grid; fillGrid(); },
+    problem: (message) => { settle(); question.refused(); mounting = null; awaitsPole = false; notice(message.text); }, notice: (message) => notice(message.text),
   };
   readers[message.type]?.(message);
 }
@@ -82,6 +93,7 @@ function connected(isOpen) {
   banner.textContent = isOpen ? "" : "The connection to place-rsus plan is lost; trying again. What you do now is not saved.";
   find("main").inert = !isOpen;
   if (!isOpen) { numbers = null; live.clear(); showNumbers(); }
+  else seen.again();
 }
 
 // What was asked for is not answered: no number is taken for that of what is shown.
@@ -112,23 +124,67 @@ function options(select, values, chosen) {
 function readScene(message) {
   const isOther = scene && scene.name !== message.name;
   scene = message;
+  const site_ = find("site").value;
+  fixedSites = scene.sites;
+  shownPoles = "[]";
   find("scene-name").textContent = `at ${scene.title}, ${scene.runs.length} runs`;
   find("scene-name").title = scene.name;
   document.title = `Plan at ${scene.title} - place-rsus`;
   map.showScene(scene);
   map.showShares(null);
-  if (isOther) { selected = undefined; mounting = null; played.close(); locked.clear(); }
-  const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.kind})`, site.isForbidden]);
-  options(find("site"), sites);
-  options(find("why-site"), sites);
-  options(find("unit-site"), sites);
+  if (isOther) { selected = undefined; mounting = null; locked.clear(); }
+  if (isOther || !scene.runs.some((run) => run.id === played.run())) played.close();
+  numbers = null;
+  fillSites();
   const models = scene.sensors.map((model) => [model.name, model.name]);
   options(find("sensor"), models, scene.grid[0]);
   options(find("unit-sensor"), models);
   fillGrid();
   coverage = null;
-  chooseSite(find("site").value);
+  chooseSite(isOther || !scene.sites.some((site) => site.id === site_) ? find("site").value : site_);
+  seen.again();
 }
+
+// Poles of one's own come with the state: they are undone as all else is.
+let fixedSites = [], shownPoles = "[]", awaitsPole = false;
+function fillSites() {
+  const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.isOwn ? "your own " : ""}${site.kind})`, site.isForbidden]);
+  for (const id of ["site", "why-site", "unit-site"]) options(find(id), sites, scene.sites.some((site) => site.id === find(id).value) ? find(id).value : undefined);
+}
+
+function readPoles(poles) {
+  if (JSON.stringify(poles) === shownPoles) return;
+  const before = JSON.parse(shownPoles).map((pole) => pole.id);
+  shownPoles = JSON.stringify(poles);
+  map.showSites([...fixedSites, ...poles]);
+  fillSites();
+  const added = poles.find((pole) => !before.includes(pole.id));
+  if (added && awaitsPole) chooseUnit(null);
+  chooseSite(added && awaitsPole ? added.id : find("site").value);
+  awaitsPole = false;
+}
+
+function putPole([x, y], site = "") {
+  const held = state.units.find((unit) => unit.site === site && locked.has(unit.id));
+  if (site && held) { refused(held.id); return; }
+  awaitsPole = !site;
+  line.send({ do: "pole", east_m: x / 100, north_m: y / 100, site });
+}
+
+const ownPole = () => scene?.sites.find((site) => site.isOwn && site.id === find("site").value);
+function removePole() {
+  if (ownPole()) line.send({ do: "remove-pole", site: ownPole().id });
+}
+const typedPole = () => {
+  const place = ["pole-east", "pole-north"].map((id) => 100 * find(id).valueAsNumber);
+  if (place.every(Number.isFinite)) return place;
+  notice("Type both numbers, east and north of the origin in metres.");
+  return null;
+};
+find("pole").addEventListener("click", () => map.pole(!map.isPoling()));
+find("put-pole").addEventListener("click", () => { const place = typedPole(); if (place) putPole(place); });
+find("move-pole").addEventListener("click", () => { const place = typedPole(); if (place) putPole(place, ownPole().id); });
+find("remove-pole").addEventListener("click", removePole);
 
 function fillGrid() {
   find("grid").replaceChildren(...scene.sensors.map((model) => {
@@ -144,6 +200,7 @@ function fillGrid() {
 function readState(message) {
   keepLocks(message);
   state = message;
+  readPoles(message.poles);
   const last = state.units.at(-1)?.id ?? null;
   if (selected === undefined) selected = last;
   if (mounting !== null && state.units.length > mounting) { selected = last; mounting = null; } // the new one
@@ -174,6 +231,18 @@ function readNumbers(message) {
   showNumbers();
 }
 
+// What each number means, one hover away.
+const OF_PART = () => `Share of the runs of this row that is avoided, with the same weights. ${question.meaning()}`;
+function tellMeanings() {
+  const meaning = question.meaning();
+  find("apr").title = `APR, the share of the runs that all mounted sensors together avoid. ${meaning}`;
+  find("beside").title = `Shares of the same runs with the same weights. ${meaning} The worst unit is the one whose failure leaves least.`;
+  find("source").title = "By the detection table: rays to points of each road user, at once. By the evaluator: every frame rendered, as place-rsus evaluate does it.";
+  for (const id of ["by-case", "by-approach", "by-road-user"]) find(id).title = OF_PART();
+  find("lost-text").title = "Numbers of runs, not their weights: each run counts once here.";
+  showUnits();
+}
+
 const within = (value, [low, high]) => Math.min(Math.max(value, low), high);
 const isCurrent = () => Boolean(numbers && state && numbers.revision === state.revision);
 
@@ -201,6 +270,7 @@ function showNumbers() {
   showPrivate();
   showUnits();
   showLost();
+  showDanger();
   if (isExact) playAgain();
 }
 
@@ -250,7 +320,7 @@ function fillShares(id, shares) {
     const title = scene.cases[name] ?? "";
     const named = element("th", { scope: "row", text: name, title }, row);
     if (title) element("span", { class: "unseen", text: `: ${title}` }, named);
-    element("td", { class: "number", text: share }, row);
+    element("td", { class: "number", text: share, title: OF_PART() }, row);
   }
 }
 
@@ -281,7 +351,7 @@ function showUnits() {
   state.units.forEach(({ id, title }, index) => {
     const [button, text] = [list.children[index].firstChild, `${id}${alone[id] ? ` ${alone[id]}` : ""}${locked.has(id) ? ", locked" : ""}`];
     if (button.textContent !== text) button.textContent = text;
-    button.title = title;
+    button.title = `${title}${alone[id] ? `; ${alone[id]}: what it avoids alone. ${question.meaning()}` : ""}`;
     button.setAttribute("aria-pressed", id === selected);
   });
   fillUnit();
@@ -291,6 +361,7 @@ const current = () => { const unit = state?.units.find((each) => each.id === sel
 
 function fillUnit() {
   const unit = current();
+  seen.changed();
   find("unit").hidden = !unit;
   if (!unit) return;
   const reach = map.viewOf(unit.id)?.reachM;
@@ -461,6 +532,8 @@ function showSiteText() {
   const n = state ? state.units.filter((unit) => unit.site === site.id).length : 0;
   find("site-text").textContent = `${site.kind}, ${site.low} to ${site.high} m; ${n} of ${site.capacity} units are mounted there.`;
   find("hang").disabled = site.isForbidden || n >= site.capacity;
+  find("move-pole").disabled = find("remove-pole").disabled = !site.isOwn;
+  if (site.isOwn) ["east", "north"].forEach((name, axis) => { find(`pole-${name}`).value = (site.place[axis] / 100).toFixed(2); });
 }
 
 function hang(site, aim) {
@@ -544,7 +617,8 @@ find("cancel").addEventListener("click", () => line.send({ do: "cancel" }));
 
 function readDoing(message) {
   const text = message.stage ? `${message.who}: ${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}` : "";
-  if (message.who === "optimiser") {
+  if (message.who === "setting") question.doing(message.stage && `${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}`);
+  else if (message.who === "optimiser") {
     find("doing").textContent = text;
     find("cancel").hidden = !text;
     document.querySelectorAll("[data-ask]").forEach((button) => { button.disabled = Boolean(text); });
@@ -583,7 +657,8 @@ function readVariants(message) {
   const table = find("variants");
   table.tHead.replaceChildren();
   const head = element("tr", {}, table.tHead);
-  ["", "units", "cost", "APR", "one fails", ...cases].forEach((text) => element("th", { scope: "col", text, title: scene.cases[text] ?? "" }, head));
+  const meanings = ["", "mounted sensors", "sensors and poles, once", `share of the runs that is avoided. ${question.meaning()}`, "what is left of it when the unit fails that leaves least"];
+  ["", "units", "cost", "APR", "one fails", ...cases].forEach((text, column) => element("th", { scope: "col", text, title: meanings[column] ?? `${scene.cases[text] ?? ""}: ${OF_PART()}` }, head));
   const [body] = table.tBodies;
   const focused = document.activeElement?.dataset?.variant;
   body.replaceChildren();
@@ -593,7 +668,7 @@ function readVariants(message) {
     const button = element("button", { type: "button", text: row.name, "data-variant": index, "aria-current": index === state?.current }, name);
     button.addEventListener("click", () => line.send({ do: "select-variant", index }));
     const apr = { none: row.units ? row.problem || "computing \u2026" : "", table: `${row.apr} (table)`, evaluator: row.apr }[row.source];
-    [row.units, row.cost, apr, row.oneFails, ...cases.map((name_) => row.byCase[name_] ?? "")].forEach((text) => element("td", { text }, line_));
+    [row.units, row.cost, apr, row.oneFails, ...cases.map((name_) => row.byCase[name_] ?? "")].forEach((text, column) => element("td", { text, title: meanings[column + 1] ?? OF_PART() }, line_));
   });
   if (focused !== undefined) body.querySelector(`[data-variant="${focused}"]`)?.focus();
   comparison.variantsChanged(rows);
@@ -622,6 +697,19 @@ find("coverage").addEventListener("change", (event) => {
   find("coverage-key").hidden = !event.target.checked;
   find("coverage-key").textContent = "computing \u2026";
 });
+
+// Until new numbers come, what is drawn stays, and the legend says that it is old.
+function showDanger() {
+  const isShown = find("danger").checked, isKnown = isCurrent() && numbers.source !== "none";
+  find("danger-key").hidden = !isShown;
+  find("danger-key").classList.toggle("old", !isKnown);
+  if (isShown && !isKnown && isCurrent()) { find("danger-key").textContent = "Nothing is mounted: every run is lost."; map.showDanger(scene.runs.map(({ ends, weight }) => [...ends, weight])); return; }
+  if (isShown && !isKnown) return;
+  const points = isShown ? numbers.lost.map(([index]) => [...scene.runs[index].ends, scene.runs[index].weight]).filter(([, , weight]) => weight > 0) : [];
+  map.showDanger(points);
+  if (isShown) fillDangerKey(find("danger-key"), points);
+}
+find("danger").addEventListener("change", showDanger);
 
 function readCoverage(message) {
   if (!find("coverage").checked) return;
@@ -681,8 +769,9 @@ document.addEventListener("keydown", (event) => {
     PageDown: () => turnBy((unit) => ({ height_m: within(unit.heightM - 0.25, unit.heightRange) }), key),
     "+": () => current()?.fovRange && turnBy((unit) => ({ fov_deg: within(unit.fovDeg - step, unit.fovRange) }), key),
     "-": () => current()?.fovRange && turnBy((unit) => ({ fov_deg: within(unit.fovDeg + step, unit.fovRange) }), key),
-    Delete: remove,
-    Backspace: remove,
+    Delete: () => (current() ? remove() : removePole()),
+    Backspace: () => (current() ? remove() : removePole()),
+    o: () => map.pole(!map.isPoling()),
     l: toggleLock,
     m: () => map.measure(!map.isMeasuring()),
     n: () => stepUnit(1),

@@ -123,7 +123,7 @@ export function sayWhy(message, isLost, idOf) {
 
 const find = (id) => document.getElementById(id);
 
-export function createPlayed({ map, unitsNow, onClose, onWhy }) {
+export function createPlayed({ map, unitsNow, onClose, onWhy, onFrame }) {
   let message = null, shown = [], timer = 0, markers = [], widthPx = 0;
   const slider = find("played-frame");
 
@@ -172,6 +172,7 @@ export function createPlayed({ map, unitsNow, onClose, onWhy }) {
     const places = seeing.map((party) => (party.kind === "vut" ? [record.car.x[frame], record.car.y[frame]] : unitsNow().find((unit) => unit.name === party.name)?.place)).filter(Boolean);
     map.run.showFrame(frame, places);
     markers.place(frame);
+    onFrame();
     const ms = record.time[frame];
     const when = `${seconds(ms, 1)} s`;
     const isOver = record.last !== null && ms > record.last;
@@ -215,6 +216,7 @@ export function createPlayed({ map, unitsNow, onClose, onWhy }) {
   return {
     show, close,
     run: () => message?.run,
+    frame: () => slider.valueAsNumber,
     old() { if (message) find("played-sentence").classList.add("old"); },
   };
 }

@@ -4,11 +4,11 @@ const dialog = document.createElement("dialog");
 dialog.className = "enlarged";
 const close = document.createElement("button");
 close.type = "button";
-close.textContent = "Close";
+close.textContent = say("Close");
 const holder = document.createElement("div");
 holder.className = "scroll";
 holder.setAttribute("role", "group");
-holder.setAttribute("aria-label", "Picture in full size");
+holder.setAttribute("aria-label", say("Picture in full size"));
 dialog.append(close, holder);
 document.body.append(dialog);
 close.addEventListener("click", () => dialog.close());
@@ -19,8 +19,8 @@ document.querySelectorAll("figure").forEach((figure) => {
   const title = figure.querySelector("figcaption strong").textContent;
   const button = document.createElement("button");
   button.type = "button";
-  button.textContent = "Enlarge";
-  button.setAttribute("aria-label", `Enlarge: ${title}`);
+  button.textContent = say("Enlarge");
+  button.setAttribute("aria-label", say("Enlarge: {title}", { title }));
   const enlarge = () => {
     dialog.setAttribute("aria-label", title);
     holder.replaceChildren(image.cloneNode());

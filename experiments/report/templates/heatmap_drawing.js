@@ -18,7 +18,7 @@ function createHeatmap(holder, parties, onPick) {
     cellWidth = (width - left - right) / n;
     const rows = parties.length * rowHeight;
     holder.replaceChildren();
-    svg = element("svg", { width, height: top + rows + bottom, viewBox: `0 0 ${width} ${top + rows + bottom}`, "font-size": fontSize, role: "img", "aria-label": `Who detects the road user when: ${run.title}. The table below says the same.` }, holder);
+    svg = element("svg", { width, height: top + rows + bottom, viewBox: `0 0 ${width} ${top + rows + bottom}`, "font-size": fontSize, role: "img", "aria-label": say("Who detects the road user when: {run}. The table below says the same.", { run: run.title }) }, holder);
     const letters = Math.floor(left / (0.64 * fontSize));
     const x = (index) => left + index * cellWidth;
     parties.forEach((party, index) => {
@@ -47,9 +47,9 @@ function createHeatmap(holder, parties, onPick) {
       const place = placeOf(run.confirmed[index]);
       if (place === null) return;
       const mark = element("path", { d: "M0 -5L5 0L0 5L-5 0Z", fill: "#fff", stroke: "#000", transform: `translate(${place} ${top + (index + 0.5) * rowHeight})` }, svg);
-      element("title", { text: `confirmed at ${seconds(run.confirmed[index])} s` }, mark);
+      element("title", { text: say("confirmed at {time} s", { time: seconds(run.confirmed[index]) }) }, mark);
     });
-    element("text", { text: run.last === null ? "no braking avoids this impact" : last === null ? "the last moment is before the first frame" : `last moment ${seconds(run.last)} s`, x: last === null ? left : last, y: 14, fill: "#A80000", "text-anchor": last !== null && last > left + 0.5 * n * cellWidth ? "end" : "start" }, svg);
+    element("text", { text: run.last === null ? say("no braking avoids this impact") : last === null ? say("the last moment is before the first frame") : say("last moment {time} s", { time: seconds(run.last) }), x: last === null ? left : last, y: 14, fill: "#A80000", "text-anchor": last !== null && last > left + 0.5 * n * cellWidth ? "end" : "start" }, svg);
     svg.addEventListener("click", (event) => {
       const index = Math.floor((event.clientX - svg.getBoundingClientRect().left - left) / cellWidth);
       if (index >= 0 && index < n) onPick(index);
@@ -64,7 +64,7 @@ function createHeatmap(holder, parties, onPick) {
     for (let ms = Math.ceil(first / step) * step; ms <= last; ms += step) {
       element("text", { text: seconds(ms, 1), x: placeOf(ms), y: y + 14, "text-anchor": "middle", "font-size": 11 }, svg);
     }
-    element("text", { text: "time before the impact (s)", x: left, y: y + 30, "font-size": 11 }, svg);
+    element("text", { text: say("time before the impact (s)"), x: left, y: y + 30, "font-size": 11 }, svg);
   }
 
   function showFrame(next) {
@@ -76,13 +76,13 @@ function createHeatmap(holder, parties, onPick) {
 }
 
 function fillTable(table, parties, run) {
-  table.caption.textContent = `Who detects when: ${run.title}`;
+  table.caption.textContent = say("Who detects when: {run}", { run: run.title });
   const [body] = table.tBodies;
   body.replaceChildren();
   parties.forEach((party, index) => {
     const row = element("tr", {}, body);
     element("th", { scope: "row", text: party.name }, row);
-    const when = (ms) => (ms === null ? "never" : seconds(ms));
+    const when = (ms) => (ms === null ? say("never") : seconds(ms));
     [inWords(run.detected[index], run.time), when(run.confirmed[index]), when(run.onset[index]), outcome(run, index)]
       .forEach((text) => element("td", { text }, row));
   });

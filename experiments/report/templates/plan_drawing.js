@@ -40,7 +40,7 @@ function drawGround(ground, plan) {
   plan.classes.forEach((part) => {
     const isLane = part.name.includes("lane");
     const path = element("path", { d: part.path, fill: part.colour, "fill-rule": "evenodd", stroke: isLane ? "#fff" : "#8d887f", "stroke-width": part.name === "junction" ? 0 : 0.8, ...thin }, ground);
-    element("title", { text: part.name }, path);
+    element("title", { text: say(part.name) }, path);
   });
   plan.crosswalks.forEach((ends) => element("line", { x1: ends[0][0], y1: ends[0][1], x2: ends[1][0], y2: ends[1][1], stroke: "#fff", "stroke-width": 4, "stroke-dasharray": "3 3", ...thin }, ground));
 }
@@ -52,11 +52,11 @@ function drawScale(scale, width, height, perCm) {
   element("path", { d: `M12 ${height - 12}h${bar * 100 * perCm}`, stroke: "#000", "stroke-width": 4 }, scale);
   element("text", { text: `${bar} m`, x: 12, y: height - 18 }, scale);
   element("path", { d: `M${width - 18} 34V12l-4 8h8l-4 -8`, stroke: "#000", "stroke-width": 1.6, fill: "#000" }, scale);
-  element("text", { text: "N", x: width - 22, y: 47, "font-weight": 700 }, scale);
+  element("text", { text: say("N"), x: width - 22, y: 47, "font-weight": 700 }, scale);
 }
 
 function createPlan(holder, data) {
-  const svg = element("svg", { role: "img", "aria-label": "Plan of the junction with the run" }, holder);
+  const svg = element("svg", { role: "img", "aria-label": say("Plan of the junction with the run") }, holder);
   addPatterns(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
   const marks = element("g", {}, svg);
@@ -75,7 +75,7 @@ function createPlan(holder, data) {
   const arms = data.plan.arms.map((arm) => ({ place: arm.place, mark: element("text", { text: arm.name, "font-size": 12, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 3, fill: "#333" }, marks) }));
   const lines = element("g", { stroke: "#000", "stroke-width": 1.1 }, marks);
   const lastMark = element("path", { d: "M-7 -7L7 7M-7 7L7 -7", stroke: LAST_COLOUR, "stroke-width": 3 }, marks);
-  element("title", { text: "middle of the car at the last moment to brake" }, lastMark);
+  element("title", { text: say("middle of the car at the last moment to brake") }, lastMark);
   const ring = element("circle", { r: 10, fill: "none", stroke: ROAD_USER_COLOUR, "stroke-width": 2, "stroke-dasharray": "4 2" }, marks);
   const units = data.units.map((unit) => {
     const mark = element("g", { class: "unit" }, marks);
@@ -129,7 +129,7 @@ function createPlan(holder, data) {
     parked.replaceChildren();
     run.parked.forEach((body) => {
       const box = element("polygon", { points: points(body.corners), fill: "url(#parked-fill)", stroke: "#666", ...thin }, parked);
-      element("title", { text: `parked: ${body.name}` }, box);
+      element("title", { text: say("parked: {name}", { name: say(body.name) }) }, box);
     });
   }
 
@@ -172,20 +172,25 @@ function fillKey(list, data) {
     element("span", { text }, item);
   };
   const path = (attributes) => (svg) => element("path", { stroke: "#000", "stroke-width": 1.2, ...attributes }, svg);
-  add("car under test (VUT), its way", path({ d: "M-11 -5H11V5H-11Z", fill: CAR_COLOUR }));
-  add("road user, its way (dashed)", (svg) => {
+  add(say("car under test (VUT), its way"), path({ d: "M-11 -5H11V5H-11Z", fill: CAR_COLOUR }));
+  add(say("road user, its way (dashed)"), (svg) => {
     element("rect", { x: -3, y: -3, width: 6, height: 6, fill: ROAD_USER_COLOUR, stroke: "#000" }, svg);
     element("circle", { r: 10, fill: "none", stroke: ROAD_USER_COLOUR, "stroke-width": 2, "stroke-dasharray": "4 2" }, svg);
   });
-  for (const [kind, name] of [["camera", "camera"], ["lidar", "LiDAR"], ["ring", "LiDAR that scans all round"]]) {
+  const kinds = [
+    ["camera", say("camera: detects nothing now"), say("camera: detects")],
+    ["lidar", say("LiDAR: detects nothing now"), say("LiDAR: detects")],
+    ["ring", say("LiDAR that scans all round: detects nothing now"), say("LiDAR that scans all round: detects")],
+  ];
+  for (const [kind, detectsNothing, detects] of kinds) {
     if (!data.units.some((unit) => unit.kind === kind)) continue;
-    add(`${name}: detects nothing now`, path({ d: MARKS[kind], fill: "#fff" }));
-    add(`${name}: detects`, (svg) => {
+    add(detectsNothing, path({ d: MARKS[kind], fill: "#fff" }));
+    add(detects, (svg) => {
       path({ d: MARKS[kind], fill: CAR_COLOUR })(svg);
       element("circle", { r: 12, fill: "none", stroke: "#000", "stroke-width": 2.2 }, svg);
     });
   }
-  add("has confirmed", path({ d: "M0 -6L6 0L0 6L-6 0Z", fill: "#fff" }));
-  add("middle of the car at the last moment", path({ d: "M-7 -7L7 7M-7 7L7 -7", stroke: LAST_COLOUR, "stroke-width": 3 }));
-  if (data.runs.some((run) => run.parked.length)) add("parked body or wall of the case", path({ d: "M-11 -6H11V6H-11Z", fill: "#f2f2f2", "stroke-dasharray": "2 2" }));
+  add(say("has confirmed"), path({ d: "M0 -6L6 0L0 6L-6 0Z", fill: "#fff" }));
+  add(say("middle of the car at the last moment"), path({ d: "M-7 -7L7 7M-7 7L7 -7", stroke: LAST_COLOUR, "stroke-width": 3 }));
+  if (data.runs.some((run) => run.parked.length)) add(say("parked body or wall of the case"), path({ d: "M-11 -6H11V6H-11Z", fill: "#f2f2f2", "stroke-dasharray": "2 2" }));
 }

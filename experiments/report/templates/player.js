@@ -18,7 +18,7 @@ function startPlayer(data) {
   let group = null;
   runs.forEach((item, index) => {
     if (!group || group.label !== item.group) group = element("optgroup", { label: item.group }, choice);
-    element("option", { value: index, text: `${item.title}: ${item.avoided[fused] ? "avoided" : "not avoided"}` }, group);
+    element("option", { value: index, text: say(item.avoided[fused] ? "{run}: avoided" : "{run}: not avoided", { run: item.title }) }, group);
   });
 
   function chooseRun(index) {
@@ -42,43 +42,45 @@ function startPlayer(data) {
   function markTimes() {
     timeline.querySelectorAll(".mark").forEach((mark) => mark.remove());
     for (const [name, ms, text] of [
-      ["last", run.last, "last moment to brake"],
-      ["confirmed", run.confirmed[fused], "confirmed by all RSUs"],
-      ["onset", run.onset[fused], "car would brake"],
+      ["last", run.last, "last moment to brake {time} s"],
+      ["confirmed", run.confirmed[fused], "confirmed by all RSUs {time} s"],
+      ["onset", run.onset[fused], "car would brake {time} s"],
     ]) {
       const share = shareOf(run, ms);
       if (share === null) continue;
       const mark = element("div", { class: `mark ${name}${share > 0.5 ? " late" : ""}` }, timeline);
       mark.style.left = `calc(7px + (100% - 16px) * ${share.toFixed(5)})`;
-      element("span", { text: `${text} ${seconds(ms)} s` }, mark);
+      element("span", { text: say(text, { time: seconds(ms) }) }, mark);
     }
   }
 
   function timeLeft(ms) {
-    if (run.last === null) return "No braking avoids the impact in this run.";
+    if (run.last === null) return say("No braking avoids the impact in this run.");
     const left = run.last - ms;
-    if (left >= 0) return `${seconds(left)} s left until the last moment to brake.`;
-    return `The last moment to brake was ${seconds(-left)} s ago.`;
+    if (left >= 0) return say("{time} s left until the last moment to brake.", { time: seconds(left) });
+    return say("The last moment to brake was {time} s ago.", { time: seconds(-left) });
   }
 
   function whoDetects() {
     const units = parties.filter((party) => party.kind === "unit");
     const names = units.filter((_, index) => run.detected[index + 1][frame]).map((party) => party.name);
-    const listed = names.length > 12 ? "" : ` (${names.join(", ")})`;
-    const word = names.length === 1 ? "detects" : "detect";
-    const byUnits = names.length ? `${names.length} of ${units.length} units ${word}${listed}` : "No unit detects";
-    const byCar = run.detected[0][frame] ? "the car itself does" : "the car itself does not";
-    return `${byUnits}; ${byCar}.`;
+    const [n, all, byCar] = [names.length, units.length, run.detected[0][frame]];
+    if (!n) return say(byCar ? "No unit detects; the car itself does." : "No unit detects; the car itself does not.");
+    const values = { n, all, names: names.join(", ") };
+    if (n > 12) return say(byCar ? "{n} of {all} units detect; the car itself does." : "{n} of {all} units detect; the car itself does not.", values);
+    if (n > 1) return say(byCar ? "{n} of {all} units detect ({names}); the car itself does." : "{n} of {all} units detect ({names}); the car itself does not.", values);
+    return say(byCar ? "{n} of {all} units detects ({names}); the car itself does." : "{n} of {all} units detects ({names}); the car itself does not.", values);
   }
 
   function confirmation() {
     const [confirmed, onset, now] = [run.confirmed[fused], run.onset[fused], run.time[frame]];
-    if (confirmed === null) return "All RSUs together never confirm the road user.";
-    if (confirmed > now) return "Not confirmed yet.";
-    if (onset === null) return `Confirmed at ${seconds(confirmed)} s, but lost again: no track is alive at the last moment.`;
-    const spare = run.last === null ? null : run.last - onset;
-    const verdict = spare === null ? "" : spare >= 0 ? `: ${seconds(spare)} s to spare` : `: ${seconds(-spare)} s too late`;
-    return `Confirmed by all RSUs at ${seconds(confirmed)} s; with them the car would brake from ${seconds(onset)} s on${verdict}.`;
+    if (confirmed === null) return say("All RSUs together never confirm the road user.");
+    if (confirmed > now) return say("Not confirmed yet.");
+    if (onset === null) return say("Confirmed at {time} s, but lost again: no track is alive at the last moment.", { time: seconds(confirmed) });
+    const values = { time: seconds(confirmed), onset: seconds(onset), spare: seconds(Math.abs(run.last - onset)) };
+    if (run.last === null) return say("Confirmed by all RSUs at {time} s; with them the car would brake from {onset} s on.", values);
+    if (run.last >= onset) return say("Confirmed by all RSUs at {time} s; with them the car would brake from {onset} s on: {spare} s to spare.", values);
+    return say("Confirmed by all RSUs at {time} s; with them the car would brake from {onset} s on: {spare} s too late.", values);
   }
 
   function show(next) {
@@ -89,19 +91,19 @@ function startPlayer(data) {
     plan.showFrame(frame);
     heatmap.showFrame(frame);
     status.replaceChildren();
-    element("strong", { text: ms === 0 ? "Impact. " : `${seconds(ms)} s. ` }, status);
+    element("strong", { text: `${ms === 0 ? say("Impact.") : say("{time} s.", { time: seconds(ms) })} ` }, status);
     status.append(`${timeLeft(ms)} ${whoDetects()} ${confirmation()}`);
   }
 
   function pause() {
     cancelAnimationFrame(timer);
     timer = 0;
-    play.textContent = calm.matches ? "Next frame" : "Play";
+    play.textContent = calm.matches ? say("Next frame") : say("Play");
     status.setAttribute("aria-live", "polite");
   }
 
   function begin() {
-    play.textContent = "Pause";
+    play.textContent = say("Pause");
     status.setAttribute("aria-live", "off"); // not a sentence ten times a second
     if (frame >= run.time.length - 1) show(0);
     [startedAt, startedFrom] = [performance.now(), run.time[frame]];

@@ -24,7 +24,7 @@ function unpackBits(text, nRows, n) {
 
 function seconds(ms, decimals = 2) {
   const text = (Math.abs(ms) / 1000).toFixed(decimals);
-  return (ms < 0 && Number(text) !== 0 ? MINUS : "") + text;
+  return (ms < 0 && Number(text) !== 0 ? MINUS : "") + (hasCommas ? text.replace(".", ",") : text);
 }
 
 // First and last frame of each stretch in which a row has ones.
@@ -40,14 +40,14 @@ function stretches(row) {
 
 function inWords(row, time) {
   const parts = stretches(row).map(([first, last]) =>
-    first === last ? seconds(time[first]) : `${seconds(time[first])} to ${seconds(time[last])}`);
-  return parts.join(", ") || "never";
+    first === last ? seconds(time[first]) : say("{first} to {last}", { first: seconds(time[first]), last: seconds(time[last]) }));
+  return parts.join(hasCommas ? "; " : ", ") || say("never");
 }
 
 function outcome(run, party) {
-  if (run.avoided[party]) return "avoided";
-  if (run.confirmed[party] === null) return run.detected[party].includes(1) ? "never confirmed" : "never seen";
-  return run.onset[party] === null ? "lost again" : "too late";
+  if (run.avoided[party]) return say("avoided");
+  if (run.confirmed[party] === null) return run.detected[party].includes(1) ? say("never confirmed") : say("never seen");
+  return run.onset[party] === null ? say("lost again") : say("too late");
 }
 
 // The last frame in which braking still helps; the first one where none does.

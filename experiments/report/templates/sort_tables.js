@@ -1,7 +1,7 @@
 // Every table with heads and several rows is sorted by a press on a head: up, down, as it was.
 
 function makeTablesSortable() {
-  const collator = new Intl.Collator("en", { numeric: true });
+  const collator = new Intl.Collator(document.documentElement.lang || "en", { numeric: true });
   document.querySelectorAll("table").forEach((table) => {
     const [body] = table.tBodies;
     if (!table.tHead || !body || body.rows.length < 2 || "unsorted" in table.dataset) return;
@@ -43,15 +43,18 @@ function sortedRows(rows, column, way, collator) {
 }
 
 function isMissing(text) {
-  return ["", "-", "\u2013", "\u2014", "never", "none", "n/a", "nan"].includes(text.toLowerCase());
+  return ["", "-", "\u2013", "\u2014", "never", "none", "n/a", "nan", say("never")].includes(text.toLowerCase());
 }
 
 // "1 234.5 m", "-0.3 s", "97 %", "EUR 5", "hit, 0.3 s too late": the number counts, not its unit.
 function leadingNumber(text) {
-  const plain = text.replace(/\u2212/g, "-").replace(/(\d)[\u00a0\u2009\u202f, ](?=\d{3}(\D|$))/g, "$1");
-  if (/^hit, not/i.test(plain)) return -Infinity;
-  const sign = /^hit\b/i.test(plain) ? -1 : 1; // too late is less than nothing to spare
-  const found = /^(?:[<>\u2264\u2265\u2248\u20ac$#] ?|EUR |avoided, |hit, )?([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)/i.exec(plain);
+  const points = hasCommas ? text.replace(/\.(?=\d{3}(\D|$))/g, "").replace(/(\d),(?=\d)/g, "$1.") : text;
+  const plain = points.replace(/\u2212/g, "-").replace(/(\d)[\u00a0\u2009\u202f, ](?=\d{3}(\D|$))/g, "$1");
+  if ([say("HIT, not confirmed"), say("HIT, lost again")].includes(text)) return -Infinity;
+  const [late, spare] = ["HIT, {time} s late", "avoided, {time} s"].map((message) => say(message, { time: "\0" }).split("\0")[0]);
+  const sign = text.startsWith(late) ? -1 : 1; // too late is less than nothing to spare
+  const value = [late, spare].reduce((rest, words) => (rest.startsWith(words) ? rest.slice(words.length) : rest), plain);
+  const found = /^(?:[<>\u2264\u2265\u2248\u20ac$#] ?|EUR )?([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)/i.exec(value);
   if (found) return sign * Number(found[1]);
   if (/^[+]?\u221e/.test(plain)) return Infinity;
   if (/^-\u221e/.test(plain)) return -Infinity;

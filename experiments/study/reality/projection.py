@@ -214,9 +214,7 @@ def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> FloatArra
     ratios = []
     for number in sequences:
         labels = read_boxes(data / "label" / f"{number:04d}.txt")
-        camera = read_kitti_camera(
-            data / "calib" / f"{number:04d}.txt", width_px=width, height_px=height
-        )
+        camera = read_kitti_camera(data / "calib" / f"{number:04d}.txt", _KITTI_SIZE)
         box = labels.box_px
         whole = (box[:, :2] > _INSIDE_PX).all(axis=1) & (box[:, 2] < width - 20.0)
         labels = labels.take(labels.is_class("pedestrian") & whole & (box[:, 3] < height - 20.0))
@@ -253,8 +251,7 @@ def measure_flags(folder: Path) -> tuple[ViewFlags, ...]:
             camera = read_opencv_camera(
                 data / "calibrations" / f"intrinsic_{kind}" / f"intr_{name}.xml",
                 data / "calibrations" / "extrinsic" / f"extr_{name}.xml",
-                width_px=_WILDTRACK_SIZE[0],
-                height_px=_WILDTRACK_SIZE[1],
+                _WILDTRACK_SIZE,
             )
             x, y = project_distorted(boxes.position_m + middle, camera)[:, :2].T
             # What is no number is not in the picture.

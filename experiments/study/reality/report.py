@@ -222,6 +222,15 @@ def text(m: Measured) -> str:
         least_px=height_px[in_16].min(),
         small=float((height_px < height_px[in_16].min())[~in_16].mean()),
         held_out=_held_out_rows(m),
+        limit=_LIMIT,
+        missed=[
+            f"{words}, {one.words} {one.error:.3f}"
+            for words, halves in m.held.items()
+            for one in halves
+            if one.error >= _LIMIT
+        ],
+        fewest=min(one.tracks for halves in m.held.values() for one in halves),
+        most=max(one.tracks for halves in m.held.values() for one in halves),
         correlations=[
             f"{words}: phi {phi(one.sightings).value:.2f} at {one.frame_rate_hz:g} Hz, "
             f"frame_correlation {_plain(m.fits[one.name].intervals['frame_correlation'])}"
@@ -249,6 +258,9 @@ def text(m: Measured) -> str:
         in_reach=share_by_track(seen.is_found[rows], seen.track[rows]),
         first_look=[[what, old, values[key], why] for key, (what, old, why) in table.items()],
     )
+
+
+_LIMIT = 0.05  # of calibration errors, as asked for
 
 
 def _held_out_rows(m: Measured) -> list[list[str]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -59,28 +60,22 @@ def read_opendrive(path: Path) -> SourceMap:
     sampled = _sample(roads)
     records = read_junction_records(root, where, omissions)
     ends = find_road_ends(roads, records, omissions)
-    lanes = join_stubs(
-        [
-            lane
-            for road in roads.values()
-            if road.junction == NO_JUNCTION
-            for lane in build_lanes(road, sampled[road.id], ends[road.id])
-        ]
-    )
+    outside = [road for road in roads.values() if road.junction == NO_JUNCTION]
+    pieces = (build_lanes(road, sampled[road.id], ends[road.id]) for road in outside)
+    lanes = join_stubs([*chain.from_iterable(pieces)])
     junctions, lanes = build_junctions(records, roads, sampled, lanes, omissions, where)
     leading = leading_roads(roads, ends, sampled)
     junctions = [replace(one, roads=leading.get(one.id, ())) for one in junctions]
     connections = _connections(roads, junctions, where)
     for one in junctions:
-        arms = [roads[name] for name, at in ends.items() if one.id in (at.start, at.end)]
+        arms = [roads[name] for name, at in ends.items() if one.id in at]
         if arms and all(road.is_motorway for road in arms):  # cars are led on through it
             why = "motorways merge or part where nobody walks"
             omissions.add("junctions", f"junction {one.id}", why)
             junctions = [other for other in junctions if other is not one]
     found = read_objects(roads, omissions)
-    lanes += [
-        lane for road, spaces in found.spaces.items() for lane in build_rows(roads[road], spaces)
-    ]
+    for road_id, spaces in found.spaces.items():
+        lanes += build_rows(roads[road_id], spaces)
     poles, painted = read_signals(roads, sampled, offset, omissions)
     crosswalks = [*found.crosswalks_m, *painted, *cross_paths(records, roads)]
     for element in root.iter("include"):
@@ -126,12 +121,10 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
             roads[road_id] = read_road(element, where, offset)
     if not roads:
         refuse(where, "no road", "a document with roads")
-    return {
-        road_id: replace(
-            road, before=_beyond(road.before, joints), after=_beyond(road.after, joints)
-        )
-        for road_id, road in roads.items()
-    }
+    for road_id, road in roads.items():
+        before, after = _beyond(road.before, joints), _beyond(road.after, joints)
+        roads[road_id] = replace(road, before=before, after=after)
+    return roads
 
 
 def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:

@@ -1,7 +1,7 @@
 """Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -97,9 +97,7 @@ def find_road_ends(
         return found if found in junctions and junctions[found].has_surface else ""
 
     return {
-        road.id: RoadEnds(
-            start=junction_at(road, road.before, "start"), end=junction_at(road, road.after, "end")
-        )
+        road.id: (junction_at(road, road.before, "start"), junction_at(road, road.after, "end"))
         for road in roads.values()
         if road.junction == NO_JUNCTION
     }
@@ -113,7 +111,7 @@ def leading_roads(
     """Roads that lead to each junction, by its id, with the driving lanes recorded there."""
     found: dict[str, tuple[LeadingRoad, ...]] = defaultdict(tuple)
     for road_id, at in ends.items():
-        for junction, is_start in ((at.start, True), (at.end, False)):
+        for junction, is_start in zip(at, (True, False), strict=True):
             section = sampled[road_id][0 if is_start else -1]
             if junction and (lead := _leading_road(roads[road_id], section, is_start)):
                 found[junction] += (lead,)
@@ -122,16 +120,12 @@ def leading_roads(
 
 def _leading_road(road: Road, section: SampledSection, is_start: bool) -> LeadingRoad | None:
     index = 0 if is_start else -1
-    lanes = [
-        lane
-        for lane in section.lanes.values()
-        if lane_kind(lane.record.type) == "driving" and float(lane.width_m[index]) >= _MIN_LANE_M
-    ]
+    driving = [lane for lane in section.lanes.values() if lane_kind(lane.record.type) == "driving"]
+    lanes = [lane for lane in driving if float(lane.width_m[index]) >= _MIN_LANE_M]
     if not lanes:
         return None
-    n_following = sum(
-        ((lane.record.number < 0) != road.keeps_left) != lane.record.is_reversed for lane in lanes
-    )
+    records = [lane.record for lane in lanes]
+    n_following = sum(((one.number < 0) != road.keeps_left) != one.is_reversed for one in records)
     edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
     middle_m = 0.5 * (min(edges_m) + max(edges_m))
     ahead_m = min(_AHEAD_M, road.length_m)
@@ -160,12 +154,7 @@ def build_junctions(
     members: dict[str, list[str]] = {}
     for road in roads.values():
         members.setdefault(road.junction, []).append(road.id)
-    # Lanes of arms that end or begin at each junction, as lines that lead away from it.
-    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
-    for lane in (lane for lane in lanes if lane.kind in _ARM_KINDS):
-        line = lane.centreline_m[:, :2]
-        tips[lane.from_junction].append((lane, line))
-        tips[lane.to_junction].append((lane, line[::-1]))
+    tips = lanes_by_junction(lane for lane in lanes if lane.kind in _ARM_KINDS)
     junctions = []
     apart: set[tuple[str, str]] = set()
     for record in records.values():
@@ -176,7 +165,7 @@ def build_junctions(
         if n_points > _MAX_POINTS:
             got = f"roads of {n_points:,} points"
             refuse(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
-        own_tips = tips.get(record.id, [])
+        own_tips = tips[record.id]
         with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
             surface = _surface(pieces)
             fitted, far = (None, []) if surface is None else fit_outline(surface, own_tips)
@@ -195,14 +184,9 @@ def build_junctions(
         points = np.concatenate([section.points_m for section in pieces])
         nearest = np.hypot(*(points[:, :2] - middle).T).argmin()
         streets = [roads[road].name for road in record.incoming if road in roads]
-        junctions.append(
-            MapJunction(
-                id=record.id,
-                name=record.name or " / ".join(dict.fromkeys(filter(None, streets))),
-                outline_m=outline,
-                height_m=float(points[nearest, 2]),
-            )
-        )
+        name = record.name or " / ".join(dict.fromkeys(filter(None, streets)))
+        height_m = float(points[nearest, 2])
+        junctions.append(MapJunction(id=record.id, name=name, outline_m=outline, height_m=height_m))
     there = {junction.id for junction in junctions}
 
     def known(lane: MapLane, name: str) -> str:
@@ -216,6 +200,16 @@ def build_junctions(
         )
         for lane in lanes
     ]
+
+
+def lanes_by_junction(lanes: Iterable[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:
+    """Lanes that end or begin at each junction, by its id, as lines (n, 2) away from it."""
+    tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
+    for lane in lanes:
+        line = lane.centreline_m[:, :2]
+        tips[lane.from_junction].append((lane, line))
+        tips[lane.to_junction].append((lane, line[::-1]))
+    return tips
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:

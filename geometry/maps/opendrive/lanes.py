@@ -21,6 +21,7 @@ from .roads import (
     Road,
     evaluate,
     lane_kinds,
+    slope,
 )
 
 MAX_POINTS = 5_000_000  # of a file
@@ -38,6 +39,7 @@ _STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its w
 _STUB_M = 5.0
 _SAME_POINT_M_STUBS = 0.5
 _MAX_IN_A_ROW = 8
+RoadEnds = tuple[str, str]  # junctions at the start and at the end of a road; empty: none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -185,11 +187,10 @@ def _count_steps(
     """
     piece = np.maximum(np.searchsorted(road.line.starts_m, inside, side="right") - 1, 0)
     curvature, change, stride = bends[piece].T
-    a, b, c, d = np.moveaxis(edges, -1, 0)  # (n_edges, n) each
-    t, slope = np.zeros(len(lengths)), np.zeros(len(lengths))
-    for ds in (0.0 * lengths, 0.5 * lengths, lengths):
-        t = np.maximum(t, np.abs(a + ds * (b + ds * (c + ds * d))).max(axis=0))
-        slope = np.maximum(slope, np.abs(b + ds * (2.0 * c + 3.0 * ds * d)).max(axis=0))
+    tries = (0.0 * lengths, 0.5 * lengths, lengths)
+    t = np.abs([evaluate(ds, edges) for ds in tries]).max(axis=(0, 1))
+    aside = np.abs([slope(ds, edges) for ds in tries]).max(axis=(0, 1))
+    c, d = edges[..., 2], edges[..., 3]  # (n_edges, n) each
     second = np.maximum(np.abs(2.0 * c), np.abs(2.0 * c + 6.0 * d * lengths)).max(axis=0)
     bent, steeper = 2.0 * elevation[:, 2], 6.0 * elevation[:, 3] * lengths
     rise = np.maximum(np.abs(bent), np.abs(bent + steeper))
@@ -201,9 +202,9 @@ def _count_steps(
         where, most = f"{road.where}: edge of a lane", f"at most {_MAX_EDGE_M:g} m off"
         raise InputError(where, float(t.max()), most)
     widening = 1.0 + curvature * t
-    bend = stride * (stride * curvature * widening + 2.0 * curvature * slope + change * t)
+    bend = stride * (stride * curvature * widening + 2.0 * curvature * aside + change * t)
     by_chord = lengths * np.sqrt((bend + second + rise) / (8.0 * chord_error_m))
-    by_step = lengths * (stride * widening + slope) / _MAX_STEP_M
+    by_step = lengths * (stride * widening + aside) / _MAX_STEP_M
     n_steps = np.ceil(np.maximum(np.maximum(by_chord, by_step), 1.0) - 1.0e-9)
     if n_steps.max() > _MAX_PIECE_POINTS:
         where = road.line.wheres[piece[int(n_steps.argmax())]]
@@ -213,22 +214,15 @@ def _count_steps(
 
 
 # ---------- lanes
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoadEnds:
-    """Junctions at the ends of a road; empty: none."""
-
-    start: str = ""
-    end: str = ""
-
-
 def lane_kind(lane_type: str) -> str | None:
     """One of ``LANE_KINDS``, or None if a type of the standard is no lane here."""
     return lane_kinds().get(lane_type.lower())
 
 
-def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) -> list[MapLane]:
+def build_lanes(
+    road: Road, sections: Sequence[SampledSection], ends: RoadEnds
+) -> Iterator[MapLane]:
     """Lanes of a road outside junctions, each joined along the sections as its links say."""
-    lanes = []
     used: Counter[str] = Counter()
     for chain in _chains(sections):
         first = next(iter(chain))
@@ -245,33 +239,28 @@ def build_lanes(road: Road, sections: Sequence[SampledSection], ends: RoadEnds) 
             used[name] += 1
             if used[name] > 1:
                 name = f"{name}:{used[name]}"
-            junctions = ends.start if at_start else "", ends.end if at_end else ""
+            junctions = ends[0] if at_start else "", ends[1] if at_end else ""
             width_m = _width_m(points, widths_m, *map(bool, junctions))
             # Where it leads into a junction, or else out of one.
             is_at_end = bool(junctions[1]) if follows else not junctions[0]
             last = max(chain) if is_at_end else min(chain)
-            at_m, its_record = (
-                road.length_m if is_at_end else 0.0,
-                sections[last].lanes[chain[last]],
-            )
+            at_m, its_lane = road.length_m if is_at_end else 0.0, sections[last].lanes[chain[last]]
             before, after = junctions if follows else junctions[::-1]
-            lane = MapLane(
+            yield MapLane(
                 id=name,
                 kind=kind,
                 width_m=width_m,
                 centreline_m=points if follows else points[::-1],
                 from_junction=before,
                 to_junction=after,
-                speed_limit_kmh=road.speed_limit_kmh(at_m, its_record.record),
+                speed_limit_kmh=road.speed_limit_kmh(at_m, its_lane.record),
             )
-            lanes.append(lane)
-    return lanes
 
 
 def connecting_lanes(road: Road) -> list[MapLane]:
     """Driving lanes of a connecting road that lead through its junction from end to end."""
     sections = sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M)
-    lanes = build_lanes(road, sections, RoadEnds(start=road.junction, end=road.junction))
+    lanes = build_lanes(road, sections, (road.junction, road.junction))
     return [one for one in lanes if one.kind == "driving" and one.from_junction and one.to_junction]
 
 
@@ -294,15 +283,11 @@ def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
 
 def _following(sections: Sequence[SampledSection], index: int, number: int) -> int | None:
     """Number in a section of the lane that continues one of the section before."""
-    record = sections[index - 1].lanes[number].record
+    record, lanes = sections[index - 1].lanes[number].record, sections[index].lanes
     # Some write only the link back.
-    back = [
-        other.record.number
-        for other in sections[index].lanes.values()
-        if number in other.record.predecessors
-    ]
+    back = [other for other, lane in lanes.items() if number in lane.record.predecessors]
     for following in (*record.successors, *back):
-        lane = sections[index].lanes.get(following)
+        lane = lanes.get(following)
         if lane is None:
             continue
         names_others = lane.record.predecessors and number not in lane.record.predecessors

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
 
-import mapbox_earcut
 import numpy as np
 import shapely
 
@@ -13,7 +12,7 @@ from ...arrays import FloatArray
 from ...errors import InputError
 from ...lines import steps_m
 from ...scene import Mesh, join
-from ..source_map import extrude, unit_ball
+from ..source_map import clip_ears, extrude, unit_ball
 from .roads import (
     MAX_SIZE_M,
     Road,
@@ -23,6 +22,7 @@ from .roads import (
     take_number,
     take_number_or,
     take_size,
+    turned,
 )
 
 _SIZES = ("length", "width", "height", "radius")
@@ -126,12 +126,11 @@ def place(road: Road, spot: Spot) -> tuple[FloatArray, float]:
     return points[0], float(heading[0])
 
 
-def read_outlines(element: Element, road: Road, spot: Spot, where: str) -> list[Outline]:
+def read_outlines(element: Element, road: Road, spot: Spot, where: str) -> Iterator[Outline]:
     """Outlines of an object at one of its places."""
     found = [*numbered(element, "outline", where)]
     for group, here in numbered(element, "outlines", where):
         found += numbered(group, "outline", here)
-    outlines = []
     for outline, here in found:
         rows = _read_corners(outline, element, road, spot, here)
         if not len(rows):
@@ -147,17 +146,14 @@ def read_outlines(element: Element, road: Road, spot: Spot, where: str) -> list[
             outline.get(key, "true").strip().lower() not in ("false", "0")
             for key in ("closed", "outer")
         )
-        outlines.append(
-            Outline(
-                points_m=rows[:, :2],
-                road_m=rows[:, 4:6],
-                bottom_m=rows[:, 2],
-                height_m=np.maximum(rows[:, 3], 0.0),
-                is_closed=is_closed,
-                is_outer=is_outer,
-            )
+        yield Outline(
+            points_m=rows[:, :2],
+            road_m=rows[:, 4:6],
+            bottom_m=rows[:, 2],
+            height_m=np.maximum(rows[:, 3], 0.0),
+            is_closed=is_closed,
+            is_outer=is_outer,
         )
-    return outlines
 
 
 def _read_corners(
@@ -179,8 +175,8 @@ def _read_corners(
     corners = read("cornerLocal", "uv", "z")
     if corners:
         u, v, z, height = np.array(corners).T
-        along, across = _turned(u, v, turn)
-        x, y = _turned(along, across, road_heading)
+        along, across = turned(u, v, turn)
+        x, y = turned(along, across, road_heading)
         on_map = (foot[0] + x, foot[1] + y, foot[2] + spot.z_m + z, height)
         return np.column_stack([*on_map, spot.s_m + along, spot.t_m + across])
     corners = read("cornerRoad", "st", "dz")
@@ -193,16 +189,11 @@ def _read_corners(
     return np.column_stack([points[:, :2], points[:, 2] + dz, height, s, t])
 
 
-def _turned(x: FloatArray, y: FloatArray, angle_rad: float) -> tuple[FloatArray, FloatArray]:
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    return x * cos - y * sin, x * sin + y * cos
-
-
 def box_corners(spot: Spot, length_m: float, width_m: float, turn_rad: float) -> FloatArray:
     """Corners (4, 2) of a place's box as s and t."""
     u = 0.5 * length_m * np.array([-1.0, 1.0, 1.0, -1.0])
     v = 0.5 * width_m * np.array([-1.0, -1.0, 1.0, 1.0])
-    along, across = _turned(u, v, turn_rad)
+    along, across = turned(u, v, turn_rad)
     return np.stack([spot.s_m + along, spot.t_m + across], axis=1)
 
 
@@ -218,25 +209,14 @@ def build_prism(
     """A solid over an outline (n, 2) with heights (n,) at its corners; level if that has holes."""
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
-        return extrude(
-            outline_m,
-            bottom_m=float(bottom_m.min()),
-            top_m=float(top_m.max()),
-            holes_m=holes_m,
-            where=where,
-        )
+        low_m, high_m = float(bottom_m.min()), float(top_m.max())
+        return extrude(outline_m, bottom_m=low_m, top_m=high_m, holes_m=holes_m, where=where)
     if not (top_m > bottom_m).any():
         raise InputError(f"{where}: height", float((top_m - bottom_m).max()), "metres, > 0")
     way = slice(None, None, 1 if shapely.LinearRing(outline_m).is_ccw else -1)
     corners, bottom, top = outline_m[way], bottom_m[way], np.maximum(top_m, bottom_m)[way]
     n = len(corners)
-    roof = np.asarray(
-        mapbox_earcut.triangulate_float64(corners, np.array([n], dtype=np.uint32)), dtype=np.int64
-    ).reshape(-1, 3)
-    a, b, c = np.moveaxis(corners[roof], 1, 0)
-    turns_right = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
-    roof[turns_right] = roof[turns_right][:, ::-1]
-    here = np.arange(n)
+    roof, here = clip_ears(corners, [n]), np.arange(n)
     following = (here + 1) % n
     sides = np.stack([[here, following, following + n], [here, following + n, here + n]])
     sides = np.moveaxis(sides, 1, 2).reshape(-1, 3)
@@ -331,11 +311,8 @@ def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[Fl
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)
-    return [
-        hole
-        for hole in holes
-        if len(hole) > 2 and shape.intersects(shapely.Polygon(hole).representative_point())
-    ]
+    rings = [hole for hole in holes if len(hole) > 2]
+    return [one for one in rings if shape.intersects(shapely.Polygon(one).representative_point())]
 
 
 def _left_of(line_m: FloatArray) -> FloatArray:

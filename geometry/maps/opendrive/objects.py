@@ -159,17 +159,15 @@ def _corners(
 
 def cross_paths(
     records: Mapping[str, JunctionRecord], roads: Mapping[str, Road]
-) -> list[FloatArray]:
+) -> Iterator[FloatArray]:
     """Lines of the paths on which pedestrians cross junctions (OpenDRIVE 1.8, <crossPath>)."""
-    lines = []
     for record in records.values():
         for path in record.element.findall("crossPath"):
             road = roads.get(path.get("crossingRoad", ""))
             if road is not None:
                 ends, _ = road.place(np.array([0.0, road.length_m]), np.zeros(2))
                 if np.hypot(*(ends[1] - ends[0])[:2]) > _MIN_LENGTH_M:
-                    lines.append(ends[:, :2])
-    return lines
+                    yield ends[:, :2]
 
 
 # ---------- parking spaces
@@ -209,7 +207,7 @@ def read_space(
     return Space(first_m=first_m, last_m=last_m, right_m=right_m, left_m=left_m)
 
 
-def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
+def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
     """Parking lanes of a road: spaces side by side, or one behind the other, as one lane."""
     rows: list[list[Space]] = []
     open_rows: list[list[Space]] = []  # those that may still go on
@@ -223,7 +221,6 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
         else:
             rows.append([space])
             open_rows.append(rows[-1])
-    lanes = []
     for at, row in enumerate(rows, start=1):
         first_m = max(min(space.first_m for space in row), 0.0)
         last_m = min(max(space.last_m for space in row), road.length_m)
@@ -235,14 +232,9 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> list[MapLane]:
         t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
         points, _ = road.place(s_m, t_m)
         follows = (float(t_m.mean()) < 0.0) != road.keeps_left
-        lane = MapLane(
-            id=f"{road.id}/parking {at}",
-            kind="parking",
-            width_m=float(np.mean([space.left_m - space.right_m for space in row])),
-            centreline_m=points if follows else points[::-1],
-        )
-        lanes.append(lane)
-    return lanes
+        name, line_m = f"{road.id}/parking {at}", points if follows else points[::-1]
+        width_m = float(np.mean([space.left_m - space.right_m for space in row]))
+        yield MapLane(id=name, kind="parking", width_m=width_m, centreline_m=line_m)
 
 
 # ---------- all objects
@@ -312,7 +304,9 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
         foot_m, _ = place(one.road, spot)
         found.poles.append(Pole(id=name, kind=kind, position_m=foot_m, height_m=height_m))
         return True
-    outlines = [] if spot.end is not None else read_outlines(one.element, one.road, spot, one.where)
+    outlines: list[Outline] = []
+    if spot.end is None:
+        outlines += read_outlines(one.element, one.road, spot, one.where)
     turn_rad = take_number_or(one.element, "hdg", one.where, 0.0)
     if kind == "crosswalk":
         line = crosswalk_line(one.road, spot, outlines, turn_rad)
@@ -433,9 +427,8 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
         return list(poles)
     positions = np.array([pole.position_m[:2] for pole in poles])
     # First those at the very same place: of thousands there, every pair would count.
-    _, first, cell = np.unique(
-        np.round(positions / _CELL_M), axis=0, return_index=True, return_inverse=True
-    )
+    cells = np.round(positions / _CELL_M)
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     tree = cKDTree(positions[first])
     pairs = tree.query_pairs(load_facts()["signals"]["same_pole_m"], output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2)

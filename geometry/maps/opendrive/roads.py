@@ -187,27 +187,26 @@ def spiral(
     points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
     bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
     if bent.any():
-        s, k0, slope = s_m[bent], start_curvature[bent], curvature_slope[bent]
-        scale = np.sqrt(np.abs(slope) / np.pi)
-        begin, end = scale * k0 / slope, scale * (s + k0 / slope)
+        s, k0, growth = s_m[bent], start_curvature[bent], curvature_slope[bent]
+        scale = np.sqrt(np.abs(growth) / np.pi)
+        begin, end = scale * k0 / growth, scale * (s + k0 / growth)
         (sine_0, cosine_0), (sine_1, cosine_1) = fresnel(begin), fresnel(end)
         along = (cosine_1 - cosine_0) / scale
-        across = np.sign(slope) * (sine_1 - sine_0) / scale
-        turn = -0.5 * k0**2 / slope
-        points[bent] = np.stack(
-            [
-                along * np.cos(turn) - across * np.sin(turn),
-                along * np.sin(turn) + across * np.cos(turn),
-            ],
-            axis=1,
-        )
+        across = np.sign(growth) * (sine_1 - sine_0) / scale
+        points[bent] = np.stack(turned(along, across, -0.5 * k0**2 / growth), axis=1)
     return points, heading
+
+
+def turned(x: FloatArray, y: FloatArray, angle_rad: Any) -> tuple[FloatArray, FloatArray]:
+    """Coordinates of vectors that are turned counter-clockwise."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return x * cos - y * sin, x * sin + y * cos
 
 
 def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
     points = np.stack([evaluate(p, u), evaluate(p, v)], axis=1)
-    du, dv = _slope(p, u), _slope(p, v)
+    du, dv = slope(p, u), slope(p, v)
     # Where the curve starts with a standstill its second derivative says where it leads.
     stands = du**2 + dv**2 < 1.0e-18
     du = np.where(stands, 2.0 * u[..., 2] + 6.0 * u[..., 3] * p, du)
@@ -218,7 +217,7 @@ def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray,
 def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArray:
     """The u, (n,), at which a curve v(u) has a given arc length from 0 to `length_m`."""
     grid = np.linspace(0.0, length_m, _N_ARC_LENGTH)
-    speed = np.hypot(1.0, _slope(grid, v))
+    speed = np.hypot(1.0, slope(grid, v))
     steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
     return np.interp(s_m, np.append(0.0, np.cumsum(steps)), grid)
 
@@ -228,7 +227,8 @@ def evaluate(p: FloatArray, k: FloatArray) -> FloatArray:
     return np.asarray(k[..., 0] + p * (k[..., 1] + p * (k[..., 2] + p * k[..., 3])))
 
 
-def _slope(p: FloatArray, k: FloatArray) -> FloatArray:
+def slope(p: FloatArray, k: FloatArray) -> FloatArray:
+    """Their first derivatives."""
     return k[..., 1] + p * (2.0 * k[..., 2] + 3.0 * p * k[..., 3])
 
 
@@ -262,10 +262,8 @@ class ReferenceLine:
             mask = shape == wanted
             points[mask], turns[mask] = self._local(SHAPES[wanted], piece[mask], ds[mask])
         heading = self.headings_rad[piece]
-        cos, sin = np.cos(heading), np.sin(heading)
-        x, y = points.T
-        turned = np.stack([x * cos - y * sin, x * sin + y * cos], axis=1)
-        return self.origins_m[piece] + turned, heading + turns
+        along = np.stack(turned(points[:, 0], points[:, 1], heading), axis=1)
+        return self.origins_m[piece] + along, heading + turns
 
     def _local(
         self, shape: str, piece: NDArray[np.int64], s: FloatArray
@@ -295,7 +293,7 @@ class ReferenceLine:
 def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
     s = np.linspace(0.0, length_m, _N_CURVATURES)
     p = s * k[8]
-    du, dv = _slope(p, k[:4]), _slope(p, k[4:8])
+    du, dv = slope(p, k[:4]), slope(p, k[4:8])
     ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
     speed = np.maximum(np.hypot(du, dv), 1.0e-6)
     curvature = (du * ddv - dv * ddu) / speed**3
@@ -387,10 +385,8 @@ class PiecewiseCubic:
         piece = np.searchsorted(self.starts_m, inside_m, side="right") - 1
         a, b, c, d = self.coefficients[np.maximum(piece, 0)].T
         h = starts_m - self.starts_m[np.maximum(piece, 0)]
-        shifted = np.stack(
-            [a + h * (b + h * (c + h * d)), b + h * (2.0 * c + 3.0 * h * d), c + 3.0 * h * d, d],
-            axis=1,
-        )
+        first = b + h * (2.0 * c + 3.0 * h * d)
+        shifted = np.stack([a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d], axis=1)
         return np.where((piece >= 0)[:, None], shifted, 0.0)
 
     def at(self, s_m: FloatArray) -> FloatArray:
@@ -457,10 +453,8 @@ def read_cross_sections(lateral: Element | None, where: str) -> CrossSections:
     if not any(value for pieces in rows.values() for row in pieces for value in row[1:]):
         rows.clear()
     stations = sorted(rows)
-    return CrossSections(
-        stations_m=np.array(stations, dtype=np.float64),
-        profiles=tuple(build_cubics(rows[station]) for station in stations),
-    )
+    profiles = tuple(build_cubics(rows[station]) for station in stations)
+    return CrossSections(stations_m=np.array(stations, dtype=np.float64), profiles=profiles)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -616,14 +610,13 @@ def _speed_kmh(speed: Element) -> float | None:
 def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
     """Links to what lies before and after a road."""
     keys = {"kind": "elementType", "id": "elementId", "contact": "contactPoint"}
-    found = (road.find("link/predecessor"), road.find("link/successor"))
-    before, after = (
-        RoadLink()
-        if one is None
-        else RoadLink(**{k: one.get(v, "").strip() for k, v in keys.items()})
-        for one in found
-    )
-    return before, after
+
+    def link(side: str) -> RoadLink:
+        words = road.find(f"link/{side}")
+        found = {} if words is None else {k: words.get(v, "").strip() for k, v in keys.items()}
+        return RoadLink(**found)
+
+    return link("predecessor"), link("successor")
 
 
 def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[LaneSection, ...]:

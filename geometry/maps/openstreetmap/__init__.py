@@ -98,12 +98,15 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
 
 
 # ---------- files
-def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
+def read_openstreetmap(
+    path: Path, *, keeps_left: bool | None = None, staggered_m: float = 0.0
+) -> SourceMap:
     """Read a file of OpenStreetMap data: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
 
     Coordinates are metres around the middle of the roads, heights are above the ground.
-    `keeps_left`: by default what the file shows. Raises InputError: it is damaged or too large, or
-    has no road.
+    `keeps_left`: by default what the file shows. Two side roads that meet a road from either side
+    no farther apart than `staggered_m` are one junction, as are any roads within 25 m. Raises
+    InputError: it is damaged or too large, or has no road.
     """
     elements = read_elements(path)
     roads = [way for way in elements.ways if is_for_cars(way.tags)]
@@ -119,9 +122,9 @@ def read_openstreetmap(path: Path, *, keeps_left: bool | None = None) -> SourceM
     network = build_network(elements, keeps_left=keeps_left)
     if not network.edges:
         refuse(str(path), "no road with two nodes", "a map with roads")
-    reaches, junctions = find_junctions(network)
+    reaches, junctions = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
-    poles, crosswalks_m = find_poles(network, reaches), find_crosswalks(network)
+    poles, crosswalks_m = tuple(find_poles(network, reaches)), find_crosswalks(network)
     things = [
         *find_buildings(network),
         *find_bridges(network, reaches),

@@ -23,9 +23,8 @@ _STEP_M = 0.5
 _SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
 _SAME_ARM_GAP_M = 12.0
 _FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
-_STUB = "it ends nowhere, less than {:g} m beyond a junction: no arm".format(
-    DEFAULTS["cross_section"]["stub_m"]
-)
+_STUB_M: float = DEFAULTS["cross_section"]["stub_m"]
+_STUB = f"it ends nowhere, less than {_STUB_M:g} m beyond a junction: no arm"
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 _Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
 _Placed = dict[tuple[_Path, ...], list[float]]  # mouths of arms by the streets of a junction
@@ -144,8 +143,11 @@ class Clusters:
             self.members[one] += self.members.pop(other)
 
 
-def find_clusters(network: Network) -> Clusters:
-    """Nodes where roads meet, or roads and yards at a signal; those of one junction together."""
+def find_clusters(network: Network, *, staggered_m: float = 0.0) -> Clusters:
+    """Nodes where roads meet, or roads and yards at a signal; those of one junction together.
+
+    Two side roads that meet a road from either side no farther apart than `staggered_m` are one.
+    """
     clusters = Clusters()
     for row, ends in network.ends.items():
         edges = [network.edges[index] for index, _ in ends]
@@ -156,7 +158,7 @@ def find_clusters(network: Network) -> Clusters:
         if is_meeting and is_on_ground and not is_fork(network, ends):
             clusters.add(row)
     _join_roundabouts(network, clusters)
-    _join_near(network, clusters)
+    _join_near(network, clusters, staggered_m)
     return clusters
 
 
@@ -179,10 +181,9 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
         if apart_deg(one, other) > _FORK_DEG or off_stem_deg < 90.0:
             continue
         is_split = not edges[2].is_oneway and one[1] != other[1]
-        is_ramp = one[1] == other[1] and any(
-            edge.tags["highway"].endswith("_link") or edge.tags["highway"] == "motorway"
-            for edge in edges
-        )
+        kinds = [edge.tags["highway"] for edge in edges]
+        has_ramp = any(kind.endswith("_link") or kind == "motorway" for kind in kinds)
+        is_ramp = one[1] == other[1] and has_ramp
         if is_split or is_ramp:
             return True
     return False
@@ -211,7 +212,7 @@ def _size_m(network: Network, rows: Sequence[int]) -> float:
     return float(np.hypot(*np.ptp(network.elements.positions_m[rows], axis=0)))
 
 
-def _join_near(network: Network, clusters: Clusters) -> None:
+def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None:
     limits, of_row = DEFAULTS["junction"], clusters.of_row
     links = []
     for street in trace_streets(network, of_row.__contains__):
@@ -221,7 +222,8 @@ def _join_near(network: Network, clusters: Clusters) -> None:
             edges = [[network.edges[index] for index, _ in network.ends[at]] for at in (begin, end)]
             names = [{one.name for one in here if one.is_oneway and one.name} for here in edges]
             is_wide = bool(names[0] & names[1] - {street.parts[0][0].name})
-            if street.length_m <= limits["join_carriageways_m" if is_wide else "join_m"]:
+            most_m = limits["join_carriageways_m" if is_wide else "join_m"]
+            if street.length_m <= max(most_m, staggered_m * _is_staggered(network, street)):
                 links.append((street.length_m, begin, end))
     for _, begin, end in sorted(links):
         one, other = of_row[begin], of_row[end]
@@ -232,6 +234,26 @@ def _join_near(network: Network, clusters: Clusters) -> None:
             network.edges[index].is_roundabout for row in rows for index, _ in network.ends[row]
         ):
             clusters.join(one, other)
+
+
+def _is_staggered(network: Network, street: Street) -> bool:
+    """True if at each end of a street one side road leaves it, and they lie on either side."""
+    (first, is_along), (last, runs_along) = street.parts[0], street.parts[-1]
+    sides = []
+    for at, edge, is_first in ((0, first, is_along), (-1, last, not runs_along)):
+        ends = [one for one in network.ends[int(street.rows[at])] if not _is_yard(network, one)]
+        others = [one for one in ends if (network.edges[one[0]], one[1]) != (edge, is_first)]
+        if len(ends) != 3 or len(others) != 2:
+            return False
+        own = next(one for one in ends if one not in others)
+        ahead_deg = network.bearing_deg(own)
+        turns_deg = [(network.bearing_deg(one) - ahead_deg) % 360.0 for one in others]
+        sides.append(max(turns_deg, key=lambda turn: abs(turn - 180.0)) < 180.0)
+    return sides[0] == sides[1]  # to the same hand of who looks along the street from either end
+
+
+def _is_yard(network: Network, end: End) -> bool:
+    return network.edges[end[0]].is_service
 
 
 # ---------- junctions
@@ -246,10 +268,12 @@ class Reach:
     to_junction: str = ""
 
 
-def find_junctions(network: Network) -> tuple[list[Reach], list[MapJunction]]:
+def find_junctions(
+    network: Network, *, staggered_m: float = 0.0
+) -> tuple[list[Reach], list[MapJunction]]:
     """Streets outside junctions with the reach of their lanes, and junctions by their ids."""
     elements = network.elements
-    clusters = find_clusters(network)
+    clusters = find_clusters(network, staggered_m=staggered_m)
     known: _Placed = {}
     for number_of_round in count():
         streets = trace_streets(network, clusters.of_row.__contains__)
@@ -261,10 +285,8 @@ def find_junctions(network: Network) -> tuple[list[Reach], list[MapJunction]]:
             break
     for stub in stubs:
         elements.omissions.add("roads", f"way {stub.street.parts[0][0].way_id}", _STUB)
-    ids = {
-        number: f"n{min(int(elements.node_ids[row]) for row in rows)}"
-        for number, rows in clusters.members.items()
-    }
+    nodes = elements.node_ids
+    ids = {number: f"n{int(nodes[rows].min())}" for number, rows in clusters.members.items()}
     reaches = _reaches(network, streets, clusters, arms, ids)
     mouths = {
         (index, is_begin): reach.begin_m if is_begin else reach.street.length_m - reach.end_m
@@ -276,14 +298,8 @@ def find_junctions(network: Network) -> tuple[list[Reach], list[MapJunction]]:
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
         rows, streets_inside = clusters.members[number], inside.get(number, [])
         outline = _outline(final, streets_inside, elements.positions_m[rows])
-        junctions.append(
-            MapJunction(
-                id=ids[number],
-                name=_name(final, streets_inside),
-                outline_m=outline,
-                roads=find_leading_roads(network, rows, outline),
-            )
-        )
+        name, roads = _name(final, streets_inside), find_leading_roads(network, rows, outline)
+        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
     junctions.sort(key=lambda junction: int(junction.id[1:]))
     return list(reaches.values()), junctions
 
@@ -306,15 +322,12 @@ def _arms_by_cluster(
             arms[end].append(Arm(street=street.reversed(), index=index, is_begin=False))
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
-        key = tuple(
-            tuple((edge.id, is_along) for edge, is_along in street.parts)
-            for street in (*(arm.street for arm in here), *inside[number])
-        )
+        meeting = [*(arm.street for arm in here), *inside[number]]
+        key = tuple(tuple((edge.id, along) for edge, along in one.parts) for one in meeting)
         if key not in known:
             known[key] = [arm.mouth_m for arm in place_mouths(here, inside[number])]
-        arms[number] = [
-            replace(arm, mouth_m=mouth_m) for arm, mouth_m in zip(here, known[key], strict=True)
-        ]
+        placed = zip(here, known[key], strict=True)
+        arms[number] = [replace(arm, mouth_m=mouth_m) for arm, mouth_m in placed]
     return arms, inside
 
 
@@ -346,15 +359,10 @@ def _take_stubs(
     network: Network, arms: dict[int, list[Arm]], inside: dict[int, list[Street]]
 ) -> list[Arm]:
     """Take out of the arms what ends nowhere just beyond them; it is part of the junction."""
-    least_m = DEFAULTS["cross_section"]["stub_m"]
     stubs = []
     for number, here in arms.items():
-        ending = [
-            arm
-            for arm in here
-            if len(network.ends[int(arm.street.rows[-1])]) == 1
-            and arm.street.length_m - arm.mouth_m < least_m
-        ]
+        blind = [arm for arm in here if len(network.ends[int(arm.street.rows[-1])]) == 1]
+        ending = [arm for arm in blind if arm.street.length_m - arm.mouth_m < _STUB_M]
         inside[number] += [arm.street for arm in ending]
         arms[number] = [arm for arm in here if arm not in ending]
         stubs += ending
@@ -373,7 +381,7 @@ def _drop_small(clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements:
         elif is_merge([arm.street.parts[0] for arm in here], nodes):
             small[number] = "motorways merge or part where nobody walks"
     for number, why in small.items():
-        node = min(int(elements.node_ids[row]) for row in clusters.members[number])
+        node = int(elements.node_ids[clusters.members[number]].min())
         elements.omissions.add("meetings of roads", f"node {node}", why)
         for row in clusters.members.pop(number):
             del clusters.of_row[row]
@@ -393,11 +401,10 @@ def _reaches(
     reaches = {}
     for index, street in enumerate(streets):
         numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
-        cuts = [
+        from_m, to_m = (
             _road_beside_m(network, street, at) if number is None else mouths.get((index, at == 0))
             for number, at in zip(numbers, (0, -1), strict=True)
-        ]
-        from_m, to_m = cuts
+        )
         if from_m is None or to_m is None:
             continue  # inside a junction
         free_m = max(street.length_m - least_m, 0.0)
@@ -509,15 +516,12 @@ def _directions(network: Network, end: End) -> frozenset[bool]:
 
 def _road(network: Network, end: End, line: Any, left_at_m: float) -> Iterator[LeadingRoad]:
     """The road on which an edge's line leaves a junction at a distance from one of its ends."""
-    least_m = DEFAULTS["cross_section"]["stub_m"]
     points = network.points_from(end)
-    point, ahead = (
-        np.array(shapely.line_interpolate_point(line, left_at_m + on_m).coords[0])
-        for on_m in (0.0, _AHEAD_M)
-    )
+    stations_m = [left_at_m, left_at_m + _AHEAD_M]
+    point, ahead = shapely.get_coordinates(shapely.line_interpolate_point(line, stations_m))
     way, rest_m = end, line.length - left_at_m
     passed = {end[0]}
-    while rest_m < least_m:  # the way beyond a node where it is only cut in two
+    while rest_m < _STUB_M:  # the way beyond a node where it is only cut in two
         index, is_start = way
         row = int(network.edges[index].rows[-1 if is_start else 0])
         others = [one for one in network.ends[row] if one[0] not in passed]

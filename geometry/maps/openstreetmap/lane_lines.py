@@ -3,13 +3,14 @@
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
-from ...lines import along_m, unit
+from ...lines import along_m, points_at, unit
 from ..source_map import MapLane
 from .elements import DEFAULTS
 from .junctions import Reach
@@ -32,6 +33,7 @@ class _Part(NamedTuple):
     level: int
     limit_kmh: float | None
     is_two_way: bool
+    road_class: str
 
 
 _Piece = tuple[str, list[_Part]]  # id of a lane, and its parts one after the other
@@ -46,10 +48,8 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
 
 def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
     street = reach.street
-    spans = [
-        (max(low, reach.begin_m), min(high, reach.end_m))
-        for low, high in zip(street.breaks_m[:-1], street.breaks_m[1:], strict=True)
-    ]
+    breaks = pairwise(street.breaks_m)
+    spans = [(max(low, reach.begin_m), min(high, reach.end_m)) for low, high in breaks]
     parts = [index for index, (low, high) in enumerate(spans) if high - low > 1e-3]
     parts, spans = _without_stubs(parts, spans, reach)
     open_pieces: dict[tuple[str, str, int], _Piece] = {}
@@ -65,7 +65,8 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
             key = strip.kind, strip.place, strip.number
             limit_kmh = speed_limit_kmh(edge.tags, is_forward=strip.is_forward == is_along)
             is_two_way = len(section.directions) > 1
-            part = _Part(strip, spans[index], (begin_m, end_m), edge.level, limit_kmh, is_two_way)
+            means = edge.level, limit_kmh, is_two_way, edge.tags["highway"]
+            part = _Part(strip, spans[index], (begin_m, end_m), *means)
             piece = open_pieces.pop(key, None) if is_continued else None
             following[key] = piece or (f"{edge.id} {strip.kind} {strip.place} {strip.number}", [])
             following[key][1].append(part)
@@ -99,13 +100,9 @@ def _without_stubs(
 
 def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
     """Middle of a lane at a break, left of the street, and whether it simply continues."""
-    here, there = (
-        sorted(
-            (one for one in side if (one.kind, one.place) == (strip.kind, strip.place)),
-            key=lambda one: one.number,
-        )
-        for side in (own, others)
-    )
+    kind = strip.kind, strip.place
+    alike = ([one for one in side if (one.kind, one.place) == kind] for side in (own, others))
+    here, there = (sorted(found, key=lambda one: one.number) for found in alike)
     if not there:
         return strip.left_m, False
     if strip.kind != "driving":
@@ -146,6 +143,7 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     if not is_forward:
         points = points[::-1]
         from_junction, to_junction = to_junction, from_junction
+    last_part = parts[-1 if is_forward == bool(to_junction) else 0]  # as of `speed_limit_kmh`
     return MapLane(
         id=name,
         kind=parts[0].strip.kind,
@@ -153,7 +151,8 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
         centreline_m=points,
         from_junction=from_junction,
         to_junction=to_junction,
-        speed_limit_kmh=parts[-1 if is_forward == bool(to_junction) else 0].limit_kmh,
+        speed_limit_kmh=last_part.limit_kmh,
+        road_class=last_part.road_class,
         turns=parts[-1 if is_forward else 0].strip.turns,
     )
 
@@ -229,13 +228,9 @@ def _meeting_groups(
                 if keys[other][1] != key[1] and keys[other][0] != key[0]:
                     gap_m = float(np.hypot(*(tree.data[at] - tip)[:2]))
                     found[other] = min(gap_m, found.get(other, np.inf))
-        ahead = {
-            other: gap_m
-            for other, gap_m in found.items()
-            if _ahead(lanes[groups[key][0]], key[1])
-            @ _ahead(lanes[groups[keys[other]][0]], not key[1])
-            > _SAME_WAY
-        }
+        own = _ahead(lanes[groups[key][0]], key[1])
+        ways = {other: _ahead(lanes[groups[keys[other]][0]], not key[1]) for other in found}
+        ahead = {other: gap_m for other, gap_m in found.items() if own @ ways[other] > _SAME_WAY}
         if ahead:
             other = min(ahead, key=ahead.__getitem__)
             links[(other, one) if key[1] else (one, other)] = ahead[other]
@@ -261,6 +256,5 @@ def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
     """A line that begins at another point and leads straight to itself, some metres on."""
     along = along_m(points_m)
-    run = min(_BEND_M, float(along[-1]))
-    joint = [np.interp(run, along, points_m[:, axis]) for axis in range(3)]
-    return np.vstack([begin_m, joint, points_m[along > run + _SAME_POINT_M]])
+    run = np.minimum(_BEND_M, along[-1])
+    return np.vstack([begin_m, points_at(points_m, run), points_m[along > run + _SAME_POINT_M]])

@@ -4,10 +4,11 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from itertools import chain, pairwise
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
@@ -231,9 +232,8 @@ class CrossSection:
 
 def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSection:
     """Strips side by side along a road, a one-way one along its nodes; senseless tags are noted."""
-    left, right = (
-        roadside_strips(tags, note, side=side, keeps_left=keeps_left) for side in ("left", "right")
-    )
+    left = roadside_strips(tags, note, side="left", keeps_left=keeps_left)
+    right = roadside_strips(tags, note, side="right", keeps_left=keeps_left)
     counts = count_lanes(tags, note)
     beside_m = sum(width for _, width, _ in (*left[0], *right[0]))
     widths, counts = _lane_widths(tags, counts, beside_m, note)
@@ -572,9 +572,8 @@ class Street:
     def __post_init__(self) -> None:
         points: list[FloatArray] = []
         rows: list[IntArray] = []
-        for edge, is_along in self.parts:
-            step = 1 if is_along else -1
-            skip = 1 if points else 0
+        for at, (edge, is_along) in enumerate(self.parts):
+            step, skip = 1 if is_along else -1, min(at, 1)
             points.append(edge.points_m[::step][skip:])
             rows.append(edge.rows[::step][skip:])
         joined = np.concatenate(points)
@@ -602,9 +601,8 @@ class Street:
 
     def reversed(self) -> "Street":
         """Street from its end to its start."""
-        return replace(
-            self, parts=tuple((edge, not is_along) for edge, is_along in self.parts[::-1])
-        )
+        turned = ((edge, not is_along) for edge, is_along in self.parts[::-1])
+        return replace(self, parts=tuple(turned))
 
     def part_at(self, station_m: float) -> int:
         """Index of the part at a distance along the street."""
@@ -730,9 +728,4 @@ def surface(street: Street, begin_m: float, end_m: float) -> BaseGeometry:
         edges = [middle + sign * 0.5 * section.width_m * across for sign in (1.0, -1.0)]
         edges = [edge[has_no_knot(edge, middle)] for edge in edges]
         pieces.append(make_valid(Polygon(np.concatenate([edges[0], edges[1][::-1]]))))
-    if not pieces:
-        return Polygon()
-    whole = pieces[0]
-    for piece in pieces[1:]:
-        whole = whole.union(piece)
-    return whole
+    return reduce(shapely.union, pieces) if pieces else Polygon()

@@ -45,6 +45,7 @@ _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
 _WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
 _POLES = ("mast", "utility_pole", "pole")
+_ROADSIDE = {"street_lamp": "lamp post", "traffic_signals": "traffic light", "traffic_sign": "sign"}
 _NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
 _NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 _Place = tuple[Reach, float]  # a street and how far along it [m]
@@ -60,23 +61,20 @@ _Span = tuple[float, float, bool]  # bottom and top above the ground [m], whethe
 
 def find_barriers(elements: Elements) -> Iterator[Thing]:
     """Walls, hedges and boarded fences; transparent fences and damaged outlines are noted."""
+    limits = DEFAULTS["barrier"]
     for way in elements.ways:
-        kind = way.tags.get("barrier", "")
+        tags = way.tags
+        kind = tags.get("barrier", "")
         if kind not in _KINDS:
             continue
         note = partial(elements.omissions.add, "barriers", f"way {way.id}")
-        fence = way.tags.get("fence_type", way.tags.get("material", ""))
-        if kind == "fence" and fence not in DEFAULTS["barrier"]["opaque_fences"]:
+        fence = tags.get("fence_type", tags.get("material", ""))
+        if kind == "fence" and fence not in limits["opaque_fences"]:
             why = "seen through: no fence_type that says otherwise"
             elements.omissions.add("fences", f"way {way.id}", why)
             continue
-        limits = DEFAULTS["barrier"]
-        tagged_m = _tagged_m(
-            way.tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note
-        )
-        thick_m = _tagged_m(
-            way.tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
-        )
+        tagged_m = _tagged_m(tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note)
+        thick_m = _tagged_m(tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note)
         top_m = float(limits[kind]["height_m"]) if tagged_m is None else tagged_m
         thick_m = float(limits[kind]["thickness_m"]) if thick_m is None else thick_m
         for number, footprint in enumerate(_footprints(way, elements, thick_m)):
@@ -161,7 +159,7 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
 
 
 # ---------- poles
-def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
+def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
     """Poles next to roads that could carry sensors; lamps without a pole are noted.
 
     Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
@@ -171,7 +169,7 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
     for reach in reaches:
         for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
             places[int(row)].append((reach, float(station_m)))
-    elements, poles = network.elements, []
+    elements = network.elements
     for row, tags in elements.node_tags.items():
         kind = _kind(tags)
         if not kind:
@@ -197,24 +195,14 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> tuple[Pole, ...]:
             height_m = None
         for number, foot in enumerate(feet):
             name, position = numbered(f"n{node_id}", number), np.append(foot, 0.0)
-            poles.append(
-                Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
-            )
-    return tuple(poles)
+            yield Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
 
 
 def _kind(tags: Tags) -> str:
-    if tags.get("highway") == "street_lamp":
-        return "lamp post"
-    if tags.get("highway") == "traffic_signals":
-        return "traffic light"
-    if "traffic_sign" in tags or tags.get("highway") == "traffic_sign":
-        return "sign"
-    if tags.get("man_made") in _POLES or tags.get("power") == "pole":
-        return "pole"
-    if tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole":
-        return "pole"
-    return ""
+    kind = _ROADSIDE.get(tags.get("highway", ""), "sign" if "traffic_sign" in tags else "")
+    has_camera = tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole"
+    is_pole = has_camera or tags.get("man_made") in _POLES or tags.get("power") == "pole"
+    return kind or ("pole" if is_pole else "")
 
 
 def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
@@ -238,11 +226,8 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     street = reach.street
     index = street.part_at(station_m)
     edge, is_along = street.parts[index]
-    driven = [
-        is_forward
-        for is_forward in (True, False)
-        if street.sections[index].lanes(is_forward=is_forward)
-    ]
+    section = street.sections[index]
+    driven = [one for one in (True, False) if section.lanes(is_forward=one)]
     if station_m <= 0.0 and reach.from_junction:
         return [one for one in driven if not one]
     if station_m >= street.length_m and reach.to_junction:
@@ -278,11 +263,8 @@ def find_crosswalks(network: Network) -> FloatArray:
             continue
         for rows in known_runs(way, elements):
             walk = LineString(elements.positions_m[rows])
-            edges = [
-                network.edges[index]
-                for index in tree.query(walk, predicate="intersects").tolist()
-                if network.edges[index].level == level(way.tags)
-            ]
+            near = (network.edges[at] for at in tree.query(walk, predicate="intersects").tolist())
+            edges = [edge for edge in near if edge.level == level(way.tags)]
             found = [
                 line
                 for line in _over_roads(walk, edges)
@@ -347,10 +329,8 @@ def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iter
     on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
     for part in shapely.get_parts(on_road):
         if isinstance(part, LineString) and part.length > _LEAST_M and part.distance(axis) < 1e-6:
-            is_along = walk.project(shapely.Point(part.coords[0])) <= walk.project(
-                shapely.Point(part.coords[-1])
-            )
-            yield part if is_along else part.reverse()
+            begin_m, end_m = (walk.project(shapely.Point(part.coords[at])) for at in (0, -1))
+            yield part if begin_m <= end_m else part.reverse()
 
 
 def _direction(line: LineString) -> FloatArray:
@@ -363,10 +343,8 @@ def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: fl
     begin, along = np.asarray(part.coords)[0, :2], _direction(part)
     reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
     ray = LineString([begin - reach_m * along, begin + reach_m * along])
-    stations = [
-        np.sort((shapely.get_coordinates(piece) - begin) @ along)
-        for piece in shapely.get_parts(shapely.intersection(ray, carriageway))
-    ]
+    pieces = shapely.get_parts(shapely.intersection(ray, carriageway))
+    stations = [np.sort((shapely.get_coordinates(piece) - begin) @ along) for piece in pieces]
     own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
     low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
     return begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
@@ -384,13 +362,10 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
         other, is_start = next(end for end in ends if end[0] != index)
         beyond = network.edges[other].points_m[1 if is_start else -2]
         before, after = (beyond, after) if at == 0 else (before, beyond)
-    steps = [
-        step / np.hypot(*step)
-        for step in (points[at] - before, after - points[at])
-        if np.hypot(*step) > 1e-6
-    ]
-    along = np.sum(steps, axis=0)
-    along = steps[0] if np.hypot(*along) < 1e-6 else along / np.hypot(*along)
+    steps = (points[at] - before, after - points[at])
+    ways = [unit(step) for step in steps if np.hypot(*step) > 1e-6]
+    along = np.sum(ways, axis=0)
+    along = ways[0] if np.hypot(*along) < 1e-6 else unit(along)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
     return np.asarray(points[at] + half_m * np.stack([-left, left]))
@@ -446,9 +421,7 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
     shapes = [make_valid(area.polygon) for area in outlines]
     part_shapes = [make_valid(area.polygon) for area in parts]
     tree = STRtree(shapes)
-    inside = tree.query(
-        [shapely.point_on_surface(shape) for shape in part_shapes], predicate="within"
-    )
+    inside = tree.query(shapely.point_on_surface(part_shapes), predicate="within")
     by_outline: dict[int, list[BaseGeometry]] = defaultdict(list)
     for part, outline in inside.T.tolist():
         by_outline[outline].append(part_shapes[part])
@@ -589,11 +562,8 @@ class _Passages:
         is_gate = area.tags.get("historic") in _GATES or _building_kind(area.tags) in _GATES
         whole = make_valid(area.polygon)
         near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
-        found = [
-            (strip, clear_m)
-            for strip, clear_m, is_marked in near
-            if (is_gate or is_marked) and whole.intersection(strip).area > 1.0
-        ]
+        leading = [(strip, clear_m) for strip, clear_m, is_marked in near if is_gate or is_marked]
+        found = [(one, clear_m) for one, clear_m in leading if whole.intersection(one).area > 1.0]
         if not found:
             return None, 0.0
         ways = shapely.union_all([strip for strip, _ in found])

@@ -26,8 +26,8 @@ def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tm
     few = ("--coarse", "--max-units", 1, "--junctions", "n1;n3", *FEW_RUNS_OPTIONS)
     code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
     assert code == 0
-    assert text.startswith("1 unit at 1 of 2 junctions for ")
-    assert "2 junctions of 3; 0 are done already. every junction counts the same." in err
+    assert text.startswith("1 sensor at 1 of 2 junctions for ")
+    assert "Junctions: 2 of 3; done already: 0. Weights: every junction counts the same." in err
     code, text, err = run("city", path, "--budget", 1, "--out", out, *few, "--json", "--quiet")
     assert (code, err) == (0, "")
     result = json.loads(text)
@@ -131,6 +131,12 @@ def test_what_was_not_done_stands_in_the_text():
     )
     lines = city_text(result, "city").splitlines()
     assert lines[0] == "First."
-    assert "  A / B: no lane leads in" in lines
+    assert "  A / B: It could not be computed: no lane leads in." in lines
+    known = city_text(
+        replace_fields(result, junctions=(replace_fields(failed, cause="no site"),)), "city"
+    )
+    assert "A / B: There is no pole or other place that could carry another sensor." in " ".join(
+        known.split()
+    )
     many = replace_fields(result, junctions=(failed,) * 20)
     assert "  and 8 more: junctions.csv" in city_text(many, "city")

@@ -9,25 +9,34 @@ import sys
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
+from html import unescape
 from io import BytesIO
 from itertools import product
+from math import exp
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
+from babel.messages.pofile import read_po
+from browser_pages import open_page, start_browser
 from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
+from osm_text import OsmText
 
 from experiments.city import answer as city_answer
 from experiments.city import run as job
 from experiments.city import workers as city_workers
 from experiments.city.answer import fronts_table, load_front
-from experiments.city.inputs import CitySearch, CityWish
+from experiments.city.command import city_text
+from experiments.city.inputs import CitySearch, CityWish, estimated_accidents
+from experiments.language import speaking
 from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
 from geometry.errors import InputError
+from geometry.maps.importing import read_map, survey_junctions
 from placement.city.fronts import Options
 from placement.layout import load_layout
 from placement.question import Question, load_question_values
@@ -138,7 +147,7 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert not changed_files(city)
     written = json.loads((city / "city.json").read_text())
     assert written["units"] == result.units == 2
-    assert written["sentences"][0].startswith("2 units at 2 of 3 junctions for ")
+    assert written["sentences"][0].startswith("2 sensors at 2 of 3 junctions for ")
     table = pd.read_parquet(city / "fronts.parquet")
     assert set(table.junction) == {one.id for one in result.junctions}
     assert len(table) == sum(len(front.points) for front in fronts_of(city))
@@ -167,6 +176,11 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert units.crs == "EPSG:4326"
     places = gpd.read_file(city / "city.gpkg", layer="junctions")
     assert places.units.sum() == 2
+    carrying = gpd.read_file(city / "city.gpkg", layer="poles")
+    assert carrying.units.sum() == 2
+    assert carrying.crs == units.crs
+    assert sorted(carrying.site) == sorted(units.site)
+    assert {*carrying.geometry.x.round(9)} == {*units.geometry.x.round(9)}
     assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
 
 
@@ -201,17 +215,140 @@ def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp
     reasons = [one.reason for one in result.junctions]
     assert sum(map(bool, reasons)) == result.not_done == 2
     assert any("sites: got" in reason for reason in reasons)
+    assert [one.cause for one in result.junctions if one.reason] == ["no site", "no site"]
     part = percent(result.stages[0].objective)
     of_all = percent(result.stages[0].objective / 3.0)
     assert f": {of_all} of the accidents at all of them are prevented" in result.sentences[0]
-    assert result.sentences[0].endswith("; 2 junctions are not done.")
+    assert result.sentences[0].endswith(" are prevented. 2 junctions are left out.")
     assert any(f"of those at the others {part} are prevented" in one for one in result.sentences)
     rows = pd.read_csv(tmp_path / "new" / "junctions.csv")
     assert rows.reason.notna().sum() == 2
-    assert "What was not done" in (tmp_path / "new" / "report.html").read_text()
+    page = (tmp_path / "new" / "report.html").read_text()
+    first, _, rest = page.partition("<nav")
+    why = "There is no pole or other place that could carry another sensor."
+    assert f'<p class="lead">{result.sentences[0]}</p>'.replace(" %", "\u00a0%") in first
+    assert f"<li>2 junctions: {why}</li>" in first
+    assert rest.count(why) == 2
     # More time is another question: what was in time stays in the folder, the rest is told.
     with pytest.raises(InputError, match=r"no junction with a front.*; expected more time or memo"):
         run(tiny / "tiny.osm", city, search=replace(SEARCH, max_junction_s=LEAST_S))
+
+
+def test_the_headline_says_what_was_left_out_not_driven_and_not_proven(tiny, city, never, no_pages):
+    result = run(tiny / "tiny.osm", city)
+    assert result.runs == result.possible_runs > 0
+    assert city_answer.says("undone", result) == ()
+    first, *others = result.junctions
+    left = msgspec.structs.replace(
+        result,
+        junctions=(msgspec.structs.replace(first, reason="x", cause="time"), *others),
+        not_done=1,
+        runs=1_234,
+        possible_runs=5_678,
+        stages=(msgspec.structs.replace(result.stages[0], bound=0.9, gap=0.1), *result.stages[1:]),
+    )
+    # A bound of 90 % at two of three junctions of the same weight is one of 60 % of all accidents.
+    assert city_answer.says("undone", left) == (
+        "1 junction is left out.",
+        "4,444 of 5,678 simulated collisions could not be driven: room is missing.",
+        "It is not proven that this is best: up to 60.0 % could be prevented.",
+    )
+
+
+def test_each_foreseen_error_has_its_cause(tmp_path):
+    osm = OsmText()  # four one-way streets that lead away: no car drives in
+    middle = osm.node(0.0, 0.0)
+    for way in ((90.0, 0.0), (0.0, 90.0), (-90.0, 0.0), (0.0, -90.0)):
+        osm.road([middle, osm.node(*way)], oneway="yes")
+    away = osm.write(tmp_path, "away.osm")
+    [task] = tasks_of(away)
+    answer = city_workers.run_junction(task)
+    assert (answer.record.cause, answer.record.is_final) == ("no lane", True)
+    [task, *_] = tasks_of(write_city(tmp_path))
+    slow = replace(task, wishes=replace(task.wishes, time_limit_s=LEAST_S))
+    answer = city_workers.run_junction(slow)
+    assert (answer.record.cause, answer.record.is_final) == ("time", False)
+    no_arm = replace(task, question=replace(FEW_RUNS, approaches="south-east"))
+    assert city_workers.run_junction(no_arm).record.cause == "no run"
+
+
+def test_the_page_and_the_terminal_speak_german(tiny, city, never):
+    with speaking("de"):
+        result = run(tiny / "tiny.osm", city)
+        text = city_text(result, city)
+    pages = [(city / "report.html").read_text()]
+    pages += [path.read_text() for path in city.glob("junctions/*/report.html")]
+    assert text.startswith("2 Sensoren an 2 von 3 Knotenpunkten für 9")
+    assert "Was zu bestellen ist" in pages[0]
+    english = set()
+    for entry in city_messages():
+        if isinstance(entry, str) and "{" not in entry and len(entry.split()) > 2:
+            english |= {entry for page in [text, *pages] if entry in unescape(page)}
+    assert not english
+
+
+def city_messages():
+    with Path("experiments/languages/de/city.po").open("rb") as file:
+        return [entry.id for entry in read_po(file) if entry.id]
+
+
+@pytest.mark.parametrize(
+    ("flows", "n_signals", "per_year"),
+    [  # AASHTO, Highway Safety Manual (2010), table 12-10, at vehicles a day on major and minor
+        ((20_000, 20_000, 4_800, 2_800), 2, exp(-10.99) * 20_000**1.07 * 4_800**0.23),
+        ((20_000, 18_000, 4_800, 4_800), 0, exp(-8.90) * 20_000**0.82 * 4_800**0.25),
+        ((12_000, 10_000, 4_000), 1, exp(-12.13) * 12_000**1.11 * 4_000**0.26),
+        ((12_000, 12_000, 4_000), 0, exp(-13.36) * 12_000**1.11 * 4_000**0.41),
+    ],
+)
+def test_the_estimate_of_accidents_is_that_of_the_manual(flows, n_signals, per_year, tmp_path):
+    osm = OsmText()
+    middle = osm.node(0.0, 0.0)
+    for east, north in ((90.0, 0.0), (0.0, 90.0), (-90.0, 0.0), (0.0, -90.0)):
+        osm.road([middle, osm.node(east, north)])
+    [surveyed] = survey_junctions(read_map(osm.write(tmp_path, "cross.osm")))
+    assert surveyed.roads == (("residential", 2),) * 4
+    roads = tuple(("living_street", flow // 400) for flow in flows)
+    found = estimated_accidents(replace(surveyed, roads=roads, n_signals=n_signals))
+    assert found == pytest.approx(per_year)
+
+
+def test_where_no_accidents_are_known_a_wide_crossing_counts_most(tiny, city, never, tmp_path):
+    equal = run(tiny / "tiny.osm", city)
+    assert "--junction-weights proxy" in equal.warnings[0]
+    page = unescape((city / "report.html").read_text())
+    assert f'<p class="warning">{equal.warnings[0]}</p>' in page
+    result = run(tiny / "tiny.osm", city, budget_units=1, weights_file=Path("proxy"))
+    assert result.warnings[0] in unescape((city / "report.html").read_text())
+    # All arms have two lanes of 1,000 vehicles: crossing, three arms, and crossing with signals.
+    wanted = {
+        "n1": exp(-8.90) * 2_000**1.07,
+        "n2": exp(-13.36) * 2_000**1.52,
+        "n3": exp(-10.99) * 2_000**1.30,
+    }
+    total = sum(wanted.values())
+    assert {one.id: one.weight for one in result.junctions} == pytest.approx(
+        {name: value / total for name, value in wanted.items()}
+    )
+    text = (tiny / "tiny.osm").read_text()
+    assert text.count('v="C Lane"') == 2
+    street, lane = 'k="highway" v="residential"', 'v="C Lane"'
+    ways = [
+        way.replace(street, f'{street.replace("residential", "primary")}/><tag k="lanes" v="6"')
+        if lane in way
+        else way
+        for way in text.split("<way")
+    ]
+    wide = tmp_path / "tiny.osm"
+    wide.write_text("<way".join(ways))
+    there = job.inputs.load_city([wide], SEARCH.reading, CityWish(budget_units=1))
+    values = job.inputs.load_values(there, CityWish(weights_file=Path("proxy")))
+    share = dict(
+        zip([one.surveyed.junction.id for one in there.junctions], values.weight, strict=True)
+    )
+    assert share["n3"] > 0.9 * sum(share.values())
+    with pytest.raises(InputError, match="weight_column: got 'n'; expected a file of --junction"):
+        CityWish(weights_file=Path("proxy"), weight_column="n")
 
 
 def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path, no_pages):
@@ -232,9 +369,8 @@ def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path
     table.write_text("junction,cars\nn1,3\nn99,4\n")
     result = run(tiny / "tiny.osm", city, weights_file=table)
     assert [one.weight for one in result.junctions if one.id == "n1"] == [1.0]
-    assert any(
-        "1 rows of junctions that do not count, such as n99" in note for note in result.notes
-    )
+    lost = "accidents.csv: rows of junctions that do not count, such as n99: 1."
+    assert lost in result.notes
 
 
 def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path, here, no_pages):
@@ -267,6 +403,8 @@ def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path
     ]
     assert sorted(map(bool, reasons)) == [False, False, True]
     assert any("expected a place with accidents within 100 m" in reason for reason in reasons)
+    [left] = [front for front in fronts_of(tmp_path / "near") if front.reason]
+    assert left.cause == "no accident"
 
 
 def area(path, lon_deg, half_deg=0.0005, **values):
@@ -297,18 +435,49 @@ def test_districts_areas_and_years(tiny, city, never, tmp_path, no_pages):
     assert few.units == 2
 
 
+def test_accidents_and_money_are_told_by_the_year(tiny, city, never, tmp_path, no_pages):
+    table = tmp_path / "accidents.csv"
+    table.write_text("junction,count\nn1,10\nn2,20\nn3,30\n")
+    heavy = area(tmp_path / "middle.geojson", 13.40368, name="middle", weight=3)
+    given = {"weights_file": table, "counted_years": 5.0, "areas": heavy}
+    counts = {"n1": 10, "n2": 20, "n3": 30}
+    result = run(tiny / "tiny.osm", city, **given)
+    by_hand = sum(counts[one.id] / 5.0 * (one.apr - one.apr_before) for one in result.junctions)
+    assert result.accidents_per_year == pytest.approx(12.0)
+    assert result.prevented_per_year == pytest.approx(by_hand)
+    assert result.prevented_in_years is None
+    said = f"Of 12.0 accidents a year {by_hand:.1f} would be prevented, if as many happen as were"
+    assert any(one.startswith(said) for one in result.sentences)
+    result = run(tiny / "tiny.osm", city, years=10, **given)
+    assert result.prevented_in_years == pytest.approx(10.0 * by_hand)
+    each = result.cost_eur / (10.0 * by_hand)
+    assert any(
+        f"({result.cost_eur / 10.0:,.0f} EUR a year), {each:,.0f} EUR each;" in one
+        for one in result.sentences
+    )
+    # One sensor a year: what is mounted in the second year is there for nine.
+    result = run(tiny / "tiny.osm", city, years=10, units_per_year=1, **given)
+    assert sorted(one.year for one in result.junctions if one.units) == [1, 2]
+    by_hand = sum(
+        counts[one.id] / 5.0 * (one.apr - one.apr_before) * (11 - one.year)
+        for one in result.junctions
+        if one.units
+    )
+    assert result.prevented_in_years == pytest.approx(by_hand)
+
+
 def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
     tiny, city, never, no_pages
 ):
     result = run(tiny / "tiny.osm", city, budget_eur=10.0)
     assert (result.units, result.cost_eur) == (0, 0.0)
     assert result.sentences[0] == "Nothing at 3 junctions for at most 10 EUR."
-    assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+    assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
     for nothing in ({"budget_units": 0}, {"budget_eur": 0.0}):
         result = run(tiny / "tiny.osm", city, **nothing)
         assert (result.units, result.stages[0].objective) == (0, 0.0)
         assert result.stages[0].gap == 0.0
-        assert result.sentences[1].startswith("The cheapest useful choice is 1 unit at ")
+        assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
 
 
 def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
@@ -321,7 +490,7 @@ def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
         **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
     )
     said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
-    assert said.startswith("The cheapest useful choice is 1 unit at ")
+    assert said.startswith("The cheapest useful choice is 1 sensor at ")
     assert said.endswith("for 4,040 EUR: it would prevent 10.0 % of the city's accidents.")
 
 
@@ -387,10 +556,11 @@ def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):
     assert [one.id for one in run(tiny_map, city, within=east).junctions] == ["n3"]
     for wish, message in (
         ({"junctions": "n77"}, r"--junctions: got 'n77'; expected one of n\d"),
-        ({"min_arms": 9}, r"no junction that counts: 3 junctions have fewer than 9 arms"),
+        ({"min_arms": 9}, r"no junction that counts: Junctions with fewer than 9 arms: 3."),
         ({"within": area(tmp_path / "far.geojson", 20.0)}, r"--within: .* expected an area with"),
         ({"keep": (tmp_path,)}, r"--keep: .* expected a folder of place-rsus city with layouts"),
-        ({"years": 2}, r"years: got 2; expected `units_per_year` as well"),
+        ({"years": 2}, r"years: got 2; expected `units_per_year` or `counted_years` as well"),
+        ({"counted_years": 2}, r"counted_years: got 2; expected `weights_file` as well"),
         ({"min_district_apr": 0.5}, r"min_district_apr: got 0.5; expected `districts` as well"),
     ):
         with pytest.raises(InputError, match=message):
@@ -444,7 +614,7 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
         "its worker died of more than 1.5 GiB of memory, 3 times: more --worker-memory, or fewer "
         "poses"
     )
-    assert not answer.record.is_final
+    assert (answer.record.cause, answer.record.is_final) == ("memory", False)
 
 
 @pytest.mark.long
@@ -517,3 +687,59 @@ def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pag
         drawn["chosen"], [[result.cost_eur, 100 * result.stages[0].objective]]
     )
     assert len(drawn["steps"]) == len(result.front) + 1
+
+
+def stops_of(city):
+    page = (city / "report.html").read_text()
+    return json.loads(page.split('id="sum-data">')[1].split("</script>")[0])
+
+
+def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never):
+    for wish in ({"budget_units": 2}, {"budget_eur": 9_500.0}, {"budget_units": 0}):
+        result = run(tiny / "tiny.osm", city, **wish)
+        shown = stops_of(city)
+        states, got = [], {}
+        for stop in shown["stops"]:
+            got = got | {int(index): n for index, n in stop["sets"].items()}
+            states.append({index: n for index, n in got.items() if n})
+        chosen = {index: one.units for index, one in enumerate(result.junctions) if one.units}
+        [at] = [number for number, stop in enumerate(shown["stops"]) if stop["is_chosen"]]
+        assert states[at] == chosen
+        assert f" prevent {percent(result.stages[0].objective)} of the" in shown["stops"][at][
+            "says"
+        ].replace("prevents", "prevent")
+        assert sum(states[-1].values()) == 3
+        says = [stop["says"] for stop in shown["stops"]]
+        steps = [percent(step.apr) for step in result.front]
+        assert all(any(share in one for one in says) for share in steps)
+        if "budget_eur" in wish:
+            costs = [f"{step.taken:,.0f} EUR: " for step in result.front]
+            assert all(any(one.startswith(cost) for one in says) for cost in costs)
+        assert {shown["names"][key] for key in shown["spots"]} == {
+            one.label for one in result.junctions
+        }
+
+
+@pytest.mark.system
+def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
+    page_of = tiny / "city" / "report.html"
+    with start_browser() as browser, open_page(browser, page_of.as_uri()) as page:
+        assert page.is_visible("#sum-chosen")
+        assert page.locator("#sum-map span:visible").count() == 2
+        slider = page.locator("#sum")
+        slider.press("End")
+        assert page.inner_text("#sum-says").startswith("3 sensors (junctions: 3) prevent 100.0 %")
+        assert page.locator("#sum-gets li").count() == 3
+        assert page.locator("#sum-map span:visible").count() == 3
+        assert not page.is_visible("#sum-chosen")
+        slider.press("Home")
+        assert page.locator("#sum-gets li").count() == 0
+        page.click("#junctions ~ * a[href^='junctions/']")
+        page.wait_for_url("**/junctions/*/report.html")
+        assert page.is_visible("text=Look closer")
+    with (
+        start_browser() as browser,
+        open_page(browser, page_of.as_uri(), java_script_enabled=False) as page,
+    ):
+        assert not page.is_visible("#sums")
+        assert page.is_visible("text=The first 3 steps; 2 of them fit into the budget")

@@ -32,11 +32,27 @@ def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_pa
     assert "FAILED numbers: gap: " in out
 
 
+def test_worlds_of_a_block_may_be_found_out(run, tmp_path):
+    code, out, err = run(*ASKED, "--samples", "auto", "--out", tmp_path / "results", "--json")
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    growth = found["growth"]
+    assert found["worlds_of_block"] == growth["taken"]
+    assert [block["first"] for block in found["blocks"]] == [0, growth["taken"]]
+    assert {one["worlds"] for one in growth["rounds"]} >= {growth["taken"]}
+    code, out, _ = run("verify", tmp_path / "results", "--quiet")
+    assert (code, "2 checks: all OK." in out) == (0, True)
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
         (("--blocks", 1), "--blocks: got '1'; expected a whole number, at least 2"),
         (("--samples", 1), "--samples: got 1; expected a whole number, at least 2"),
+        (
+            ("--samples", "often"),
+            "--samples: got 'often'; expected auto, or a number of sampled worlds, 0 to 100,000",
+        ),
         (("--judge", 0), "--judge: got '0'; expected a whole number, at least 2"),
         (("--budget", 0), "--budget: got '0'"),
     ],
@@ -47,3 +63,12 @@ def test_what_cannot_be_certified_is_one_line(run, tmp_path, changed, message):
     assert err.startswith(f"place-rsus: {message}")
     assert err.count("\n") == 1
     assert not (tmp_path / "results").exists()
+
+
+def test_worlds_to_compare_in_are_a_number(run):
+    code, out, err = run("compare", "carlancap-12", "carlancap-12", "--samples", "auto")
+    assert (code, out) == (2, "")
+    assert err == (
+        "place-rsus: --samples: got 'auto'; expected a number; auto where the best layout within a "
+        "budget is chosen\n"
+    )

@@ -4,12 +4,15 @@ import json
 
 import numpy as np
 import pytest
+from carla_recordings import SCENE
 
-from experiments.export.calibration import calibrations, camera_matrix
+from experiments.export.calibration import calibrations
 from experiments.export.carla import to_carla
+from experiments.export.carla_run import build_scenario
 from experiments.export.opencv import to_opencv
 from experiments.export.openlabel import to_openlabel
 from experiments.export.usd import to_usd
+from experiments.export.watched import find_run
 from geometry.catalogue import read_sensor
 from geometry.errors import InputError
 from geometry.lenses import BrownConrady
@@ -44,6 +47,8 @@ def test_formats_without_lenses_refuse_them_in_one_line(lens):
         to_carla(layout)
     with pytest.raises(InputError, match=f"usd: {what}"):
         to_usd(layout, None)
+    with pytest.raises(InputError, match=f"carla-run: {what}"):
+        build_scenario(layout, SCENE, find_run("CPNC-50/east/40", SCENE))
     with pytest.raises(InputError, match="openlabel: got north, whose lens is of another kind"):
         to_openlabel(layout)
 
@@ -62,13 +67,13 @@ def test_openlabel_has_the_five_terms_of_brown_and_conrady():
 
 def test_a_calibration_has_principal_point_aspect_and_roll():
     layout = layout_with(principal_point=[0.55, 0.45], pixel_aspect=1.02, roll_deg=90.0)
-    (found,) = calibrations(layout, "opencv")
+    (found,) = calibrations(layout, "opencv").values()
     focal = 960.0
     expected = [[focal, 0, 0.55 * 1920 - 0.5], [0, 1.02 * focal, 0.45 * 1080 - 0.5], [0, 0, 1]]
-    assert found.camera_matrix == pytest.approx(np.array(expected))
+    assert pytest.approx(np.array(expected)) == found.K
     assert found.lens == BrownConrady()
     # Turned clockwise by a right angle, its right is what was down.
-    (level,) = calibrations(layout_with(), "opencv")
-    assert found.world_to_camera[0] == pytest.approx(level.world_to_camera[1])
-    assert found.world_to_camera[1] == pytest.approx(-level.world_to_camera[0])
-    assert camera_matrix(layout_with().units[0].sensor)[0, 2] == 959.5
+    (level,) = calibrations(layout_with(), "opencv").values()
+    assert found.R_camera_world[0] == pytest.approx(level.R_camera_world[1])
+    assert found.R_camera_world[1] == pytest.approx(-level.R_camera_world[0])
+    assert level.K[0, 2] == 959.5

@@ -2,17 +2,24 @@
 
 import json
 import math
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from export_layouts import awkward_layout, large_layout
 from export_pictures import read_mcap
+from PIL import Image
 
 from experiments.export.mcap import to_mcap
 from experiments.export.watched import WatchedRun, find_run
+from geometry.errors import InputError
 from geometry.sensors import CameraModel
 from geometry.study_scene import load_study_scene
+from geometry.weather import pick_weather
+from placement.compute import Compute
+from placement.imaging import build_backdrop, draw_picture
 from placement.layout import load_carlancap_layout
 from scenarios.aeb import load_aeb_rule
 
@@ -127,3 +134,41 @@ def test_foxgloves_layout_names_topics_that_exist(topics):
     shown = set(layout["configById"]["3D!scene"]["topics"])
     plotted = {path["value"].split(".")[0] for path in layout["configById"]["Plot!state"]["paths"]}
     assert shown | plotted <= set(topics)
+
+
+def test_pictures_are_what_a_reduced_camera_draws(watched):
+    layout = load_carlancap_layout()
+    one = replace(layout, units=layout.units[:1])
+    names = (
+        "time_s",
+        "vut_position_m",
+        "vut_yaw_deg",
+        "vru_position_m",
+        "vru_yaw_deg",
+        "vru_shape",
+    )
+    few = replace(watched.run, **{name: getattr(watched.run, name)[:2] for name in names})
+    short = replace(watched, run=few, detected={one.units[0].id: np.zeros(2, dtype=bool)})
+    found = read_mcap(to_mcap(one, SCENE, short, pictures=Compute()))
+    (unit,) = one.units
+    ((_, calibration),) = found[f"/calibration/{unit.id}"]
+    assert calibration.width == 640
+    small = replace(unit.sensor, width_px=640, height_px=calibration.height)
+    backdrop = build_backdrop(SCENE, few.obstruction)
+    images = found[f"/image/{unit.id}"]
+    assert [time_s for time_s, _ in images] == pytest.approx([0.0, 0.1])
+    for frame, (_, image) in enumerate(images):
+        assert (image.frame_id, image.format) == (unit.id, "jpeg")
+        shown = np.asarray(Image.open(BytesIO(image.data)), dtype=float)
+        weather = pick_weather(few.weather, "weather")
+        drawn = draw_picture(backdrop, few, frame, unit.pose, small, weather=weather).rgb
+        assert np.abs(shown - drawn).mean() < 3.0  # of 255: JPEG
+    with pytest.raises(InputError, match="--pictures: got no run; expected --run"):
+        to_mcap(one, SCENE, pictures=Compute())
+
+
+def test_pictures_of_other_formats_are_refused(run):
+    asked = ("export", "--format", "cpm", "--layout", "carlancap-12", "--run", "CPNC-50/east/40")
+    code, _, err = run(*asked, "--pictures")
+    assert code == 2
+    assert "--pictures: got it; expected none: cpm has no such option" in err

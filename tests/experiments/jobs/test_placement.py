@@ -1,7 +1,9 @@
 import json
 import re
 from dataclasses import fields, replace
+from itertools import combinations
 
+import numpy as np
 import pytest
 
 from experiments.cli.options import cache_folder
@@ -11,10 +13,13 @@ from experiments.jobs import placement
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
 from geometry.errors import InputError
-from placement import pipeline
+from placement import certify, pipeline
 from placement.compute import Compute
 from placement.layout import Layout, load_carlancap_layout, load_layout
+from placement.optimiser import apr, apr_one_failed, is_feasible
+from placement.pipeline import Assembly
 from placement.question import Question
+from placement.sampling.out_of_sample import SampledApr
 
 
 def place(out, **options):
@@ -101,6 +106,70 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
     page = (tmp_path / "out/report.html").read_text()
     assert "If the world is not as planned" in page
     assert "25.0 % of the messages lost" in page
+
+
+@pytest.mark.usefixtures("small_study", "without_figures")
+def test_the_number_of_worlds_is_told_and_gives_the_same_answer(tmp_path, monkeypatch):
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
+    monkeypatch.setattr(certify, "N_JUDGED", 4)
+    monkeypatch.setattr(pipeline, "N_JUDGED", 4)
+    found = place(tmp_path / "auto", samples="auto")
+    growth = found["sampled"]["growth"]
+    assert found["sampled"]["chosen_in"] == growth["taken"]
+    assert [one["worlds"] for one in growth["rounds"]][-1] >= growth["taken"]
+    again = place(tmp_path / "number", samples=growth["taken"])
+    assert again["layout"] == found["layout"]
+    assert again["apr"] == found["apr"]
+    assert again["sampled"] == found["sampled"] | {"growth": None}
+
+
+@pytest.mark.usefixtures("small_study", "without_figures")
+@pytest.mark.parametrize("samples", [0, 2])
+def test_greedy_choice_is_the_answer_where_fresh_worlds_surely_prefer_it(
+    tmp_path, monkeypatch, samples
+):
+    asked = {"samples": samples, "budget": 2, "cars": "blind" if samples else "see"}
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "first"))
+    before = place(tmp_path / "before", **asked)
+    stored = json.loads((tmp_path / "before/certificate.json").read_text())
+    found = tuple(unit["row"] for unit in stored["layout"])
+    aprs = iter([[0.5, 0.6, 0.5], [0.8, 0.9, 0.9]])  # greedy choice's is ahead
+
+    def other_pair(problem, reduced):
+        """Another pair, and on the plan one as good, also if one fails."""
+        values = {
+            pair: (apr(problem, pair), apr_one_failed(problem, pair))
+            for pair in combinations(range(problem.table.n_poses), 2)
+            if is_feasible(problem, pair)
+        }
+        as_good = [pair for pair in values if samples or values[pair] == values[found]]
+        return next(pair for pair in as_good if pair != found)
+
+    monkeypatch.setattr(pipeline, "solve_greedy", other_pair)
+    monkeypatch.setattr(
+        Assembly,
+        "in_fresh_worlds",
+        lambda self, layouts, **_: [
+            SampledApr(
+                layout=layout,
+                axis=self.setting.axis,
+                apr_by_sample=next(aprs),
+                avoided_share=np.ones(self.setting.axis.n_runs),
+            )
+            for layout in layouts
+        ],
+    )
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "second"))
+    summary = place(tmp_path / "out", **asked)
+    assert summary["layout"] != before["layout"]
+    assert (summary["preferred"]["first"], summary["preferred"]["second"]) == ("greedy", "found")
+    assert [one["name"] for one in summary["stages"]] == [one["name"] for one in before["stages"]]
+    assert (summary["stages"][0]["gap"] == 0.0) == (samples == 0)
+    assert (summary["apr"] == before["apr"]) == (samples == 0)
+    assert summary["bound"] >= before["bound"] - 1e-9
+    checked = run_verification(tmp_path / "out", progress=StageProgress())
+    assert [check for check in checked.checks if not check.passed] == []
 
 
 @pytest.mark.usefixtures("small_study", "without_figures")

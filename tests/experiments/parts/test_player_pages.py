@@ -1,6 +1,7 @@
 """The report's interactive part in a browser, where there is one."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from interactive_pages import (
 )
 from packed_bits import unpack_bits
 
+from experiments.language import speaking
 from experiments.parts.player import interactive_part
+from experiments.report.page import page_environment
 
 pytestmark = pytest.mark.system
 
@@ -175,6 +178,32 @@ def test_tables_sort_by_numbers_with_units_and_back(browser, address):
         spare.click()
         assert order(page) == ["unit 9", "unit 1", "unit 10", "a unit"]
         assert page.locator("#sorted [aria-sort]").count() == 1
+
+
+GERMAN = """<table id="sorted"><thead><tr><th scope="col">Name</th><th scope="col">Preis</th>
+<th scope="col">Reserve</th></tr></thead><tbody>
+<tr><th scope="row">Ä</th><td>1.200,5 EUR</td><td>vermieden, 0,30 s</td></tr>
+<tr><th scope="row">B</th><td>\N{MINUS SIGN}5,5 EUR</td><td>AUFPRALL, wieder verloren</td></tr>
+<tr><th scope="row">Z</th><td>nie</td><td>AUFPRALL, 0,20 s zu spät</td></tr>
+<tr><th scope="row">C</th><td>90 EUR</td><td>vermieden, 1,10 s</td></tr>
+</tbody></table>"""
+
+
+def test_tables_and_the_player_speak_german(browser, part, tmp_path):
+    with speaking("de"):
+        page = page_around(part).replace('<html lang="en">', '<html lang="de">')
+        words = page_environment().get_template("words.html.j2").render()
+    page = re.sub(r'<table id="sorted">.*</table>', GERMAN, page, flags=re.S)
+    path = tmp_path / "page.html"
+    path.write_text(page.replace("<main>", f"{words}<main>"), encoding="utf-8")
+    with open_page(browser, path.as_uri()) as opened:
+        for head, wanted in (("Name", "ÄBCZ"), ("Preis", "BCÄZ"), ("Reserve", "BZÄC")):
+            opened.locator("#sorted thead button", has_text=head).click()
+            assert "".join(opened.locator("#sorted tbody th").all_inner_texts()) == wanted
+        status = opened.inner_text("#player-status")
+        assert re.match(r"(\W?\d+,\d\d s|Aufprall)\. ", status)
+        assert "Sensor" in status
+        assert opened.inner_text("#player-play") == "Abspielen"
 
 
 def test_without_scripts_a_line_says_what_is_missing(browser, address):

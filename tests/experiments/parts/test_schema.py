@@ -266,7 +266,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     )
     summary["disagreements"] = [plain(disagreement)]
     assert messages(summary) == []
-    optional = {"front", "private_ground", "refinement", "sampled"}
+    optional = {"front", "private_ground", "refinement", "preferred", "sampled"}
     optional |= {
         "highest",
         "next_unit",

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from experiments.figures.axes import to_png
+from experiments.language import speaking
 from experiments.parts.sampled_worlds import (
+    build_pair_record,
     build_sampled_record,
     build_uncertainty_record,
+    growth_sentences,
     overtaken_sentences,
     plot_sampled_apr,
+    preferred_sentences,
     table,
     uncertainty_sentences,
     what_is_uncertain,
@@ -19,6 +23,7 @@ from experiments.results.numbers import percent
 from experiments.results.record import to_plain
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
+from placement.certify import Growth, Round
 from placement.latency import load_latency_budget
 from placement.layout import Layout
 from placement.sampling.out_of_sample import SampledApr
@@ -272,3 +277,51 @@ def test_every_pair_of_layouts_is_compared_world_by_world(judge):
     assert (first["more_share"], first["equal_share"], first["less_share"]) == (0.5, 0.25, 0.25)
     assert first["mean"] == pytest.approx(np.mean([0.4, -0.1, 0.0, 0.4]))
     json.dumps(summary)
+
+
+def growth(stopped, ahead):
+    def of(worlds, ahead):
+        low, high = ahead
+        return Round(worlds=worlds, in_sample=0.97, bound=0.98, mean=0.95, low=low, high=high)
+
+    rounds = (of(4, (None, None)), of(8, (0.001, 0.003)), of(16, ahead))
+    return Growth(taken=8, compared_in=60, stopped=stopped, rounds=rounds)
+
+
+@pytest.mark.parametrize(
+    ("stopped", "ahead", "words"),
+    [
+        ("same", (None, None), "8 worlds to choose in are enough (--samples 8): 16 give the same "),
+        (
+            "no better",
+            (-0.001, 0.0025),
+            "8 worlds to choose in are enough (--samples 8): in 60 fresh ones the layout of 16 "
+            "prevents -0.10 to +0.25 points more (95 %)",
+        ),
+        ("time", (0.001, 0.002), "with a longer --time-limit more are tried"),
+        ("memory", (0.001, 0.002), "twice as many do not fit into the memory"),
+        ("most", (0.001, 0.002), "was still getting better"),
+    ],
+)
+def test_it_is_told_how_many_worlds_are_enough_and_why(stopped, ahead, words):
+    (told,) = growth_sentences(growth(stopped, ahead))
+    assert words in told
+    assert "--samples 8" in told
+    assert growth_sentences(None) == []
+    with speaking("de"):
+        (german,) = growth_sentences(growth(stopped, ahead))
+    assert "8 Welten" in german
+
+
+def test_it_is_told_when_fresh_worlds_took_greedy_choice(judge):
+    better, worse = judge("greedy", [0.9, 0.8, 1.0, 0.9]), judge("found", [0.8, 0.75, 0.9, 0.8])
+    taken = build_pair_record(better, worse)
+    (planned,), (sampled,) = preferred_sentences(taken, None), preferred_sentences(taken, 8)
+    points = f"{100.0 * taken.mean:.2f} points more (95 %: {100.0 * taken.low:.2f} to "
+    assert planned.startswith("As planned, greedy choice's layout is as good as the one found.")
+    assert "is better in the 8 worlds to choose in" in sampled
+    assert points in planned
+    assert points in sampled
+    assert taken.mean == pytest.approx(0.0875)
+    assert preferred_sentences(build_pair_record(worse, better), 8) == []
+    assert preferred_sentences(None, None) == []

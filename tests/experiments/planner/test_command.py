@@ -13,7 +13,7 @@ pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
 from experiments.export.json import to_json
 from experiments.planner import command
-from experiments.planner.numbers import plan_text
+from experiments.planner.numbers import layout_text, plan_text
 from experiments.planner.plan import PlanState, Variant
 from experiments.planner.server import RunningServer
 from geometry.study_scene import load_study_scene
@@ -69,6 +69,17 @@ def test_a_saved_plan_is_opened_again_and_layouts_are_further_variants(tmp_path)
     begun = command._begun_plan(tuple(names), saved, SCENE)
     assert [len(variant.units) for variant in begun.variants] == [1, 2]
     assert command._begun_plan((), tmp_path / "none.json", SCENE).variants == ()
+
+
+def test_own_poles_of_a_layout_are_there_again(tmp_path):
+    lamp = next(site for site in SCENE.sites if site.id == "lamp-n1")
+    pole = replace(lamp, id="own-1", position_m=lamp.position_m + [0.0, 2.0, 0.0])
+    unit = replace(STUDY.units[0], site_id="own-1")
+    state = PlanState(variants=(Variant(name="mine", units=(unit,)),), poles=(pole,))
+    path = tmp_path / "layout.json"
+    path.write_text(layout_text(state, SCENE))
+    begun = command._begun_plan((str(path),), None, SCENE)
+    assert [place.id for place in begun.poles] == ["own-1"]
 
 
 def test_what_cannot_be_begun_with_is_refused_and_stays_as_it_is(run, tmp_path):

@@ -2,7 +2,9 @@
 
 import json
 import re
+import time
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -15,16 +17,19 @@ from shapely import box
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
 from experiments.export.json import to_json_text
+from experiments.figures.axes import describe_run
+from experiments.parts.camera_views import draw_view
 from experiments.parts.result import build_evaluation_record
 from experiments.planner.plan import Variant
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
 from geometry.poses import Pose
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.compute import Compute
-from placement.evaluation import apr
+from placement.evaluation import apr, run_outcomes
 from placement.evaluator import evaluate_layout
-from placement.layout import load_carlancap_layout, load_layout
+from placement.layout import Layout, load_carlancap_layout, load_layout
 
 pytestmark = pytest.mark.system
 
@@ -301,6 +306,32 @@ def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_pa
         assert fetched == [200, 100]
 
 
+def test_an_image_with_its_world_file_lies_at_its_place_and_fades(browser, serve, tmp_path):
+    from PIL import Image
+
+    pytest.importorskip("rasterio", reason="place-rsus[terrain] is not installed")
+    scene = load_study_scene()
+    east, north = scene.outline_m.mean(axis=0)
+    Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
+    numbers = (0.2, 0, 0, -0.2, east - 20.0 + 0.1, north + 10.0 - 0.1)  # in the scene's own frame
+    (tmp_path / "aerial.pgw").write_text("".join(f"{number}\n" for number in numbers))
+    with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
+        assert page.locator("#opacity-row").is_hidden()
+        page.locator("#background").click()
+        page.locator("#image-crs").fill(scene.crs)
+        both = [tmp_path / "aerial.png", tmp_path / "aerial.pgw"]
+        page.locator("#image-file").set_input_files(both)
+        image = page.locator('#plan image[href^="background"]')
+        image.wait_for(state="attached")
+        page.locator("#image-dialog").wait_for(state="hidden")
+        words = image.get_attribute("transform").removeprefix("matrix(").rstrip(")").split()
+        lies = [20.0, 0.0, 0.0, -20.0, 100.0 * (east - 20.0), 100.0 * (north + 10.0)]
+        assert [float(word) for word in words] == pytest.approx(lies, abs=1e-3)
+        assert (image.get_attribute("width"), image.get_attribute("height")) == ("200", "100")
+        page.locator("#opacity").fill("30")
+        assert float(image.get_attribute("opacity")) == 0.3
+
+
 def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
     browser, serve, monkeypatch
 ):
@@ -476,6 +507,11 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
             assert serious == []
             page.keyboard.press("Escape")
 
+        has_no_fault()
+        for opens in ("[data-chip]", "#question summary", "#own-poles summary", "#danger", "#pole"):
+            page.locator(opens).click()
+        page.locator("#danger-key").filter(has_text="within 2 m").wait_for()
+        page.locator('#seen[data-width="640"]').wait_for()
         has_no_fault()
         for opens in ("#show-help", "#background"):
             page.locator(opens).click()
@@ -1097,3 +1133,231 @@ def test_the_help_says_every_handling_and_every_colour(browser, serve):
         unit_colour = page.locator('[data-view="RSU0"]').get_attribute("stroke")
         meanings = {"#0072B2", "#D55E00", "#CC79A7", "#F0E442", "#CC0000"}
         assert unit_colour.upper() not in meanings
+
+
+# ---------- what a camera sees
+
+
+def pixels_of(page):
+    """The picture as the browser decodes it, (h, w, 3), in grey levels."""
+    size, flat = page.evaluate(
+        """async () => { const image = document.getElementById("seen-image");
+        await image.decode(); const [width, height] = [image.naturalWidth, image.naturalHeight];
+        const canvas = Object.assign(document.createElement("canvas"), { width, height });
+        const context = canvas.getContext("2d"); context.drawImage(image, 0, 0);
+        return [[height, width], [...context.getImageData(0, 0, width, height).data]]; }"""
+    )
+    return np.array(flat, dtype=float).reshape(*size, 4)[..., :3]
+
+
+def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands(
+    browser, serve, small_setting, tmp_path
+):
+    unit = load_carlancap_layout().units[7]
+
+    def slowly(route):
+        time.sleep(0.2)  # where fine pictures take no longer than 150 ms, there are no coarse ones
+        route.continue_()
+
+    def before_it_opens(page):
+        page.route("**/seen?**", slowly)
+
+    with opened(browser, serve([unit]), before=before_it_opens) as page:
+        fine = page.locator('#seen[data-width="640"][aria-busy="false"]')
+        fine.wait_for()
+        before = page.locator("#seen-image").get_attribute("src")
+        x, y = middle(page.locator("#compass"))
+        page.mouse.move(x, y - 30)
+        page.mouse.down()
+        page.mouse.move(x + 20, y - 20, steps=4)
+        page.locator('#seen[data-width="320"]').wait_for()  # the button is still pressed
+        during = page.locator("#seen-image").get_attribute("src")
+        assert during != before
+        page.mouse.move(x + 25, y + 5, steps=4)
+        page.mouse.up()
+        fine.wait_for()
+        shown = pixels_of(page)
+        assert shown.shape == (360, 640, 3)
+        (turned,) = saved(page, tmp_path).units
+        assert turned.pose.yaw_deg != unit.pose.yaw_deg
+        small = replace(turned, sensor=replace(turned.sensor, width_px=640, height_px=360))
+        expected, run, _ = draw_view(small, small_setting, compute=Compute(workers=2))
+        assert abs(shown - expected).mean() < 4.0  # JPEG's own loss
+        title = small_setting.runs.index(run)
+        assert describe_run(small_setting.axis, title) in page.locator("#seen-text").inner_text()
+
+
+def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(browser, serve):
+    with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
+        told(page)
+        page.locator("#lost button").first.click()
+        page.locator("#played").wait_for()
+        title = page.locator("#lost button").first.inner_text().rsplit(":", 1)[0]
+        text = page.locator("#seen-text")
+        slider = page.locator("#played-frame")
+        slider.focus()
+        page.keyboard.press("End")
+        expect(text).to_contain_text(f"{title}, at the impact", timeout=PATIENCE_MS)
+        page.locator('#seen[data-width="640"][aria-busy="false"]').wait_for()
+        before = page.locator("#seen-image").get_attribute("src")
+        for _ in range(10):
+            page.keyboard.press("ArrowLeft")
+        expect(text).to_contain_text(f"{title}, 1.0 s before the impact", timeout=PATIENCE_MS)
+        assert page.locator("#seen-image").get_attribute("src") != before
+        page.locator("#played-close").click()
+        expect(text).to_contain_text("nearest to where it looks", timeout=PATIENCE_MS)
+        page.locator("#unit-sensor").select_option(label="ouster-os1-128")
+        expect(text).to_have_text("A LiDAR takes no picture.", timeout=PATIENCE_MS)
+        assert page.locator("#seen-frame").is_hidden()
+
+
+# ---------- what is driven and seen
+
+
+def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
+    browser, serve, small_setting
+):
+    units = load_carlancap_layout().units[6:8]
+    with opened(browser, serve(units)) as page:
+        told(page)
+        assert page.locator("#apr").get_attribute("title").count("Mean over cases") == 1
+        cells = page.locator("td.number:not([title])")
+        expect(cells).to_have_count(0)
+        runs = page.locator("#scene-name").inner_text()
+        command = page.locator("#question-command")
+        page.locator("#question summary").click()
+        assert "--weather" not in command.inner_text()
+        page.locator('#ask-weather input[value="night"]').check()
+        expect(page.locator("#question-doing")).to_contain_text("laid anew", timeout=PATIENCE_MS)
+        expect(command).to_contain_text("--weather day,night", timeout=PATIENCE_MS)
+        expect(page.locator("#question-doing")).to_have_text("", timeout=PATIENCE_MS)
+        assert page.locator("#scene-name").inner_text() != runs
+        expect(page.locator("#units button")).to_have_count(2)
+        told(page)
+        page.locator("#ask-weights").select_option("run")
+        expect(command).to_contain_text("--weights run", timeout=PATIENCE_MS)
+        expect(page.locator("#apr")).to_have_attribute(
+            "title", re.compile("Share of all runs: each counts the same"), timeout=PATIENCE_MS
+        )
+        write(page.locator("#ask-cases"), "CPXX")
+        page.locator("#ask-cases").press("Tab")
+        expect(page.locator("#notice")).to_contain_text("cases: got 'CPXX'", timeout=PATIENCE_MS)
+        expect(page.locator("#ask-cases")).to_have_value("CPNC-50")
+        page.locator("#undo").click()
+        expect(page.locator("#ask-weights")).to_have_value("", timeout=PATIENCE_MS)
+        page.locator("#undo").click()
+        expect(page.locator("#scene-name")).to_have_text(runs, timeout=PATIENCE_MS)
+        expect(command).not_to_contain_text("--weather", timeout=PATIENCE_MS)
+
+
+# ---------- poles of one's own
+
+
+def screen_of(page, scene, place_m):
+    """Where a place of the ground is on the screen, by two poles that are drawn there."""
+    one, other = (next(s for s in scene.sites if s.id == name) for name in ("corner-ne", "lamp-w2"))
+    at = [np.array(middle(page.locator(f'[data-site="{site.id}"]'))) for site in (one, other)]
+    flip = np.array([1.0, -1.0])
+    span_m = (other.position_m - one.position_m)[:2] * flip
+    px_per_m = float(np.dot(at[1] - at[0], span_m) / np.dot(span_m, span_m))
+    away_m = (np.asarray(place_m, dtype=float) - one.position_m[:2]) * flip
+    return tuple(at[0] + px_per_m * away_m)
+
+
+def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(browser, serve, small_setting, tmp_path):
+    scene = small_setting.scene
+    corner = next(site for site in scene.sites if site.id == "corner-nw").position_m[:2]
+    with opened(browser, serve(), may_complain=True) as page:
+        page.locator("#pole").click()
+        notice = page.locator("#notice")
+        page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
+        expect(notice).to_contain_text("a place on the carriageway", timeout=PATIENCE_MS)
+        page.mouse.click(*screen_of(page, scene, corner + [-8.0, 10.0]))
+        expect(notice).to_contain_text("a place inside building", timeout=PATIENCE_MS)
+        page.mouse.click(*screen_of(page, scene, corner + [-4.0, 0.0]))
+        own = page.locator('[data-site="own-1"]')
+        own.wait_for()
+        expect(page.locator("#site")).to_have_value("own-1")
+        page.locator("#hang").click()
+        expect(page.locator("#unit-site")).to_have_value("own-1", timeout=PATIENCE_MS)
+        told(page)
+        (before,) = saved(page, tmp_path).units
+        assert before.site_id == ""
+        assert before.pose.position_m[:2] == pytest.approx(corner + [-4.0, 0.0], abs=0.15)
+        drag(page, middle(own), screen_of(page, scene, corner + [-7.0, 0.0]))
+        page.mouse.up()
+        east = page.locator("#pole-east")
+        expect(east).to_have_value(re.compile(rf"^{corner[0] - 7.0:.0f}"), timeout=PATIENCE_MS)
+        shown = told(page)
+        after = saved(page, tmp_path)
+        (unit,) = after.units
+        moved_m = unit.pose.position_m - before.pose.position_m
+        assert moved_m == pytest.approx([-3.0, 0.0, 0.0], abs=0.3)
+        assert unit.pose.yaw_deg == before.pose.yaw_deg
+        evaluation = evaluate_layout(after, small_setting, compute=Compute(workers=2))
+        assert shown == percent(apr(evaluation.rsu_all, evaluation.axis))
+        page.keyboard.press("Escape")
+        assert page.locator("#pole").get_attribute("aria-pressed") == "false"
+        page.keyboard.press("Escape")  # no sensor is chosen
+        page.keyboard.press("Delete")
+        expect(notice).to_contain_text("which carries U1 of", timeout=PATIENCE_MS)
+        plan = downloaded(page, "#save-plan", tmp_path / "plan.json")
+        page.locator('[data-chip="U1"]').click()
+        page.locator("#remove").click()
+        expect(page.locator("#units button")).to_have_count(0, timeout=PATIENCE_MS)
+        page.locator("#remove-pole").click()
+        own.wait_for(state="detached")
+        page.locator("#open-file").set_input_files(plan)  # all is there again
+        own.wait_for()
+        page.locator('[data-chip="U1"]').click()
+        expect(page.locator("#unit-site")).to_have_value("own-1", timeout=PATIENCE_MS)
+
+
+# ---------- where it is still dangerous
+
+
+def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
+    browser, serve, small_setting
+):
+    units = load_carlancap_layout().units[6:7]
+    evaluation = evaluate_layout(
+        Layout(name="mine", units=units), small_setting, compute=Compute(workers=2)
+    )
+    axis = evaluation.axis
+    is_lost = [one != "avoided" for one in run_outcomes(evaluation.rsu_all, axis)]
+    ends_cm = np.array([run.vru_position_m[-1] for run in small_setting.runs])[is_lost] * 100.0
+    weight = axis.weight[is_lost] / axis.weight.sum()
+    assert 0 < len(weight) < axis.n_runs
+    least = [0.1, 0.05, 0.02, 0.01, 0.005, 0.0]
+    with opened(browser, serve(units)) as page:
+        told(page)
+        assert page.locator("#danger-key").is_hidden()
+        page.locator("#danger").check()
+        bands = page.locator("#plan [data-band]")
+        page.locator("#danger-key").filter(has_text=f"{len(weight)}, with").wait_for()
+        drawn = {}
+        for path in bands.all():
+            band = int(path.get_attribute("data-band"))
+            for x, y in re.findall(r"M(-?\d+) (-?\d+)h50v50h-50Z", path.get_attribute("d")):
+                drawn[int(x) + 25, int(y) + 25] = band
+        assert drawn
+        west, south = np.floor(ends_cm.min(axis=0) / 50.0).astype(int) * 50 - 250
+        east, north = ends_cm.max(axis=0) + 250.0
+        for x in range(west + 25, int(east), 50):
+            for y in range(south + 25, int(north), 50):
+                away_cm = np.hypot(*(np.rint(ends_cm) - (x, y)).T)
+                if (abs(away_cm - 200.0) < 1e-6).any():
+                    continue  # on the edge of a disc: either is right
+                expected = weight[away_cm < 200.0].sum()
+                band = drawn.get((x, y))
+                assert (band is None) == (expected == 0.0)
+                if band is not None and min(abs(expected - np.array(least))) > 1e-6:
+                    assert band == next(n for n, one in enumerate(least) if expected > one)
+        fills = page.locator("#danger-key rect").evaluate_all(
+            "all => all.map(one => one.getAttribute('fill'))"
+        )
+        parts = np.array([[int(fill[at : at + 2], 16) for at in (1, 3, 5)] for fill in fills])
+        grey = parts @ [0.2126, 0.7152, 0.0722]
+        assert (np.diff(grey) > 10.0).all()  # told apart in grey: the darker the more
+        page.locator("#danger").uncheck()
+        expect(bands).to_have_count(0)

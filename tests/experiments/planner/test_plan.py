@@ -15,6 +15,8 @@ from experiments.planner.plan import (
     AddUnit,
     AddVariant,
     ChangeUnit,
+    PutPole,
+    RemovePole,
     RemoveUnit,
     RemoveVariant,
     RenameVariant,
@@ -25,7 +27,9 @@ from experiments.planner.plan import (
     begin_history,
     change_state,
     check_plan,
+    lay_poles,
     read_plan,
+    with_poles,
 )
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
@@ -286,3 +290,83 @@ def test_a_plan_comes_back_with_all_its_variants():
 def test_what_is_no_plan_is_told(text, message):
     with pytest.raises(InputError, match=message):
         read_plan(text, "x.json")
+
+
+# ---------- poles of one's own
+
+
+def beside(site_id, east_m, north_m):
+    site = next(site for site in SCENE.sites if site.id == site_id)
+    return float(site.position_m[0] + east_m), float(site.position_m[1] + north_m)
+
+
+def on_pole(state, *changes):
+    """Changes one by one, each among the poles that are there by then."""
+    for change in changes:
+        stock = replace(STOCK, scene=with_poles(SCENE, state.poles))
+        state = change_state(state, change, stock)
+    return state
+
+
+def test_an_own_pole_is_as_most_are_and_moves_with_what_hangs_on_it():
+    (east, north), (later_east, later_north) = beside("lamp-n1", 0, 2), beside("lamp-n1", 0, 4)
+    added = AddUnit(site="own-1", sensor=CAMERA)
+    state = on_pole(EMPTY, PutPole(east_m=east, north_m=north), added, AddVariant())
+    (pole,) = state.poles
+    assert (pole.id, pole.kind, pole.capacity_units) == ("own-1", "lamp post", 2)
+    assert pole.height_range_m.tolist() == [4.0, 8.5]
+    moved = on_pole(state, PutPole(east_m=later_east, north_m=later_north, site="own-1"))
+    for before, after in zip(state.variants, moved.variants, strict=True):
+        step_m = after.units[0].pose.position_m - before.units[0].pose.position_m
+        assert step_m == pytest.approx([0.0, 2.0, 0.0], abs=0.02)  # to whole centimetres
+        assert after.units[0].pose.yaw_deg == before.units[0].pose.yaw_deg
+    with pytest.raises(InputError, match="own-1, which carries U1 of Variant 1"):
+        on_pole(moved, RemovePole(site="own-1"))
+    bare = on_pole(moved, RemoveUnit(unit="U1"), SelectVariant(index=0), RemoveUnit(unit="U1"))
+    assert on_pole(bare, RemovePole(site="own-1")).poles == ()
+
+
+@pytest.mark.parametrize(
+    ("place_m", "said"),
+    [
+        ((0.0, 0.0), None),
+        (SCENE.outline_m.mean(axis=0), "a place on the carriageway"),
+        ((5000.0, 0.0), "a place farther away"),
+        ((math.nan, 0.0), "a finite number"),
+    ],
+)
+def test_a_pole_stands_beside_the_road_in_the_open_air(place_m, said):
+    if said is None:  # in the middle of each building
+        for index, instance in enumerate(SCENE.instances):
+            if instance.class_name == "building":
+                corners = SCENE.vertices_m[SCENE.triangles[SCENE.triangle_instance == index]]
+                east, north, _ = corners.reshape(-1, 3).mean(axis=0)
+                with pytest.raises(InputError, match=f"a place inside building {instance.id}"):
+                    on_pole(EMPTY, PutPole(east_m=float(east), north_m=float(north)))
+        return
+    with pytest.raises(InputError, match=said):
+        on_pole(EMPTY, PutPole(east_m=float(place_m[0]), north_m=float(place_m[1])))
+    with pytest.raises(InputError, match="pole: got 'corner-ne'"):
+        on_pole(EMPTY, PutPole(east_m=0.0, north_m=0.0, site="corner-ne"))
+
+
+def test_files_have_own_poles_and_every_command_reads_what_hangs_there(tmp_path):
+    east, north = beside("lamp-n1", 0, 2)
+    added = AddUnit(site="own-1", sensor=CAMERA)
+    state = on_pole(EMPTY, PutPole(east_m=east, north_m=north), added)
+    for write in (layout_text, plan_text):
+        text = write(state, SCENE)
+        opened = read_plan(text.encode(), "file.json")
+        check_plan(opened, SCENE)
+        again = lay_poles(begin_history(opened.variants).state, opened.poles, SCENE)
+        assert [pole.id for pole in again.poles] == ["own-1"]
+        assert (again.poles[0].position_m == state.poles[0].position_m).all()
+        assert again.variant.units[0].site_id == "own-1"
+    path = tmp_path / "layout.json"
+    path.write_text(layout_text(state, SCENE))
+    (unit,) = load_layout(path).units
+    assert unit.site_id == ""
+    assert (unit.pose.position_m == state.variant.units[0].pose.position_m).all()
+    broken = layout_text(state, SCENE).replace('"x_m"', '"x"', 3)
+    with pytest.raises(InputError):
+        read_plan(broken.encode(), "file.json")

@@ -1,8 +1,10 @@
 """The server without a browser: who is let in, what is answered, and that numbers agree."""
 
 import asyncio
+import base64
 import io
 import json
+import shlex
 import shutil
 import threading
 import time
@@ -13,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from plan_sessions import InThread, few_poses, small_session, small_work  # noqa: F401
 from shapely import box
 
@@ -24,6 +27,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from experiments.export.json import to_json_text
 from experiments.jobs.placement import run_evaluation
+from experiments.parts.camera_views import draw_view
 from experiments.parts.units import build_private_ground_record
 from experiments.planner import server
 from experiments.planner.plan import Variant
@@ -34,6 +38,7 @@ from experiments.progress import StageProgress
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
 from geometry.scene_files import save_scene
+from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.ground import load_private_ground
@@ -220,6 +225,49 @@ def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
     line.state()
     again = line.numbers("evaluator")  # known already
     assert again["record"] == told
+
+
+LENSES = {
+    "brown-conrady": ("k1 = -0.12, p1 = 0.001", 90.0, "fov_range_deg = [50.0, 100.0]"),
+    "fisheye": ("k1 = -0.02, k2 = 0.003", 190.0, "roll_deg = 3.0"),
+}
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_a_camera_with_a_lens_is_planned_seen_and_judged(
+    open_client, join, few_runs, tmp_path, model
+):
+    terms, fov_deg, more = LENSES[model]
+    path = tmp_path / "own.toml"
+    path.write_text(
+        f"[cameras.bent]\nwidth_px = 1280\nheight_px = 960\nhorizontal_fov_deg = {fov_deg}\n"
+        "frame_rate_hz = 10.0\nnear_m = 0.5\nprice_eur = 900.0\n"
+        f'lens = {{model = "{model}", {terms}}}\n{more}\n'
+    )
+    client = open_client(asked={"sensors": str(path)})
+    line = join(client)
+    line.send(do="add", site="corner-ne", sensor="bent")
+    (unit,) = line.state()["units"]
+    assert unit["fovDeg"] == fov_deg
+    line.send(do="change", unit="U1", yaw_deg=-140.0, pitch_deg=-20.0)
+    view = line.until(lambda told: told["type"] == "view" and told["reachM"] > 5.0)
+    assert view["view"].startswith("M")
+    exact = line.numbers("evaluator")
+    response = client.get(f"/{TOKEN}/layout.json")
+    (tmp_path / "mine.json").write_text(response.text)
+    result = run_evaluation(
+        Question(),
+        layout=load_layout(tmp_path / "mine.json"),
+        out=None,
+        compute=Compute(workers=2),
+        command="",
+        progress=StageProgress(),
+    )
+    assert exact["record"] == json.loads(to_json_text(result.evaluation))
+    run_id = few_runs.axis.run_ids[0]
+    picture = client.get(f"/{TOKEN}/picture", params={"run": run_id, "unit": "U1", "frame": "-5"})
+    assert picture.content[:2] == b"\xff\xd8"
+    assert client.get(f"/{TOKEN}/sheet.pdf").content.startswith(b"%PDF")
 
 
 def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(open_client, join):
@@ -692,6 +740,150 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
         response = client.get(f"/{TOKEN}/picture", params=values)
         assert response.status_code == 400
         assert said in response.json()["problem"]
+
+
+def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client, small_setting):
+    unit = load_carlancap_layout().units[7]
+    client = open_client([unit])
+    run = small_setting.runs[0]
+    for frame in (0, len(run.time_s) - 1):
+        values = {"unit": unit.id, "run": run.id, "frame": frame, "width": 320}
+        found = client.get(f"/{TOKEN}/seen", params=values).json()
+        assert (found["run"], found["frame"], found["size"]) == (run.id, frame, [320, 180])
+        assert found["timeS"] == run.time_s[frame]
+        image = Image.open(io.BytesIO(base64.b64decode(found["image"])))
+        assert (image.format, image.size) == ("JPEG", (320, 180))
+        waist_m = np.array([[*run.vru_position_m[frame], 0.9]])
+        ((x_px, y_px, *_),) = project_points(waist_m, unit.pose, unit.sensor)
+        at = x_px / unit.sensor.width_px, y_px / unit.sensor.height_px
+        is_inside = 0.0 < at[0] < 1.0 and 0.0 < at[1] < 1.0
+        assert is_inside == (found["box"] is not None)
+        if is_inside:
+            left, top, right, bottom = found["box"]
+            assert left - 0.01 < at[0] < right + 0.01
+            assert top - 0.01 < at[1] < bottom + 0.01
+    nearest = client.get(f"/{TOKEN}/seen", params={"unit": unit.id, "width": 160}).json()
+    _, expected, time_s = draw_view(unit_of_width(unit, 160), small_setting)
+    assert nearest["run"] == expected.id
+    assert nearest["timeS"] == time_s
+    for values, said in (
+        ({"unit": "nobody"}, "unit: got 'nobody'"),
+        ({"unit": unit.id, "run": "x"}, "run: got 'x'"),
+        ({"unit": unit.id, "run": run.id, "frame": "999"}, "frame: got 999"),
+        ({"unit": unit.id, "width": "wide"}, "width: got 'wide'"),
+    ):
+        response = client.get(f"/{TOKEN}/seen", params=values)
+        assert response.status_code == 400
+        assert said in response.json()["problem"]
+
+
+def unit_of_width(unit, width_px):
+    height_px = round(unit.sensor.height_px * width_px / unit.sensor.width_px)
+    return replace(unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px))
+
+
+def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
+    open_client, join, run, tmp_path
+):
+    units = load_carlancap_layout().units[6:8]
+    client = open_client(units)
+    line = join(client)
+    by_day = line.numbers("evaluator")
+    assert line.last["question"]["now"]["weather"] == "day"
+    line.send(do="question", weather="night", cars="see")
+    line.send(do="question", detector="response")  # before the runs of the first are laid
+    line.until(lambda message: message["type"] == "doing" and message["who"] == "setting")
+    line.until(lambda message: message["type"] == "question")
+    now = line.last["question"]["now"]
+    assert (now["weather"], now["cars"], now["detector"]) == ("night", "see", "response")
+    assert now["cases"] == "CPNC-50"
+    assert [unit["id"] for unit in line.state()["units"]] == [unit.id for unit in units]
+    by_night = line.numbers("evaluator")
+    assert by_night["record"] != by_day["record"]
+    layout = tmp_path / "layout.json"
+    layout.write_bytes(client.get(f"/{TOKEN}/layout.json").content)
+    words = shlex.split(line.last["question"]["command"])
+    assert words[:4] == ["place-rsus", "evaluate", "--layout", "layout.json"]
+    code, out, err = run("evaluate", "--layout", str(layout), *words[4:], "--json")
+    assert code == 0, err
+    assert json.loads(out)["evaluation"] == by_night["record"]
+    line.send(do="question", weather="fog")
+    line.until(lambda message: message["type"] == "doing" and message["who"] == "setting")
+    line.send(do="undo")  # it is not waited for any longer
+    line.until(lambda message: message["type"] == "question")
+    assert line.last["question"]["now"]["weather"] == "day"
+    line.state()
+    assert line.numbers("evaluator")["record"] == by_day["record"]
+    told = [m["stage"] for m in line.seen if m["type"] == "doing" and m["who"] == "setting"]
+    if told[-1]:
+        line.until(lambda m: m["type"] == "doing" and m["who"] == "setting" and not m["stage"])
+    assert line.last["question"]["now"]["weather"] == "day"
+
+
+def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setting):
+    lamp = next(site for site in small_setting.scene.sites if site.id == "lamp-n1")
+    line = join(open_client(load_carlancap_layout().units[6:7]))
+    east, north = float(lamp.position_m[0]), float(lamp.position_m[1]) + 2.0
+    line.send(do="pole", east_m=east, north_m=north)
+    (pole,) = line.state()["poles"]
+    assert (pole["id"], pole["isOwn"]) == ("own-1", True)
+    line.send(do="ask", request="why-not", site="own-1")
+    answer = line.until(lambda m: m["type"] == "proposals" and len(m["proposals"]) == 2)
+    one_more = answer["proposals"][0]
+    assert one_more["title"] == "One more unit at own-1"
+    line.send(do="take", number=one_more["number"])
+    assert [unit["site"] for unit in line.state()["units"]][1:] == ["own-1"]
+    assert line.numbers("evaluator")["apr"]  # what hangs there is judged
+    line.send(do="remove-pole", site="own-1")
+    problem = line.until(lambda message: message["type"] == "problem")
+    assert "own-1, which carries" in problem["text"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"weather": "snow"}, "weather: got 'snow'"),
+        ({"weather": ""}, "weather: got"),
+        ({"detector": "/etc/passwd.toml"}, "detector: got"),
+        ({"weights": "unfallatlas:/etc/passwd"}, "weights: got"),
+        ({"cases": "/etc/own.toml"}, "cases: got '/etc/own.toml'; expected sets and names"),
+        ({"cases": "CPXX"}, "cases: got 'CPXX'"),
+        ({"cars": "0.5"}, "cars: got '0.5'; expected blind or see"),
+        ({"vam_rate": 1.5}, "vam_rate: got 1.5"),
+    ],
+)
+def test_a_question_that_cannot_be_is_refused_at_once(open_client, join, changes, said):
+    line = join(open_client(load_carlancap_layout().units[:1]))
+    line.send(do="question", **changes)
+    problem = line.until(lambda message: message["type"] == "problem")
+    assert problem["text"].replace("question: ", "").startswith(said)
+    assert not any(
+        message["type"] == "doing" and message["who"] == "setting" for message in line.seen
+    )
+
+
+def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting, monkeypatch):
+    unit = load_carlancap_layout().units[7]
+    variants = [Variant(name="mine", units=(unit,))]
+    session = small_session(tmp_path, small_setting, variants=variants)
+    drawn = []
+
+    def draw(unit, setting, *, width_px, **asked):
+        drawn.append(width_px)
+        return {}
+
+    monkeypatch.setattr("experiments.planner.session.live_picture", draw)
+
+    async def ask_at_once():
+        asked = [
+            session.camera_picture(unit.id, run_id="", frame=0, width_px=width)
+            for width in (100, 200, 300, 400)
+        ]
+        return await asyncio.gather(*asked, return_exceptions=True)
+
+    answers = asyncio.run(ask_at_once())
+    assert drawn == [100, 400]
+    assert [type(answer) for answer in answers] == [dict, Cancelled, Cancelled, dict]
 
 
 def test_report_and_sheet_are_those_of_the_command_line(open_client, few_runs, monkeypatch):

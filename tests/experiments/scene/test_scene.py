@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -10,6 +11,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 import pytest
+from browser_pages import open_page, start_browser
+from city_maps import write_city
 from opendrive_text import crossing, document
 from osm_text import LAT_DEG, LON_DEG, OsmText
 from osm_text import crossing as crossing_streets
@@ -432,3 +435,62 @@ def test_lists_that_are_long_are_cut(monkeypatch):
     text = scene_text(msgspec.convert(summary, SceneResult))
     assert text.count("and 10 more: --json") == 2
     assert max(map(len, text.splitlines())) <= 100
+
+
+@pytest.fixture
+def chooser(scene_command, tmp_path):
+    """The page on which a junction of a street with three is chosen."""
+    path = write_city(tmp_path)
+    result = scene_command(
+        "show", str(path), "--staggered", "40", "--out", str(tmp_path / "out"), "--quiet"
+    )
+    assert result.code == 0
+    return tmp_path / "out" / "junctions.html"
+
+
+def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
+    page = chooser.read_text()
+    assert re.findall(r'data-id="(.*?)"', page) == ["n3", "n1", "n2"]
+    for street in ("Main Street", "A Lane", "B Lane", "C Lane"):
+        assert re.search(rf"<text [^>]*>{street}</text>", page)
+    circles = re.findall(r'<circle cx="(.*?)" cy="(.*?)"', page)
+    places = dict(zip(("n3", "n1", "n2"), np.array(circles, dtype=float), strict=True))
+    # Junctions are drawn 250 m and 500 m east of the first, the last 10 m north: up on the page.
+    np.testing.assert_allclose(places["n2"] - places["n1"], [250.0, 0.0], atol=6.0)
+    np.testing.assert_allclose(places["n3"] - places["n1"], [500.0, -10.0], atol=6.0)
+    assert "--staggered 40 --junction" in page
+
+
+@pytest.mark.system
+def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
+    with start_browser() as browser, open_page(browser, chooser.as_uri()) as page:
+        page.locator("circle").nth(1).click()
+        assert page.inner_text("#chosen-name") == "A Lane / Main Street"
+        assert page.inner_text("#command").startswith("place-rsus scene import ")
+        assert "--junction n1 -o scene\n" in page.inner_text("#command")
+        page.fill("#find", "lane b")
+        assert page.inner_text("#count") == "1 / 3"
+        page.locator("li button:visible").press("Enter")
+        assert "--junction n2 " in page.inner_text("#command")
+        box = [float(part) for part in page.get_attribute("svg", "viewBox").split()]
+        x, y = (float(page.locator("circle").nth(2).get_attribute(name)) for name in ("cx", "cy"))
+        assert [box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]] == pytest.approx([x, y])
+        page.click("#nearer")
+        nearer = [float(part) for part in page.get_attribute("svg", "viewBox").split()]
+        assert nearer[2] == pytest.approx(0.6 * box[2])
+        assert nearer[0] + 0.5 * nearer[2] == pytest.approx(x)
+        middle = page.locator("svg").bounding_box()
+        at = (middle["x"] + 100.0, middle["y"] + 100.0)
+        page.mouse.move(*at)
+        page.mouse.wheel(0, 200)
+        page.wait_for_function(
+            f"document.querySelector('svg').viewBox.baseVal.width > {nearer[2] + 1.0}"
+        )
+        page.click("#all")
+        page.mouse.move(*at)
+        page.mouse.down()
+        page.mouse.move(at[0] + 60.0, at[1])
+        page.mouse.up()
+        moved = [float(part) for part in page.get_attribute("svg", "viewBox").split()]
+        assert moved[0] < 0.0
+        assert moved[1] == pytest.approx(0.0, abs=1e-6)

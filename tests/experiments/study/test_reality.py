@@ -125,7 +125,7 @@ def wildtrack(folder):
             d = f"<distortion_coefficients><data>{terms}</data></distortion_coefficients>"
             put(path, f"<opencv_storage>{k}{d}</opencv_storage>")
             if kind == "original":
-                cameras.append(read_opencv_camera(path, extrinsic, width_px=1920, height_px=1080))
+                cameras.append(read_opencv_camera(path, extrinsic, (1920, 1080)))
     people = []
     for number in range(40):
         cell = 480 * (40 + 30 * number) + 5 + 11 * number

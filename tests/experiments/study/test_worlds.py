@@ -138,6 +138,65 @@ def test_a_run_that_was_cut_off_goes_on_where_it_stopped(
     assert worlds.describe(study, again, ["layouts.png", "study.png"]) == text
 
 
+STUDY = worlds.Study(
+    question=Question(), scenes=("",), budgets=(1,), samples=(4, 8), n_blocks=1, n_judged=10
+)
+
+
+def test_parts_of_some_hours_each_come_to_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    _here(monkeypatch, asked)
+    whole = worlds.run(STUDY, tmp_path / "whole.json", worlds.Compute())
+    asked.clear()
+    path, n_calls = tmp_path / "parts.json", 0
+    while True:
+        n_calls += 1
+        try:
+            found = worlds.run(STUDY, path, worlds.Compute(), until_s=-np.inf)  # a part each
+            break
+        except worlds.TimeUp:
+            assert len(asked) == min(n_calls, 6)
+    assert found == whole
+    assert len(set(asked)) == len(asked) == 6  # cars of either kind: the plan, 4 and 8 worlds
+    command = [str(tmp_path / "f"), "--units=1", "--samples=4", "--hours=0"]
+    answer = CliRunner().invoke(main, command)
+    assert answer.exit_code == 0
+    assert "The time is up" in answer.output
+    assert (tmp_path / "f/records.json").exists()
+
+
+def test_worlds_that_do_not_fit_into_memory_are_left_out_and_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    _here(monkeypatch, asked)
+    fitting = worlds.choose
+
+    def choose(question: Question, where: Where, *rest: object) -> list[Chosen]:
+        if where.n_worlds == 8:
+            raise InputError("memory", "8 worlds", "less")
+        return fitting(question, where, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(worlds, "choose", choose)
+    path = tmp_path / "records.json"
+    records = worlds.run(STUDY, path, worlds.Compute())
+    assert len(records.too_large) == 2  # cars of either kind
+    text = worlds.describe(STUDY, records, ["layouts.png", "study.png"])
+    assert "Not in the memory of this machine: study, cars blind, 8 worlds, block 1." in text
+    assert "| 1 | 4 worlds |" in text
+    assert "| 8 worlds |" not in text
+    assert worlds.run(STUDY, path, worlds.Compute()) == records  # not tried again
+
+    def broken(*_: object) -> list[Chosen]:
+        raise InputError("sites", "none", "some")
+
+    monkeypatch.setattr(worlds, "choose", broken)
+    with pytest.raises(InputError, match="sites"):
+        worlds.run(STUDY, tmp_path / "other.json", worlds.Compute())
+
+
 @pytest.mark.long
 def test_a_small_study_from_the_command_line(tmp_path: Path) -> None:
     arguments = [

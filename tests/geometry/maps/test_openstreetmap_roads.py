@@ -10,6 +10,7 @@ import pytest
 from osm_text import OsmText, arm_lanes, arms_of, as_drawn, crossing, scene_of
 
 from geometry.junction import distance_to_outline_m
+from geometry.maps.importing import ReadingOptions, read_map, survey_junctions
 from geometry.maps.openstreetmap import read_openstreetmap
 from geometry.maps.source_map import MapLane, SourceMap
 from geometry.scene_checks import lanes_that_cross
@@ -300,6 +301,32 @@ def test_offset_side_streets_are_one_junction_and_distant_ones_two(tmp_path: Pat
         check_ends(source)
         counts.append([len(arms_of(source, junction).arms) for junction in source.junctions])
     assert counts == [[4], [3, 3]]
+
+
+@pytest.mark.parametrize(
+    ("sides", "staggered_m", "n_arms"),
+    [
+        ((1, -1), 0.0, [3, 3]),
+        ((1, -1), 40.0, [4]),
+        ((-1, 1), 40.0, [4]),
+        ((1, -1), 34.0, [3, 3]),
+        ((1, 1), 40.0, [3, 3]),  # on one side: two junctions of their own
+        ((1, 0), 40.0, [4, 3]),  # 0: on both sides, a crossing
+    ],
+)
+def test_side_roads_35_m_apart_on_either_side_are_one_junction_if_asked_for(
+    sides: tuple[int, int], staggered_m: float, n_arms: list[int], tmp_path: Path
+) -> None:
+    osm = OsmText()
+    nodes = [osm.node(east, 0.0) for east in (0.0, 35.0)]
+    osm.road([(-90.0, 0.0), *nodes, (150.0, 0.0)], name="Main Street")
+    for node, east, side in zip(nodes, (0.0, 35.0), sides, strict=True):
+        for way in (side,) if side else (1, -1):
+            osm.road([node, (east, 90.0 * way)], name=f"Lane {node}")
+    path = osm.write(tmp_path, "staggered.osm")
+    source = read_map(path, ReadingOptions(staggered_m=staggered_m))
+    found = [len(one.arms) for one in survey_junctions(source)]
+    assert sorted(found, reverse=True) == n_arms
 
 
 def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -10,7 +11,7 @@ from ray_renderer import STATIC, VUT, build_lens, cast_crops, render_frame, rend
 from geometry.actors import PlacedActor, Shape, pick_actor
 from geometry.poses import Pose
 from geometry.raycast import build_caster
-from geometry.sensors import CameraModel, pixel_rays
+from geometry.sensors import CameraModel
 from placement.evaluator.perceive import _place, perceive_frames
 from placement.evaluator.pixels import Image, build_tree, draw, find_box, find_crop, hide
 from placement.evaluator.surroundings import (

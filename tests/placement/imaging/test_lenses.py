@@ -4,16 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from camera_rays import pixel_rays
 
 from geometry.lenses import BrownConrady, Fisheye, TsaiRadial
 from geometry.poses import Pose
-from geometry.sensors import pixel_grid, pixel_rays, project_points
+from geometry.sensors import pixel_grid, project_points
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.compute import Compute
 from placement.imaging import build_backdrop, draw_picture
+from placement.imaging.mesh import place_mesh
 from placement.imaging.picture import whole_image
-from placement.imaging.stills import draw_onto, draw_still, silhouette
+from placement.imaging.stills import draw_onto, draw_still, meter, silhouette
 
 CORNER = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
 LENSES = {
@@ -69,6 +71,17 @@ def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
     assert np.isinf(picture.depth_m[dark]).all()
     assert picture.rgb[dark].mean() < 30.0
     assert picture.rgb[~dark].mean() > 60.0
+    # The exposure is that of what is shown: the rim does not make it white.
+    straight = draw(small)
+    white = [(rgb > 250).all(axis=1).mean() for rgb in (picture.rgb[~dark], straight.rgb[:, 0])]
+    assert white[0] < white[1] + 0.1
+
+
+def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(backdrop, small):
+    camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
+    day, still = load_weathers()["day"], place_mesh(backdrop.mesh, np.zeros(3))
+    bent, straight = (meter(backdrop, still, CORNER, one, day) for one in (camera, small))
+    assert bent == pytest.approx(straight, rel=0.5)
 
 
 @pytest.mark.parametrize("model", ["brown-conrady", "fisheye"])

@@ -154,7 +154,7 @@ def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, 
     picture = render_picture(scene, study_run, 0, ABOVE, small, weather=weather)
     ground = picture.instance == picture.names.index("ground")
     rows, columns = np.nonzero(ground)
-    from geometry.sensors import pixel_rays
+    from camera_rays import pixel_rays
 
     rays = pixel_rays(columns, rows, ABOVE, small)
     points = ABOVE.position_m + rays * picture.depth_m[rows, columns, None]

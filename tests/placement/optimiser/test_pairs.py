@@ -1,5 +1,6 @@
 """Sets of two or three units that are gone through pair by pair, against all sets."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from geometry.clock import now_s
 from placement.optimiser import PlacementProblem, presolve
 from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import union_apr, unions_of
@@ -103,3 +105,39 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(
     )
     assert not late.is_finished
     assert late.limit >= share.max() - 1e-9
+
+
+@given(problem=ANY_PROBLEM, n_ended=st.integers(0, 4))
+def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
+    problem: PlacementProblem, n_ended: int
+) -> None:
+    reduced = presolve(in_two_worlds(problem))
+    n_units = reduced.limits.max_units
+    if not goes_by_pairs(reduced) or reduced.n_poses < n_units or not len(reduced.weight):
+        return
+    sets = all_sets(reduced, n_units)
+    if not len(sets):
+        return
+    share = union_apr(reduced, unions_of(reduced, sets))
+    units, most = sets[share.argmax()], float(share.max())
+    needs, real = [], PairWalk.blocks
+
+    def blocks(walk: PairWalk, deadline: Deadline) -> Iterator[np.ndarray]:
+        needs.append(walk.need)
+        if len(needs) <= n_ended:  # later ones find no time
+            yield from real(walk, NEVER)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PairWalk, "blocks", blocks)
+        # So little time is left that no walk is likely to end, but it is never over.
+        patch.setattr("placement.optimiser.steering.ALL_TIMES_NEAR", np.inf)
+        tied = walk_by_pairs(
+            reduced, units, deadline=Deadline(now_s() + 1.0e6), on_better=lambda units: units
+        )
+    assert tied.limit >= most - 1e-9
+    if most > 0.0 and most * 1.02 < reduced.measure.limit:
+        ahead = [need / most - 1.0 for need in needs]
+        assert ahead[: n_ended + 1] == pytest.approx([0.02 / 2**n for n in range(n_ended + 1)])
+        expected = most * (1.0 + 0.02 / 2 ** (n_ended - 1)) if n_ended else reduced.measure.limit
+        assert tied.limit == pytest.approx(expected)
+        assert not tied.is_finished

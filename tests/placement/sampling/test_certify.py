@@ -8,10 +8,14 @@ import pytest
 from scipy.stats import t as student
 
 from geometry.errors import InputError
-from placement.certify import certify, estimate_gap
+from placement import certify as certifying
+from placement import pipeline
+from placement.certify import SIZES, certify, estimate_gap, grow
 from placement.compute import Compute
-from placement.pipeline import Assembly
-from placement.sampling.out_of_sample import out_of_sample_layouts
+from placement.layout import load_carlancap_layout
+from placement.pipeline import Assembly, assemble, place
+from placement.question import AUTO, Question
+from placement.sampling.out_of_sample import APART, out_of_sample_layouts
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import load_uncertainty
 from placement.wishes import Wishes
@@ -136,3 +140,119 @@ def test_a_question_without_worlds_is_refused(assembly):
     plan = replace(assembly, n_samples=0, uncertainty=None)
     with pytest.raises(InputError, match="samples: got 0"):
         certify(plan)
+
+
+# ---------- how many worlds are enough
+
+SMALL = Question(
+    budget=1,
+    cases="CPNC-50",
+    approaches="east",
+    along_arms="0",
+    within="carlancap-12",
+    detector="response",
+    samples=AUTO,
+)
+
+
+def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
+    monkeypatch.setattr(certifying, "N_JUDGED", 6)
+    monkeypatch.setattr(pipeline, "N_JUDGED", 6)
+    compute = Compute(workers=2, seed=3)
+    found = grow(SMALL, compute=compute)
+    growth, last = found.growth, None
+    assert growth.stopped in ("same", "no better")
+    assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
+    assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
+    for one in growth.rounds:
+        plan = assemble(replace(SMALL, samples=one.worlds), compute=compute)
+        alone = place(plan, asks_worlds=True)  # as if the number had been given
+        assert one.in_sample == alone.certificate.stages[0].objective
+        (again,) = out_of_sample_layouts(
+            *(plan.setting, [alone.layout], plan.uncertainty),
+            n_samples=6,
+            first=APART,
+            compute=compute,
+        )
+        assert one.mean == pytest.approx(again.estimate.mean)
+        if one.low is not None:
+            gain = again.apr_by_sample - last.apr_by_sample
+            reach = student.ppf(0.975, 5) * gain.std(ddof=1) / np.sqrt(6.0)
+            limits = (gain.mean() - reach, gain.mean() + reach)
+            assert (one.low, one.high) == pytest.approx(limits) or np.ptp(gain) == 0.0
+        last = again
+        if one.worlds == growth.taken:
+            assert found.placement.layout.units == alone.layout.units
+
+
+def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
+    """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some seconds."""
+    units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
+    real, judge = place, out_of_sample_layouts
+
+    def placed(plan, **how):
+        number = next(rounds)
+        if error is not None and number:
+            raise error
+        found = real(plan, **how)
+        clock[0] += seconds
+        return replace(found, layout=replace(found.layout, units=units[number : number + 1]))
+
+    def judged(setting, layouts, uncertainty, **how):
+        (one,) = judge(setting, layouts, uncertainty, **how | {"n_samples": 4})
+        return [replace(one, apr_by_sample=aprs[units.index(one.layout.units[0])])]
+
+    monkeypatch.setattr(certifying, "SIZES", sizes)
+    monkeypatch.setattr(certifying, "place", placed)
+    monkeypatch.setattr(pipeline, "out_of_sample_layouts", judged)
+    monkeypatch.setattr(certifying, "now_s", lambda: clock[0])
+    return grow(SMALL, compute=Compute(workers=2, seed=3))
+
+
+LOW, MIDDLE, HIGH = ([level + 0.01 * level * n for n in range(4)] for level in (0.5, 0.6, 0.7))
+MAYBE = [0.45, 0.75, 0.65, 0.55]  # 0 is within t(3) = 3.18 errors of its mean less that of LOW
+
+
+@pytest.mark.parametrize(
+    ("aprs", "seconds", "taken", "stopped"),
+    [
+        ([LOW, MAYBE], 0.0, 1, "no better"),
+        ([MIDDLE, LOW], 0.0, 1, "no better"),
+        ([LOW, MIDDLE, HIGH, LOW], 0.0, 3, "no better"),
+        ([LOW, MIDDLE, HIGH], 200.0, 2, "time"),  # of five times 60 s, 400 s are gone by then
+    ],
+)
+def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
+    monkeypatch, aprs, seconds, taken, stopped
+):
+    found = scripted(monkeypatch, aprs, seconds=seconds)
+    assert (found.growth.taken, found.growth.stopped) == (taken, stopped)
+    assert found.assembly.n_samples == taken
+    assert found.placement.problem.sample_index.max() + 1 == taken
+
+
+def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
+    found = scripted(monkeypatch, [LOW, HIGH], sizes=(1, 2))
+    assert (found.growth.taken, found.growth.stopped) == (2, "most")
+    found = scripted(monkeypatch, [LOW, HIGH], error=InputError("memory", "8", "less"))
+    assert (found.growth.taken, found.growth.stopped) == (1, "memory")
+    with pytest.raises(InputError, match="sites"):
+        scripted(monkeypatch, [LOW, HIGH], error=InputError("sites", "8", "less"))
+
+
+def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
+    for asked in ({"target": "0.5", "budget": None}, {"survive": "1"}, {"risk": "worst"}):
+        with pytest.raises(InputError, match="a target, failures or a tail"):
+            grow(replace(SMALL, **asked))
+    with pytest.raises(InputError, match="samples: got 'auto'; expected a number; auto where"):
+        assemble(SMALL)
+
+
+def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkeypatch):
+    seen = []
+    monkeypatch.setattr(certifying, "N_JUDGED", 2)
+    monkeypatch.setattr(
+        certifying, "place", lambda plan, **_: seen.append(plan.first_sample) or place(plan)
+    )
+    grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
+    assert set(seen) == {APART}

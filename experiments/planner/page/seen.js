@@ -1,0 +1,87 @@
+// The picture of the chosen camera: coarse while it is turned (where fine ones take too long), fine when it stands.
+
+import { ask } from "./line.js";
+import { element, seconds } from "./shared.js";
+
+const find = (id) => document.getElementById(id);
+const COARSE_PX = 320, FINE_PX = 640, STANDS_MS = 300, AGAIN_MS = 200, QUICK_MS = 150;
+
+// `unitNow` is the chosen unit as the session has told it, `runNow` the run and frame that are played.
+export function createSeen({ unitNow, runNow, scene }) {
+  const holder = find("seen"), image = find("seen-image"), frame = find("seen-frame");
+  let shown = { key: "", width: 0 }, wanted = "", changedAt = 0, fineMs = Infinity, isBusy = false, timer = 0;
+
+  const keyOf = (unit, run) => JSON.stringify([unit.id, unit.place, unit.yawDeg, unit.pitchDeg, unit.heightM, unit.fovDeg, unit.sensor, run]);
+
+  // Something may be another: the unit, its pose, the run or its time.
+  function changed() {
+    const unit = unitNow();
+    holder.hidden = !unit;
+    if (!unit || !holder.open) return;
+    const isCamera = unit.kind === "camera";
+    frame.hidden = !isCamera;
+    if (!isCamera) { shown = { key: "", width: 0 }; say("A LiDAR takes no picture."); return; }
+    const key = keyOf(unit, runNow());
+    if (key !== wanted) { wanted = key; changedAt = performance.now(); }
+    if (key !== shown.key) holder.setAttribute("aria-busy", "true");
+    if (key !== shown.key && !image.src) say("It is being drawn \u2026");
+    next();
+  }
+
+  const say = (text) => { if (find("seen-text").textContent !== text) find("seen-text").textContent = text; };
+
+  // One at a time; what changed meanwhile is asked for when it is here.
+  async function next() {
+    clearTimeout(timer);
+    const unit = unitNow();
+    if (isBusy || !unit || unit.kind !== "camera" || !holder.open) return;
+    const stoodMs = performance.now() - changedAt;
+    const width = stoodMs < STANDS_MS && fineMs > QUICK_MS ? COARSE_PX : FINE_PX;
+    if (shown.key === wanted && shown.width >= width) {
+      if (shown.width < FINE_PX) timer = setTimeout(next, STANDS_MS - stoodMs + 1);
+      return;
+    }
+    const key = wanted, run = runNow();
+    isBusy = true;
+    let pauseMs = 0;
+    const askedAt = performance.now();
+    try {
+      const found = await ask("seen", { unit: unit.id, width, ...(run ?? {}) });
+      if (width === FINE_PX) fineMs = performance.now() - askedAt;
+      if (unitNow()?.id === unit.id) show(unit, found, key === wanted, { key, width });
+    } catch (error) {
+      pauseMs = AGAIN_MS; // another page was first, the unit is gone, or the line is lost
+      if (unitNow()?.id === unit.id && error.message !== "it was stopped") { say(error.message); shown = { key, width: FINE_PX }; }
+    } finally {
+      isBusy = false;
+    }
+    timer = setTimeout(next, pauseMs);
+  }
+
+  function show(unit, found, isNewest, now) {
+    shown = now;
+    const [width, height] = found.size;
+    image.src = `data:image/jpeg;base64,${found.image}`;
+    const run = scene().runs.find((one) => one.id === found.run);
+    if (!run) return; // of a question that is none any longer
+    const what = `${run.title}, ${found.timeS === 0 ? "at the impact" : `${seconds(Math.abs(1000 * found.timeS), 1)} s before the impact`}`;
+    image.alt = `What ${unit.id} sees: ${what}`;
+    say(`${what}${runNow() ? "" : ", the road user nearest to where it looks; choose a run to see another"}.${found.box ? "" : " The road user is not in the picture."}`);
+    image.title = scene().cases[run.title.split(" ")[0]] ?? "";
+    frame.style.aspectRatio = `${width} / ${height}`;
+    holder.setAttribute("aria-busy", String(!isNewest));
+    holder.dataset.width = width;
+    const marks = find("seen-box");
+    marks.setAttribute("viewBox", "0 0 640 360");
+    marks.replaceChildren();
+    if (!found.box) return;
+    const [left, top, right, bottom] = found.box.map((share, index) => share * (index % 2 ? 360 : 640));
+    for (const [stroke, wide] of [["#000", 4], ["#F0E442", 2]]) element("rect", { x: left - 4, y: top - 4, width: right - left + 8, height: bottom - top + 8, fill: "none", stroke, "stroke-width": wide, "vector-effect": "non-scaling-stroke" }, marks);
+  }
+
+  holder.addEventListener("toggle", changed);
+  return {
+    changed,
+    again() { shown = { key: "", width: 0 }; changed(); }, // what it shows is of other times
+  };
+}

@@ -1,0 +1,115 @@
+"""Greedy choice's layout in place of the one found, where fresh worlds surely prefer it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from placement import pipeline
+from placement.compute import Compute
+from placement.detectors import load_planning_detector
+from placement.optimiser import apr
+from placement.pipeline import Assembly, place
+from placement.sampling.out_of_sample import SampledApr
+from placement.sampling.uncertainty import load_uncertainty
+from placement.wishes import Wishes
+
+AHEAD, BEHIND = [0.8, 0.9, 0.9], [0.5, 0.6, 0.5]
+
+
+@pytest.fixture
+def asked(setting, candidates, monkeypatch):
+    """Builds an assembly; greedy choice takes a row, and fresh worlds say what they are told to.
+
+    Each pose is there twice, so that there are ties.
+    """
+
+    def build(*, greedy, fresh=(BEHIND, AHEAD), n_samples=2, detector=None, cars=0.0, **wishes):
+        monkeypatch.setattr(pipeline, "solve_greedy", lambda problem, reduced: (greedy,))
+        told = dict(zip(("found", "greedy"), fresh, strict=True))
+
+        def judged(self, layouts, **how):
+            return [
+                SampledApr(
+                    layout=layout,
+                    axis=self.setting.axis,
+                    apr_by_sample=told[layout.name],
+                    avoided_share=np.ones(self.setting.axis.n_runs),
+                )
+                for layout in layouts
+            ]
+
+        monkeypatch.setattr(Assembly, "in_fresh_worlds", judged)
+        detector = detector or setting.table_detector
+        return Assembly(
+            setting=replace(setting, table_detector=detector, cars=cars),
+            candidates=[*candidates, *(replace(one, id=f"{one.id}'") for one in candidates)],
+            wishes=Wishes(budget_units=1, **wishes),
+            uncertainty=replace(load_uncertainty("default"), packet_loss=0.3),
+            n_samples=n_samples,
+            compute=Compute(workers=1, seed=4),
+        )
+
+    return build
+
+
+def values_of(assembly):
+    return [apr(assembly.problem, [row]) for row in range(len(assembly.candidates))]
+
+
+def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
+    before = place(asked(greedy=0))
+    values = values_of(asked(greedy=0))
+    greedy = int(np.argmin(values))
+    found = place(asked(greedy=greedy), asks_worlds=True)
+    assert values[before.pose_index[0]] == max(values)
+    assert found.pose_index == (greedy,)
+    assert [one.layout.name for one in found.preferred] == ["greedy", "found"]
+    stage, *others = found.certificate.stages
+    assert stage.objective == pytest.approx(values[greedy])
+    assert stage.bound == pytest.approx(max(values))
+    assert not found.is_proven
+    for one, other in zip(others, before.certificate.stages[1:], strict=True):
+        assert one.name == other.name
+        is_cost = one.name == "cost_eur"
+        assert (one.bound <= one.objective) if is_cost else (one.bound >= one.objective)
+    assert found.layout.units[0].pose == asked(greedy=0).candidates[greedy].pose
+    assert found.nominal.table.n_poses == 1
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_asked"),
+    [
+        ({"fresh": (AHEAD, BEHIND)}, True),
+        ({"fresh": ([0.5, 0.9, 0.7], [0.9, 0.5, 0.8])}, True),  # ahead by chance
+        ({"target": 0.01}, False),
+        ({"min_case_apr": 0.01}, False),
+        ({"tail": 0.5}, False),
+        ({"n_samples": 0}, False),  # as planned, by rule and for blind cars
+    ],
+)
+def test_what_was_found_stays_where_worlds_do_not_surely_prefer_another(asked, changed, is_asked):
+    last = int(np.argmin(values_of(asked(greedy=0))))
+    plain, found = place(asked(greedy=last, **changed)), asked(greedy=last, **changed)
+    found = place(found, asks_worlds=True)
+    assert found.pose_index == plain.pose_index
+    assert [stage.bound for stage in found.certificate.stages] == [
+        stage.bound for stage in plain.certificate.stages
+    ]
+    assert (found.preferred is not None) == is_asked
+    assert plain.preferred is None
+
+
+@pytest.mark.parametrize(
+    "chance", [{"cars": 1.0}, {"detector": load_planning_detector("response")}]
+)
+def test_the_plan_is_overruled_only_where_it_cannot_tell_them_apart(asked, chance):
+    asked_of = {"n_samples": 0, **chance}
+    values = values_of(asked(greedy=0, **asked_of))
+    best = place(asked(greedy=0, **asked_of)).pose_index[0]
+    as_good = [row for row, value in enumerate(values) if value == values[best] and row != best]
+    worse = [row for row, value in enumerate(values) if value < values[best] - 1e-6]
+    for row, is_taken in ((as_good[0], True), (worse[0], False)):
+        found = place(asked(greedy=row, **asked_of), asks_worlds=True)
+        assert found.pose_index == ((row,) if is_taken else (best,))
+        assert (found.preferred is not None) == is_taken
