@@ -2,7 +2,9 @@
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +22,16 @@ class Progress(Protocol):
 
 def silent(stage: str, done: int, total: int, /) -> None:
     """Progress that is shown nowhere."""
+
+
+@contextmanager
+def threads(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads; after an error or an interruption, what has not begun never will."""
+    executor = ThreadPoolExecutor(workers)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
 
 
 def check_whole(where: str, value: Any, *, least: int) -> None:

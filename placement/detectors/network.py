@@ -29,8 +29,7 @@ Outputs = Mapping[str, Array]
 Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,)
 
 VRU_KINDS = ("person", "bicycle", "cyclist")
-KINDS = (*VRU_KINDS, "motorcycle", "motorcyclist", "car")
-"""What the classes of a network may mean here."""
+KINDS = (*VRU_KINDS, "motorcycle", "motorcyclist", "car")  # what a network's classes may mean here
 
 # Kinds of boxes that count for a class of road user; a network must know one of them.
 _KINDS_OF_CLASS = {

@@ -1,9 +1,9 @@
 """From sights to verdicts: detections, messages, confirmation, braking, contact."""
 
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, as_completed, wait
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, as_completed, wait
+from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from scenarios.scores import Levels
 
 from ..cache import CachedArrays, Fingerprints
 from ..candidates import CandidatePose
-from ..compute import DEFAULT_COMPUTE, Compute
+from ..compute import DEFAULT_COMPUTE, Compute, threads
 from ..detectors import Evidence, is_matched, load_min_iou
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
@@ -170,7 +170,7 @@ class _Watcher:
         looks: dict[UnitKey, Future[Evidence]] = {}
         scans: dict[UnitKey, Future[BoolArray]] = {}
         by_vut: list[Future[Evidence]] = []
-        with _pool(self._compute.workers) as pool:
+        with threads(self._compute.workers) as pool:
             if with_vut and "camera" in self._setting.vut_sensors:
                 by_vut = [
                     pool.submit(
@@ -239,7 +239,7 @@ class _Watcher:
         source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
         # The VUT's pictures take longest, for nothing stands still in them: they are drawn first.
         longest_first = sorted(looks.items(), key=lambda item: item[0] != VUT_KEY)
-        with _pool(self._compute.workers) as pool, closing(source):
+        with threads(self._compute.workers) as pool, closing(source):
             found = {
                 key: pool.submit(
                     self._detect, key, self._with_pictures(evidence, source, units.get(key))
@@ -268,16 +268,6 @@ class _Watcher:
             camera = unit.pose, unit.sensor
         crops = source.crops(camera, evidence.amodal_px)
         return replace(evidence, picture=source.pictures(camera), crops=crops)
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
-    """Threads; after an error or an interruption, what has not begun never will."""
-    executor = ThreadPoolExecutor(workers)
-    try:
-        yield executor
-    finally:
-        executor.shutdown(cancel_futures=True)
 
 
 def _join(parts: Sequence[Evidence]) -> Evidence:

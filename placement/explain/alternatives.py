@@ -85,8 +85,7 @@ def find_by_runs(
 
 
 # ---------- front-runners, by the evaluator
-EQUAL_APR = 0.001
-"""Front-runners whose shares differ by no more are equal: results print a tenth of a point."""
+EQUAL_APR = 0.001  # front-runners no farther apart are equal: results print a tenth of a point
 
 Deciding = Literal["apr", "apr_one_failed", "mounting", "order"]
 

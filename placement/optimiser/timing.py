@@ -18,8 +18,7 @@ from geometry.clock import now_s
 from geometry.errors import InputError, check_one_of
 
 # ---------- ties: what counts as equal
-TOLERANCE = 1.0e-9
-"""Shares and times that differ by no more count as equal: they carry rounding noise."""
+TOLERANCE = 1.0e-9  # Shares and times that differ by no more are equal: they carry rounding noise
 COST_TOLERANCE_EUR = 1.0e-6  # Sums of prices that differ by no more are equal
 
 # ---------- how far a computed number can be believed
@@ -35,10 +34,8 @@ tolerance: asked for the last digit it called feasible problems infeasible. Answ
 TINY = 1.0e-300  # Keeps a sum of nothing from being divided by
 MOST_STEPS = 1.0e5
 """A common step is clearly larger than a solver's error if no value is more steps than this."""
-STEP_UP = 2.0 * TOLERANCE
-"""Added to a value to ask for more than that, where values have no common step."""
-DECIMALS = 8
-"""Values are rounded to so many places where they are sorted: what is below is rounding noise."""
+STEP_UP = 2.0 * TOLERANCE  # Added to a value to ask for more, where values have no common step
+DECIMALS = 8  # Places to which values are rounded to be sorted: what is below is rounding noise
 
 # ---------- time
 TIME_SHARES = {
@@ -70,8 +67,7 @@ MAX_GROWN_SETS = 20_000_000  # Sets whose limits are looked at to find out how m
 MAX_WALK_UNITS = 16  # A walk through sets of more units does not end
 MAX_PAIR_UNITS = 3  # Units of sets that are gone through pair by pair: two or three
 MAX_TIED = 100_000  # Sets that tie and are kept, to choose among them in later stages
-POOL_POSES = 400
-"""Of a large table, the poses among which a layout is looked for: those that gain most."""
+POOL_POSES = 400  # Of a large table, those among which a layout is looked for: they gain most
 BLOCK_SETS = 1 << 12  # Sets that are valued at a time: their margins stay in the cache
 FEW_TASKS = 64  # Fewer tasks are not worth threads
 MANY_ROWS = 1 << 12  # Rows whose hashes are worth threads
@@ -86,18 +82,14 @@ FEW_PARTNERS = 32
 PRICE_START = 0.3  # First price of a row, as a share of its weight: near what it is at the end
 STEP_LENGTH = 0.7
 """First step, as a share of the way to a bound of 0 (Polyak's rule with that target)."""
-DEFLECTION = 0.7
-"""Share of the last direction that is carried over (Camerini, Fratta, Maffioli 1975)."""
+DEFLECTION = 0.7  # Share of the last direction that is kept (Camerini, Fratta, Maffioli 1975)
 STEP_CUT = 0.6  # Steps are cut by it after so many without a better bound:
 PATIENCE = 6
 MEMORY = 0.97  # Share of what was picked before, in averages that tend to a relaxed solution
-FIRST_STEPS, LATER_STEPS = 250, 120
-"""Steps of the first round, and of rounds that begin with good prices."""
-ASK_ROUNDS = 8
-"""Rounds in which windows are asked for the frame that is seen least; most settle before."""
+FIRST_STEPS, LATER_STEPS = 250, 120  # In the first round, and in rounds that begin with good prices
+ASK_ROUNDS = 8  # Rounds in which windows are asked for the frame seen least; most settle before
 SETTLED = 1.0e-5  # Relative: a round that lowers the bound by less is the last one
-SHARE_DIGITS = 3
-"""Frames whose shares agree to so many places are seen alike: the first is asked for."""
+SHARE_DIGITS = 3  # Frames whose shares agree to so many places are alike: the first is asked for
 SMALL_SHARE = 1.0e-3  # Poses with less are no part of a relaxed solution
 FAILURE_PRICES = (0.0, 0.3, 1.0, 3.0)
 """Prices of the whole APR that are tried where units fail: the best is near one of them."""
@@ -113,8 +105,7 @@ OSQP_TOLERANCE, OSQP_PENALTY, OSQP_OVERRELAXATION = 1.0e-5, 1.0, 1.8
 """Measured: two to five times fewer steps than with OSQP's own."""
 
 # ---------- walks
-NEAR = 0.009
-"""Relative: where ties are many, it is first proven that no set is better by more than that."""
+NEAR = 0.009  # Relative: where ties are many, first it is proven that no set is better by more
 NEAR_IN_WORLDS = 0.02
 """Relative: the first of such proofs where worlds are sampled; each next one is of half as much."""
 ALL_TIMES_NEAR = 6.0
@@ -123,8 +114,7 @@ STOP_DEPTH = 2  # Nodes of this depth are handed out to threads
 OUT_SETS = 1 << 8  # Sets of classes that a walk finds before they are valued
 CLASS_POSES, MAX_LIKE_POSES = 12, 2000
 """Poses of a class, on average, where worlds are sampled; how many are compared in one go."""
-HARD_ROWS = 512
-"""Runs by which pairs of poses are found out that lose too much: those in which most is lost."""
+HARD_ROWS = 512  # Runs in which most is lost: by them pairs are found out that lose too much
 FEW_PAIRS = 200  # Pairs of poses next to a class that are valued with each of its poses at once
 TOGETHER = 16  # A run is hard if so many poses drawn at random are likely to lose it together
 

@@ -5,7 +5,7 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from geometry.files import (
     load_data,
     load_toml,
     pick,
+    says,
     take,
     take_list,
     take_number,
@@ -64,13 +65,19 @@ def _check_range(name: str, value: Any, least: float, most: float, unit: str) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """Standard deviations of errors of units after installation."""
+    """Errors of units after installation.
 
-    # yaw_sd_deg, pitch_sd_deg: errors are normal, cut off at three of them. [deg]
+    Attributes
+    ----------
+    yaw_sd_deg, pitch_sd_deg : float
+        Standard deviation, in degrees; errors are normal, cut off at three of them.
+    height_sd_m : float
+        Standard deviation, in metres; three values stand for a normal distribution.
+    """
+
     yaw_sd_deg: float = _up_to(30.0, "degrees")
     pitch_sd_deg: float = _up_to(30.0, "degrees")
-    # three values stand for a normal distribution. [m] At most 0.5: the same poles, the same view
-    height_sd_m: float = _up_to(0.5, "metres")
+    height_sd_m: float = _up_to(0.5, "metres")  # the same poles, the same view
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -122,10 +129,17 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outages:
-    """How often a unit tells nothing for a whole run: probabilities in each run, 0 .. 1."""
+    """How often a unit tells nothing for a whole run.
 
-    unit_share: float = _up_to(1.0)  # that a unit is out of order
-    pole_share: float = _up_to(1.0)  # that a pole is with all of its units
+    Attributes
+    ----------
+    unit_share, pole_share : float
+        Probability, in each run, that a unit is out of order, and that a pole is with all of its
+        units. 0 .. 1
+    """
+
+    unit_share: float = _up_to(1.0)
+    pole_share: float = _up_to(1.0)
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -133,13 +147,23 @@ class Outages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blinding:
-    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's."""
+    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's.
 
-    dirty_share: float = _up_to(1.0)  # probability, in each run, that a camera is dirty. 0 .. 1
-    # of the runs by day, those with low sun, from a direction that all cameras share. 0 .. 1
+    Attributes
+    ----------
+    dirty_share : float
+        Probability, in each run, that a camera is dirty. 0 .. 1
+    low_sun_share : float
+        Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
+    sun_below_deg : float
+        Most that low sun stands above the horizon, in degrees.
+    dazzled_within_deg : float
+        Least angle between a camera's axis and the sun without being dazzled, in degrees.
+    """
+
+    dirty_share: float = _up_to(1.0)
     low_sun_share: float = _up_to(1.0)
-    sun_below_deg: float = _up_to(90.0, "degrees")  # most that it stands above the horizon. [deg]
-    # least angle between a camera's axis and the sun without being dazzled. [deg]
+    sun_below_deg: float = _up_to(90.0, "degrees")
     dazzled_within_deg: float = _up_to(180.0, "degrees")
 
     def __post_init__(self) -> None:
@@ -203,9 +227,13 @@ class StandingTraffic:
 class MeasuredPeople:
     """Speeds and starts of a class of people."""
 
-    probability: tuple[float, ...]  # shares of all people, ascending. 0 .. 1
-    speed_kmh: tuple[float, ...]  # of those who keep moving, at these shares. [km/h]
-    start_mps2: tuple[float, ...]  # mean acceleration of those who start, at these shares. [m/s^2]
+    probability: Annotated[tuple[float, ...], says("Shares of all people, ascending. 0 .. 1.")]
+    speed_kmh: Annotated[
+        tuple[float, ...], says("So fast go those who keep moving, at these shares, in km/h.")
+    ]
+    start_mps2: Annotated[
+        tuple[float, ...], says("Mean acceleration of those who start, at these shares, in m/s^2.")
+    ]
 
     def __post_init__(self) -> None:
         for name, most in (("probability", 1.0), ("speed_kmh", 50.0), ("start_mps2", 10.0)):
@@ -229,21 +257,29 @@ class MeasuredPeople:
 class RoadUsers:
     """How road users may move otherwise than their case says; by default they do not.
 
-    Pairs are the least and the most.
+    Attributes
+    ----------
+    pedestrian_kmh, cyclist_kmh, motorcyclist_kmh, car_kmh : (2,) float
+        Least and most by which they are faster, in km/h; negative: slower.
+    start_nearer_share : float
+        Most by which the way from rest to the impact is shorter. 0 .. 1
+    heading_deg : dict of (2,) float
+        By Euro NCAP's name of a case: least and most by which the way is turned about the impact,
+        counter-clockwise where traffic keeps right. [deg]
+    path_m : dict of (2,) float
+        By Euro NCAP's name of a case: least and most by which the way lies farther to the left of
+        whoever takes it. [m]
+    measured : dict of MeasuredPeople
+        By class: speeds and starts that are drawn in place of those of the case.
     """
 
-    # by which they are faster; negative: slower. [km/h]
     pedestrian_kmh: tuple[float, float] = (0.0, 0.0)
     cyclist_kmh: tuple[float, float] = (0.0, 0.0)
     motorcyclist_kmh: tuple[float, float] = (0.0, 0.0)
     car_kmh: tuple[float, float] = (0.0, 0.0)
-    start_nearer_share: float = _up_to(0.9)  # most by which the way from rest to impact is shorter
-    # heading_deg, path_m: by Euro NCAP's name of a case, by which the way is turned about the
-    # impact, counter-clockwise where traffic keeps right [deg], and lies farther to the left of
-    # whoever takes it [m]
+    start_nearer_share: float = _up_to(0.9)
     heading_deg: dict[str, tuple[float, float]] = field(default_factory=dict)
     path_m: dict[str, tuple[float, float]] = field(default_factory=dict)
-    # by class: speeds and starts that are drawn in place of those of the case
     measured: dict[str, MeasuredPeople] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """Candidate poses and runs to a detection table, and tables cached on disk."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from scenarios.runs import FrameAxis, Run
 
 from ..cache import CachedArrays, Fingerprints, load_arrays, save_arrays, tell_unused
 from ..candidates import CandidatePose
-from ..compute import DEFAULT_COMPUTE, Compute
+from ..compute import DEFAULT_COMPUTE, Compute, threads
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
 from ..setting import Setting
@@ -91,15 +91,11 @@ def at_each_mount(
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
         mounts.setdefault(key, []).append(row)
     # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
-        try:
-            pending = [pool.submit(work, rows) for rows in mounts.values()]
-            for done, future in enumerate(as_completed(pending), start=1):
-                future.result()
-                compute.progress(stage, done, len(mounts))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with threadpool_limits(1), threads(compute.workers) as pool:
+        pending = [pool.submit(work, rows) for rows in mounts.values()]
+        for done, future in enumerate(as_completed(pending), start=1):
+            future.result()
+            compute.progress(stage, done, len(mounts))
 
 
 # ---------- a few poses, each with a detector of its own

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 
 from geometry.actors import Actor, MovingActor, PlacedActor, footprint_sizes
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
+from geometry.files import says
 from geometry.footprints import gaps_between
 from scenarios.runs import Run
 
@@ -107,11 +109,13 @@ _TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
 class TrafficCount:
     """Vehicles that drive by, in all runs together."""
 
-    n_runs: int = 0
-    n_vehicles: int = 0  # near the junction, those left out among them
-    n_left_out: int = 0  # of these: they would have come into the way of VUT or VRU
-    n_departed: int = 0  # by SUMO: entered the network
-    n_waiting: int = 0  # by SUMO: found no room to
+    n_runs: Annotated[int, says("Number of runs.")] = 0
+    n_vehicles: Annotated[int, says("Near the junction, those left out among them.")] = 0
+    n_left_out: Annotated[
+        int, says("Of these: they would have come into the way of VUT or VRU.")
+    ] = 0
+    n_departed: Annotated[int, says("By SUMO: entered the network.")] = 0
+    n_waiting: Annotated[int, says("By SUMO: found no room to.")] = 0
 
     def __add__(self, other: "TrafficCount") -> "TrafficCount":
         return TrafficCount(*map(sum, zip(astuple(self), astuple(other), strict=True)))
