@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from placement.optimiser.steering import TOLERANCE
 
 from geometry.arrays import FloatArray
 from geometry.maps.source_map import SourceMap
 from geometry.scene import Scene
 from placement.city.fronts import JunctionFront
 from placement.layout import Layout
-from placement.optimiser.steering import TOLERANCE
 
 from ..figures.axes import (
     BLUE,
