@@ -4,6 +4,7 @@ import base64
 import io
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,14 @@ from PIL import Image
 
 from geometry.errors import InputError
 from geometry.files import pick
+from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.evaluator.pictures import find_frame
+from placement.imaging import Backdrop, build_backdrop, draw_picture
 from placement.imaging import Picture as FramePicture
-from placement.imaging import build_backdrop, draw_picture
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
@@ -90,10 +92,15 @@ def _draw(
 ) -> FramePicture:
     assert isinstance(unit.sensor, CameraModel)
     return draw_picture(
-        *(build_backdrop(setting.scene, run.obstruction), run, frame, unit.pose, unit.sensor),
+        *(_backdrop(setting.scene, run), run, frame, unit.pose, unit.sensor),
         weather=pick_weather(run.weather, "weather"),
         compute=compute,
     )
+
+
+@lru_cache(maxsize=2)  # while a camera is aimed the run stays the same
+def _backdrop(scene: Scene, run: Run) -> Backdrop:
+    return build_backdrop(scene, run.obstruction)
 
 
 def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:

@@ -327,7 +327,7 @@ function fillShares(id, shares) {
 function showCost() {
   const cost = state.cost;
   find("cost").textContent = cost ? `Costs ${cost.all}: sensors ${cost.sensors}, poles ${cost.sites}.` : "";
-  find("cost").title = cost ? cost.assumed.join(" ") : "";
+  find("cost").title = cost ? ["Each mounted sensor, and each pole that carries any, once.", ...cost.assumed].join(" ") : "";
 }
 
 // ---------- mounted sensors
