@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from placement.optimiser.steering import TOLERANCE
 
 from geometry.arrays import FloatArray
 from geometry.maps.source_map import SourceMap
