@@ -59,7 +59,7 @@ def blank_view(
         rgb=np.full((*shape, 3), frame % 256, dtype=np.uint8),
         instance=np.full(shape, -1),
         depth_m=np.full(shape, np.inf),
-        names=(),
+        names=("vru",),
     )
 
 
@@ -73,7 +73,7 @@ def blank_pictures() -> Iterator[None]:
         patch.setattr(section, "to_png", blank_png)
         for module in (dangers, pictures, plan):
             patch.setattr(module, "draw_scene", lambda axes, scene: None)
-        patch.setattr(camera_views, "build_backdrop", lambda scene, obstruction: None)
+        patch.setattr(camera_views, "_backdrop", lambda scene, run: None)
         patch.setattr(camera_views, "draw_picture", blank_view)
         yield
 

@@ -18,7 +18,6 @@ from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.evaluator.pictures import find_frame
 from placement.imaging import Backdrop, build_backdrop, draw_picture
 from placement.imaging import Picture as FramePicture
 from placement.layout import Layout
@@ -132,6 +131,8 @@ def live_picture(
     if not isinstance(unit.sensor, CameraModel):
         raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")
     if run_id:
+        from placement.evaluator.pictures import find_frame  # loads the compiler
+
         run = pick({run.id: run for run in setting.runs}, run_id, "run")
         frame = find_frame(run, frame)
     else:

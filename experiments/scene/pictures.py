@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jinja2 import PackageLoader
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patheffects import withStroke
@@ -25,7 +24,6 @@ from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_
 from ..figures.labels import Label, arm_names, draw_labels
 from ..figures.plan import draw_scene
 from ..language import language
-from ..report.page import page_environment
 
 _COLOURS = {
     "ground": (0.93, 0.92, 0.89),
@@ -202,6 +200,10 @@ def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, c
         place = {"name": road.name, "x": x, "y": y, "turn_deg": round(upright_deg)}
         if not re.fullmatch(r"(way|road) \S+", road.name):
             names.setdefault((road.name, x // _NAMED_AGAIN_M, y // _NAMED_AGAIN_M), place)
+    from jinja2 import PackageLoader
+
+    from ..report.page import page_environment
+
     environment = page_environment().overlay(loader=PackageLoader(__package__, ""))
     return environment.get_template("junctions.html.j2").render(
         name=maps[0].name,

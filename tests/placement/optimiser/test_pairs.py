@@ -130,7 +130,7 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PairWalk, "blocks", blocks)
         # So little time is left that no walk is likely to end, but it is never over.
-        patch.setattr("placement.optimiser.steering.ALL_TIMES_NEAR", np.inf)
+        patch.setattr("placement.optimiser.timing.ALL_TIMES_NEAR", np.inf)
         tied = walk_by_pairs(
             reduced, units, deadline=Deadline(now_s() + 1.0e6), on_better=lambda units: units
         )
