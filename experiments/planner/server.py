@@ -40,6 +40,7 @@ except ModuleNotFoundError as error:
 
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_NAME_BYTES = 500
+_STOPPED = "it was stopped"
 _WIDEST_PX = 640  # of a picture that is drawn while a camera is turned
 _EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
 _MAX_WAITING = 2000  # messages for a browser that does not read
@@ -175,7 +176,7 @@ class Pages:
             except (InputError, TaskError) as error:
                 response = JSONResponse({"problem": str(error)}, 400)
             except Cancelled:
-                response = JSONResponse({"problem": "it was stopped"}, 409)
+                response = JSONResponse({"problem": _STOPPED}, 409)
             response.headers.setdefault(_POLICY, _STRICT)
             response.headers.update(_GUARDED)
             return response
@@ -269,14 +270,20 @@ class Pages:
         return JSONResponse(await self._of_run("explain", request))
 
     async def _seen(self, request: Request) -> Response:
-        """What a camera sees while it is aimed, small."""
+        """What a camera sees while it is aimed, small; or a problem, which is no fault of the page.
+
+        When it is answered, another one may be wanted, or the unit or the run be gone.
+        """
         values = request.query_params
-        found = await self._session.camera_picture(
-            values.get("unit", ""),
-            run_id=values.get("run", ""),
-            frame=_whole_number(values, "frame", -1),
-            width_px=min(max(_whole_number(values, "width", _WIDEST_PX), 1), _WIDEST_PX),
-        )
+        width_px = min(max(_whole_number(values, "width", _WIDEST_PX), 1), _WIDEST_PX)
+        asked = {"run_id": values.get("run", ""), "frame": _whole_number(values, "frame", -1)}
+        try:
+            unit = values.get("unit", "")
+            found = await self._session.camera_picture(unit, width_px=width_px, **asked)
+        except Cancelled:
+            found = {"problem": _STOPPED}
+        except InputError as error:
+            found = {"problem": str(error)}
         return JSONResponse(found)
 
     async def _picture(self, request: Request) -> Response:

@@ -47,6 +47,7 @@ export function createSeen({ unitNow, runNow, scene }) {
     const askedAt = performance.now();
     try {
       const found = await ask("seen", { unit: unit.id, width, ...(run ?? {}) });
+      if (found.problem) throw new Error(found.problem);
       if (width === FINE_PX) fineMs = performance.now() - askedAt;
       if (unitNow()?.id === unit.id) show(unit, found, key === wanted, { key, width });
     } catch (error) {
