@@ -21,8 +21,12 @@ from experiments.parts import baselines
 from experiments.parts.player import interactive_part
 from geometry.poses import Pose
 from placement import candidates as poses
+from placement import pipeline
 from placement.candidates import CandidatePose
 from placement.layout import Layout
+
+FEW_WORLDS = 4
+"""That choose between the layout found and greedy choice's, in place of 60."""
 
 
 @pytest.fixture(scope="session")
@@ -41,6 +45,7 @@ def few_runs(small_setting, tables, monkeypatch):
     """Makes every command work on a few runs and a few poses."""
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
     lay_runs_of(monkeypatch, small_setting)
+    monkeypatch.setattr(pipeline, "N_JUDGED", FEW_WORLDS)
     monkeypatch.setattr(poses, "load_candidate_grid", build_small_grid)
     monkeypatch.setattr(baselines, "load_candidate_grid", build_small_grid)
     return small_setting

@@ -18,6 +18,7 @@ from experiments.parts.added import words as added_words
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement import candidates as poses
+from placement import pipeline
 from placement.compute import Compute
 from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import apr_one_failed, headline_apr
@@ -60,6 +61,7 @@ def answers(small_setting, tables, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PLACE_RSUS_CACHE", str(tables))
         lay_runs_of(patch, small_setting)
+        patch.setattr(pipeline, "N_JUDGED", 4)
         patch.setattr(poses, "load_candidate_grid", build_small_grid)
         patch.setattr(baselines, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
