@@ -121,6 +121,9 @@ def report(page: Path, out: Path) -> None:
         for name, (width_px, height_px) in _REPORT_SIZES_PX.items():
             shown = browser.new_page(viewport={"width": width_px, "height": height_px})
             shown.goto(page.resolve().as_uri())
+            if shown.get_attribute("html", "lang") != "en":  # parts have their English names
+                _save(shown, out / f"{name}-first-screen-{shown.get_attribute('html', 'lang')}.png")
+                continue
             for part in _REPORT_PARTS:
                 heading = shown.locator("h1, h2").filter(has_text=part).first
                 heading.evaluate("""element => {
