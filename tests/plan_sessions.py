@@ -20,7 +20,7 @@ class InThread:
 
     def __init__(self, work, setting):
         self._tasks = None
-        self._work, self._setting = work, setting
+        self._work, self._setting, self._tell = work, setting, None
         self._turn = asyncio.Lock()
         self.is_busy = False
         self.is_stopped = threading.Event()
@@ -36,8 +36,9 @@ class InThread:
         async with self._turn:
             self.is_busy = True
             self.is_stopped.clear()
+            self._tell = tell  # a task tells whoever asked for it
             if self._tasks is None:
-                self._tasks = Tasks(self._work, tell)
+                self._tasks = Tasks(self._work, lambda *stage: self._tell(*stage))
                 if self._setting is not None and not self._work.question.scene:
                     self._tasks.setting = self._setting
             try:
