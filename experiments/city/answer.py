@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes
-from placement.city.choose import choose, city_front, plan_phases
+from placement.city.choose import Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.timing import TOLERANCE
@@ -350,16 +350,7 @@ def choose_for_city(
         runs=sum(records[index].runs for index in solved),
         possible_runs=sum(records[index].possible_runs for index in solved),
         by="cost" if by_cost else "units",
-        front=tuple(
-            CityStepRecord(
-                junction=city.junctions[solved[step.junction]].label,
-                folder=f"{JUNCTIONS}/{city.junctions[solved[step.junction]].folder}",
-                units=int(options.units[step.row]),
-                taken=step.taken,
-                apr=step.apr,
-            )
-            for step in city_front(options, weight, by_cost=by_cost)[:_MAX_STEPS]
-        ),
+        front=_steps(city, solved, options, city_front(options, weight, by_cost=by_cost)),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
         search=CitySearchRecord(
@@ -375,6 +366,21 @@ def choose_for_city(
     result = replace(result, **_accidents(values, junctions, wish.years))
     head = " ".join([*says("head", result), *says("undone", result)])
     return replace(result, sentences=(head, *says("rest", result, wish, phases, TOLERANCE)))
+
+
+def _steps(
+    city: City, solved: Sequence[int], options: Options, steps: Sequence[Step]
+) -> tuple[CityStepRecord, ...]:
+    return tuple(
+        CityStepRecord(
+            junction=city.junctions[solved[step.junction]].label,
+            folder=f"{JUNCTIONS}/{city.junctions[solved[step.junction]].folder}",
+            units=int(options.units[step.row]),
+            taken=step.taken,
+            apr=step.apr,
+        )
+        for step in steps[:_MAX_STEPS]
+    )
 
 
 def _accidents(

@@ -260,32 +260,11 @@ def plot_city_map(
         Line2D([], [], mfc=shade(n), label=trn("{n} sensor", "{n} sensors", n), **circle)
         for n in sorted(set(units[served].tolist()))
     ]
-    for mask, style in (
-        (
-            ~served & ~failed,
-            {
-                **_DOT,
-                "mfc": "white",
-                "mec": "#444444",
-                "mew": 0.9,
-                "ms": 4.0,
-                "label": tr("nothing"),
-            },
-        ),
-        (
-            failed,
-            {
-                **_DOT,
-                "marker": "x",
-                "mec": VERMILION,
-                "mew": 1.4,
-                "ms": 5.0,
-                "label": tr("left out"),
-            },
-        ),
-    ):
+    nothing = {"mfc": "white", "mec": "#444444", "mew": 0.9, "ms": 4.0, "label": tr("nothing")}
+    crossed = {"marker": "x", "mec": VERMILION, "mew": 1.4, "ms": 5.0, "label": tr("left out")}
+    for mask, style in ((~served & ~failed, nothing), (failed, crossed)):
         if mask.any():
-            handles += axes.plot(*places[mask].T, zorder=4, **style)
+            handles += axes.plot(*places[mask].T, zorder=4, **{**_DOT, **style})
     axes.legend(
         handles=handles,
         loc="upper center",
