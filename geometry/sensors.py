@@ -140,6 +140,12 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     return replace(camera, horizontal_fov_deg=float(fov_deg))
 
 
+def with_width(camera: CameraModel, width_px: int) -> CameraModel:
+    """A camera that sees the same with so many columns, and rows to match."""
+    height_px = round(camera.height_px * width_px / camera.width_px)
+    return replace(camera, width_px=width_px, height_px=height_px)
+
+
 class _Assumed(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     frame_rate_hz: float
     near_m: float

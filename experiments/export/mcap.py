@@ -7,19 +7,18 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from geometry.actors import Actor
 from geometry.errors import InputError, MissingExtraError, Unquoted
 from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
+from geometry.sensors import CameraModel, with_width
 from geometry.terrain import on_ground
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose
 from placement.compute import Compute
 from placement.evaluation import earliest_arrival_s
-from placement.imaging import build_backdrop, draw_picture
+from placement.imaging import build_backdrop, draw_picture, to_jpeg
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
@@ -37,7 +36,7 @@ _COLOURS = {
 }  # fmt: skip
 _FRUSTUM_M = 4.0  # how far ahead its far side is drawn
 _WIDEST_DEG = 150.0  # of what is drawn: the sides of wider ones would be kilometres away
-_WIDEST_PX, _JPEG_QUALITY = 640, 85  # of pictures
+_WIDEST_PX = 640  # of pictures
 _NANO = 1_000_000_000
 
 
@@ -252,8 +251,7 @@ def _reduced(unit: CandidatePose) -> CandidatePose:
     """A unit with a camera of fewer pixels that sees the same."""
     if not isinstance(unit.sensor, CameraModel) or unit.sensor.width_px <= _WIDEST_PX:
         return unit
-    height_px = round(unit.sensor.height_px * _WIDEST_PX / unit.sensor.width_px)
-    return replace(unit, sensor=replace(unit.sensor, width_px=_WIDEST_PX, height_px=height_px))
+    return replace(unit, sensor=with_width(unit.sensor, _WIDEST_PX))
 
 
 def _pictures(
@@ -268,12 +266,10 @@ def _pictures(
             picture = draw_picture(
                 *(backdrop, run, frame, unit.pose, camera), weather=weather, compute=compute
             )
-            file = io.BytesIO()
-            Image.fromarray(picture.rgb).save(file, format="jpeg", quality=_JPEG_QUALITY)
             image = m.CompressedImage(
                 timestamp=m.Timestamp.from_epoch_secs(time_s),
                 frame_id=unit.id,
-                data=file.getvalue(),
+                data=to_jpeg(picture.rgb),
                 format="jpeg",
             )
             yield f"/image/{unit.id}", image, time_s

@@ -1,7 +1,6 @@
 """What each camera will see: a picture, rendered as a road user comes to the middle of it."""
 
 import base64
-import io
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -9,16 +8,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from geometry.errors import InputError
 from geometry.files import pick
 from geometry.scene import Scene
-from geometry.sensors import CameraModel
+from geometry.sensors import CameraModel, with_width
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute
-from placement.imaging import Backdrop, build_backdrop, draw_picture
+from placement.imaging import Backdrop, build_backdrop, draw_picture, to_jpeg
 from placement.imaging import Picture as FramePicture
 from placement.layout import Layout
 from placement.setting import Setting
@@ -30,7 +28,6 @@ from .accidents import case_title
 from .section import Picture
 
 _WIDTH_IN, _WIDTH_PX = 3.2, 512
-_JPEG_QUALITY = 85
 _MOST_CAMERAS = 4  # of more, none is drawn: a first screen has no room for them
 
 
@@ -43,24 +40,10 @@ def camera_views(setting: Setting, layout: Layout) -> list[Picture]:
     return [_view(unit, labels[unit.id], setting) for unit in cameras]
 
 
-def _with_width(unit: CandidatePose, width_px: int) -> CandidatePose:
-    """A camera that looks the same way, with so many columns."""
-    assert isinstance(unit.sensor, CameraModel)
-    height_px = round(unit.sensor.height_px * width_px / unit.sensor.width_px)
-    return replace(unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px))
-
-
-def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
-    """An image (h, w, 3) as a file."""
-    buffer = io.BytesIO()
-    Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
-    return buffer.getvalue()
-
-
 def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
-    small = _with_width(unit, _WIDTH_PX)
-    assert isinstance(small.sensor, CameraModel)
-    rgb, run, time_s = draw_view(small, setting)
+    assert isinstance(unit.sensor, CameraModel)
+    small = with_width(unit.sensor, _WIDTH_PX)
+    rgb, run, time_s = draw_view(replace(unit, sensor=small), setting)
     title = tr("{unit}: what it will see", unit=label)
     values = {"what": case_title(run.case), "time": abs(time_s), "unit": label}
     return Picture(
@@ -70,7 +53,7 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
         image=base64.b64encode(to_jpeg(rgb)).decode(),
         format="jpeg",
         width_px=_WIDTH_PX,
-        height_px=small.sensor.height_px,
+        height_px=small.height_px,
         width_in=_WIDTH_IN,
     )
 
@@ -137,7 +120,8 @@ def live_picture(
         frame = find_frame(run, frame)
     else:
         run, frame = _nearest_frame(unit, setting)
-    picture = _draw(_with_width(unit, width_px), setting, run, frame, compute)
+    small = replace(unit, sensor=with_width(unit.sensor, width_px))
+    picture = _draw(small, setting, run, frame, compute)
     height_px, width_px, _ = picture.rgb.shape
     rows, columns = np.nonzero(picture.instance == picture.names.index("vru"))
     box = None

@@ -29,6 +29,7 @@ from placement.evaluation import Evaluation
 from placement.evaluator import evaluate_layout, with_sight
 from placement.explain.tolerances import find_tolerances
 from placement.explain.unavoided import Look, find_reasons
+from placement.imaging import to_jpeg
 from placement.layout import Layout
 from placement.pipeline import assemble
 from placement.question import Question
@@ -36,7 +37,6 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.confirmation import is_in_time
 
-from ..parts.camera_views import to_jpeg
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment

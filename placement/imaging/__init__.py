@@ -7,6 +7,6 @@ drops, and exposes.
 """
 
 from .mesh import PointCloud
-from .picture import Backdrop, Picture, build_backdrop, draw_picture
+from .picture import Backdrop, Picture, build_backdrop, draw_picture, to_jpeg
 
-__all__ = ["Backdrop", "Picture", "PointCloud", "build_backdrop", "draw_picture"]
+__all__ = ["Backdrop", "Picture", "PointCloud", "build_backdrop", "draw_picture", "to_jpeg"]

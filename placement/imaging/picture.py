@@ -1,5 +1,6 @@
 """Pictures of a frame: colours, instances and depths, one ray per pixel."""
 
+import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -51,6 +52,7 @@ from .materials import (
 )
 from .mesh import ROUND, FrameMesh, Index, Mesh, build_frame_mesh, build_static_mesh, vut_pose
 
+_JPEG_QUALITY = 85
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
 _LEAST_MIRROR = 0.012  # share; less is not worth a ray
 _GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
@@ -434,6 +436,15 @@ def draw_picture(
         smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
     return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
+
+
+def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    """An image (h, w, 3) as a file."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(rgb).save(buffer, format="jpeg", quality=_JPEG_QUALITY)
+    return buffer.getvalue()
 
 
 def names_of(mesh: FrameMesh) -> tuple[str, ...]:
