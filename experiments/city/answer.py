@@ -25,31 +25,15 @@ from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, s
 from placement.layout import Layout
 from placement.optimiser.timing import TOLERANCE
 
-from ..language import language, mark, tr, trn
+from ..language import language, tr, trn
 from ..results.numbers import euros, joined, percent
 from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
+from ..scene import CAUSES
 from .inputs import JUNCTIONS, PROXY, City, CityMapRecord, CitySearch, CityValues, CityWish
 
 SCHEMA = "place-rsus/city/1"
 MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
 _CHOICE_S = 120.0
-_CAUSES = {
-    "no lane": mark("No car can drive into it: the map has no lane that leads in."),
-    "no road": mark("On the map no road ends at it."),
-    "no site": mark("There is no pole or other place that could carry another sensor."),
-    "no run": mark("None of the collisions asked for can happen there: roads or room are missing."),
-    "no accident": mark(
-        "No known accident near it is like one of its collisions: nothing weighs them."
-    ),
-    "time": mark("It took longer than it was given (--max-junction-seconds)."),
-    "memory": mark("It took more memory than it was given (--worker-memory)."),
-}
-"""Why a junction is left out, in plain words."""
-_CAUSE_OF = {
-    **{"junction": "no lane", "lanes": "no road", "sites": "no site", "candidates": "no site"},
-    **dict.fromkeys(("runs", "cases", "approaches"), "no run"),
-    **dict.fromkeys(("near", "weights"), "no accident"),
-}
 _MAX_STEPS = 200
 
 _T = TypeVar("_T")
@@ -88,11 +72,6 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     def without_layouts(self) -> "CityFrontRecord":
         """A record without the parts that take memory: its layouts and notes."""
         return replace(self, layouts=(), notes=())
-
-
-def cause_of(error: InputError) -> str:
-    """The kind of cause for which a junction is left out, by the field that an error names."""
-    return _CAUSE_OF.get(error.where.rpartition(": ")[2].partition(" ")[0], "")
 
 
 def load_front(path: Path) -> CityFrontRecord | None:
@@ -198,8 +177,8 @@ class CityJunctionRecord(Record, frozen=True, kw_only=True):
     @property
     def why(self) -> str:
         """Why it has no front, in plain words."""
-        if self.cause in _CAUSES:
-            return tr(_CAUSES[self.cause])
+        if self.cause in CAUSES:
+            return tr(CAUSES[self.cause])
         return tr("It could not be computed: {reason}.", reason=self.reason.rstrip("."))
 
 

@@ -28,7 +28,8 @@ from placement.question import Question
 from ..language import tr
 from ..progress import follow_parent
 from ..results.record import build_unit_records
-from .answer import CityFrontRecord, cause_of
+from ..scene import cause_of
+from .answer import CityFrontRecord
 
 TRIES = 3
 """Of a junction whose worker dies, or that fails for no reason of its own."""

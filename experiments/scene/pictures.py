@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Sequence
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -23,7 +24,7 @@ from geometry.scene import Scene, road_area
 from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
 from ..figures.labels import Label, arm_names, draw_labels
 from ..figures.plan import draw_scene
-from ..language import language
+from . import CAUSES
 
 _COLOURS = {
     "ground": (0.93, 0.92, 0.89),
@@ -44,6 +45,7 @@ _ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
 _BEYOND = 0.08  # of the span of the junctions, around them
 _LEAST_M = 120.0
 _NAMED_M, _NAMED_AGAIN_M = 45.0, 250.0  # a street's name from a junction; and again
+_FINEST_M, _MOST_STEPS = 0.5, 8000  # of streets drawn in SVG: metres, and parts of its width
 _FEW, _MOST_WIDTHS = 12, 3.0  # junctions in a figure of the usual width; its widest
 HALO = withStroke(linewidth=2.5, foreground="white")
 
@@ -174,46 +176,93 @@ def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> A
     return axes
 
 
-def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str) -> str:
-    """A page to choose one of the junctions of the first map, on its streets with their names.
+class StreetMap(NamedTuple):
+    """Streets of maps as an SVG path, metres to the right and down from a corner."""
 
-    It loads nothing. `command` makes a scene of a junction whose id follows.
+    corner_m: FloatArray  # (2,), in the first map's system
+    size_m: tuple[float, float]
+    streets: str
+
+    def place(self, points_m: FloatArray) -> FloatArray:
+        """Points (..., 2 or 3) of the first map's system on the page, (..., 2)."""
+        return np.asarray(np.round((points_m[..., :2] - self.corner_m) * [1.0, -1.0], 1))
+
+
+def build_street_map(maps: Sequence[SourceMap], places_m: FloatArray) -> StreetMap:
+    """Driving lanes of maps, and room for places (n, 2) in the first map's system."""
+    low, high = places_m.min(axis=0), places_m.max(axis=0)
+    around = _BEYOND * (high - low) + _LEAST_M
+    corner_m = np.array([low[0] - around[0], high[1] + around[1]])
+    width_m, height_m = np.round(high - low + 2.0 * around, 1).tolist()
+    empty = StreetMap(corner_m, (width_m, height_m), "")
+    finest_m = max(_FINEST_M, max(width_m, height_m) / _MOST_STEPS)
+    lines = [
+        shapely.simplify(shapely.LineString(empty.place(line_m)), finest_m)
+        for source in maps
+        for line_m in _driving_lines(source, maps[0].crs)
+    ]
+    ways = ("L".join(f"{x:g},{y:g}" for x, y in shapely.get_coordinates(one)) for one in lines)
+    return empty._replace(streets="".join(f"M{way}" for way in ways))
+
+
+def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dict[str, Any]:
+    """The junctions of the first map to choose from, on its streets with their names, as JSON.
+
+    Each has the cause for which it cannot be used, a key of ``CAUSES``, or none.
     """
     places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
-    low, high = places.min(axis=0), places.max(axis=0)
-    around = _BEYOND * (high - low) + _LEAST_M
-    left, top = low[0] - around[0], high[1] + around[1]
-
-    def on_page(points_m: FloatArray) -> FloatArray:
-        return np.asarray(np.round((points_m[..., :2] - [left, top]) * [1.0, -1.0], 1))
-
-    lines = [lane.centreline_m for lane in maps[0].lanes if lane.kind == "driving"]
-    ways = [
-        shapely.get_coordinates(shapely.simplify(shapely.LineString(on_page(one)), 0.5))
-        for one in lines
-    ]
+    street_map = build_street_map(maps[:1], places)
     names: dict[tuple[str, int, int], dict[str, Any]] = {}
     for road in (road for one in surveyed for road in one.junction.roads):
-        x, y = on_page(road.point_m + _NAMED_M * road.direction)
+        x, y = street_map.place(road.point_m + _NAMED_M * road.direction).tolist()
         turn_deg = -np.degrees(np.arctan2(road.direction[1], road.direction[0]))
         upright_deg = (turn_deg + 90.0) % 180.0 - 90.0
         place = {"name": road.name, "x": x, "y": y, "turn_deg": round(upright_deg)}
         if not re.fullmatch(r"(way|road) \S+", road.name):
             names.setdefault((road.name, x // _NAMED_AGAIN_M, y // _NAMED_AGAIN_M), place)
+    junctions = [
+        {
+            **{"id": one.junction.id, "name": one.junction.name, "x": x, "y": y},
+            **{"arms": len(one.arms), "lanes": one.n_lanes},
+            **{"signals": one.n_signals, "crossings": one.n_crossings},
+            "cause": "" if one.n_driven else "no lane" if one.arms else "no road",
+        }
+        for one, (x, y) in zip(surveyed, street_map.place(places).tolist(), strict=True)
+    ]
+    return {
+        **{"size_m": street_map.size_m, "streets": street_map.streets},
+        **{"names": [*names.values()], "junctions": junctions},
+    }
+
+
+@cache
+def _junction_templates() -> Any:
     from jinja2 import PackageLoader
 
     from ..report.page import page_environment
 
     environment = page_environment().overlay(loader=PackageLoader(__package__, ""))
-    return environment.get_template("junctions.html.j2").render(
-        name=maps[0].name,
-        box=[0, 0, *np.round(high - low + 2.0 * around, 1)],
-        streets="".join("M" + "L".join(f"{x:g},{y:g}" for x, y in way) for way in ways),
-        names=list(names.values()),
-        junctions=list(zip(surveyed, on_page(places).tolist(), strict=True)),
-        command=command,
-        language=language,
+    environment.globals |= {"causes": CAUSES}
+    return environment
+
+
+def junction_chooser(shown: dict[str, Any]) -> str:
+    """A :func:`junction_map` as HTML, for ``junction_map.js``; texts in it are escaped."""
+    module = _junction_templates().get_template("junction_map.html.j2").module
+    return str(module.chooser(shown))
+
+
+def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str) -> str:
+    """A page to choose one of the junctions of the first map.
+
+    It loads nothing. `command` makes a scene of a junction whose id follows.
+    """
+    page: str = (
+        _junction_templates()
+        .get_template("junctions.html.j2")
+        .render(name=maps[0].name, shown=junction_map(maps, surveyed), command=command)
     )
+    return page
 
 
 def new_map_axes(
@@ -233,24 +282,32 @@ def new_map_axes(
     return axes
 
 
-def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: FloatArray) -> None:
-    def here(points: FloatArray) -> FloatArray:
-        if source.crs and crs and source.crs != crs:
-            return transform(points[:, :2], source.crs, crs)
-        return points[:, :2]
+def _in_system(points: FloatArray, source: SourceMap, crs: str) -> FloatArray:
+    """Points (n, 2 or 3) of a map in the system of another one, (n, 2)."""
+    if source.crs and crs and source.crs != crs:
+        return transform(points[:, :2], source.crs, crs)
+    return points[:, :2]
 
+
+def _driving_lines(source: SourceMap, crs: str) -> list[FloatArray]:
+    """Centrelines (n, 2) of the driving lanes of a map in the system of another one."""
+    lanes = (lane for lane in source.lanes if lane.kind == "driving")
+    return [_in_system(lane.centreline_m, source, crs) for lane in lanes]
+
+
+def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: FloatArray) -> None:
     faces = []
     for thing in source.things:
         if thing.class_name != "building" or not len(thing.triangles):
             continue
-        points = here(thing.vertices_m)
+        points = _in_system(thing.vertices_m, source, crs)
         if (points.max(axis=0) < low).any() or (points.min(axis=0) > high).any():
             continue
         faces.append(points[thing.triangles])
     if faces and sum(map(len, faces)) <= _MAX_TRIANGLES:
         triangles = list(np.concatenate(faces))
         axes.add_collection(PolyCollection(triangles, color=_BUILDINGS, lw=0.2, zorder=1))
-    lines = [here(lane.centreline_m) for lane in source.lanes if lane.kind == "driving"]
+    lines = _driving_lines(source, crs)
     axes.add_collection(LineCollection(lines, colors=_ROADS, linewidths=0.7, zorder=2))
 
 
