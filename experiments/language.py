@@ -7,7 +7,7 @@ JSON, names of files, the help of commands and errors are English always.
 
 import re
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.resources import files
@@ -138,6 +138,19 @@ def say(key: str, n: int | None = None, /, **values: Any) -> str:
 @cache
 def _texts() -> dict[str, Any]:
     return load_data("experiments", "texts.toml")
+
+
+def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """What scripts say: translations of messages by themselves, for one and many where both are.
+
+    Each message is a pair of its form for one, empty where it has no other, and that for many.
+    """
+    found, spoken = {}, _Current.messages
+    for one, many in messages:
+        if one:
+            found[one] = spoken.find_plural(one, many, 1)
+        found[many] = spoken.find_plural(one, many, 2) if one else spoken.find(many)
+    return found
 
 
 def mark(message: str) -> str:

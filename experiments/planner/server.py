@@ -19,6 +19,8 @@ from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
 
+from ..language import words_of
+from ..report.page import page_environment
 from .numbers import evaluate_command, layout_text
 from .plan import MAX_IMAGE_BYTES, MAX_PLAN_BYTES, build_background, read_plan
 from .session import MAX_MAP_BYTES, Session
@@ -109,11 +111,30 @@ class Guard:
         return ""
 
 
+_SAID = re.compile(r'\btr(?:n\(("(?:[^"\\]|\\.)*"), |\()("(?:[^"\\]|\\.)*")')
+
+
+@cache
+def page_messages() -> list[tuple[str, str]]:
+    """What the page's scripts say by ``tr``, or by ``trn`` for one and for many (else "")."""
+    scripts = (text.decode() for name, (text, _) in page_files().items() if name.endswith(".js"))
+    said = (found.groups('""') for script in scripts for found in _SAID.finditer(script))
+    return sorted({(json.loads(one), json.loads(many)) for one, many in said})
+
+
+def page_html() -> str:
+    """The page in the language that is spoken, with all that its scripts say."""
+    source = (files("experiments.planner") / "page" / "index.html.j2").read_text(encoding="utf-8")
+    template = page_environment().from_string(source)
+    page: str = template.render(own_words=words_of(page_messages()))
+    return page
+
+
 @cache
 def page_files() -> dict[str, tuple[bytes, str]]:
     """Files of the page by name: content and media type; ``shared.js`` has the report's scripts."""
     page = files("experiments.planner") / "page"
-    kinds = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+    kinds = {".css": "text/css", ".js": "text/javascript"}
     found = {
         item.name: (item.read_bytes(), kinds[Path(item.name).suffix])
         for item in page.iterdir()
@@ -123,7 +144,7 @@ def page_files() -> dict[str, tuple[bytes, str]]:
     scripts = ("words.js", "run_numbers.js", "plan_drawing.js")
     shared = [(report / name).read_bytes() for name in scripts]
     exported = b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "
-    exported += b"wedgeCorners, points, unpackBits, stretches, seconds };\n"
+    exported += b"wedgeCorners, points, unpackBits, stretches, seconds, say };\n"
     found["shared.js"] = (b"\n".join([*shared, exported]), "text/javascript")
     return found
 
@@ -147,7 +168,7 @@ class Pages:
     def routes(self) -> list[Route | WebSocketRoute]:
         """All of them."""
         return [
-            Route("/", self._answer(self._file)),
+            Route("/", self._answer(self._page)),
             Route("/files/{name}", self._answer(self._file)),
             WebSocketRoute("/live", self._live),
             Route("/layout.json", self._answer(self._layout)),
@@ -183,8 +204,11 @@ class Pages:
 
         return answer
 
+    async def _page(self, request: Request) -> Response:
+        return Response(page_html(), media_type="text/html")
+
     async def _file(self, request: Request) -> Response:
-        found = page_files().get(request.path_params.get("name", "index.html"))
+        found = page_files().get(request.path_params["name"])
         if found is None:
             return Response("no such file\n", 404, media_type="text/plain")
         return Response(found[0], media_type=found[1])
