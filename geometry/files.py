@@ -15,13 +15,13 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, BinaryIO, Literal, Protocol, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -569,3 +569,22 @@ def open_own(path: Path) -> BinaryIO:
         file.close()
         raise PermissionError(errno.EPERM, "another user may have written it", str(path))
     return file
+
+
+# ---------- progress
+class Progress(Protocol):
+    """A function that is called as a computation progresses."""
+
+    def __call__(self, stage: str, done: int, total: int, /) -> None:
+        """Take note of the stage that runs, and of its steps done and all; 0 of 0: not known."""
+
+
+def silent(stage: str, done: int, total: int, /) -> None:
+    """Progress that is shown nowhere."""
+
+
+def counted(items: Iterable[_T], stage: str, total: int, progress: Progress) -> Iterator[_T]:
+    """Items of a stage, told one by one; `total` may be an estimate of their number."""
+    for done, item in enumerate(items, start=1):
+        progress(stage, min(done, total), total)
+        yield item

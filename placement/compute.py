@@ -8,20 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from geometry.errors import InputError, check_one_of
-
-
-class Progress(Protocol):
-    """A function that is called as a computation progresses."""
-
-    def __call__(self, stage: str, done: int, total: int, /) -> None:
-        """Take note of the stage that runs, and of its steps done and all; 0 of 0: not known."""
-
-
-def silent(stage: str, done: int, total: int, /) -> None:
-    """Progress that is shown nowhere."""
+from geometry.files import Progress as Progress
+from geometry.files import silent as silent
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from small_results import build_small_grid
 from experiments.planner.plan import Plan
 from experiments.planner.session import Session
 from experiments.planner.tasks import Cancelled, TaskError, Tasks, Work
+from experiments.scene import cause_of
 from geometry.errors import InputError
 from placement import candidates as poses
 from placement.compute import Compute
@@ -44,7 +45,7 @@ class InThread:
             try:
                 return await asyncio.to_thread(getattr(self._tasks, method), *args, **kwargs)
             except InputError as error:
-                raise TaskError(str(error)) from None
+                raise TaskError(str(error), cause_of(error)) from None
             finally:
                 self.is_busy = False
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from placement.compute import Compute
-from placement.question import Question
+from placement.question import Question, map_options
 
 from ..cli import options
 from ..cli.running import begin
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from geometry.scene import Scene
 
     from .plan import Plan
+    from .session import MapFile
 
 _ASKED = (
     *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")),
@@ -62,6 +63,7 @@ def plan(
         raise click.UsageError(
             f"--host: got {host}; expected --i-know beside it: others could change the plan"
         )
+    asked = question
     question = begin(progress, question, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
     from geometry.errors import InputError
@@ -86,7 +88,7 @@ def plan(
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
         server = RunningServer(
-            lambda: Session(work, setting, begun=begun, save=save),
+            lambda: Session(work, setting, begun=begun, save=save, map_file=_map_file(asked)),
             host=host,
             port=port,
             keeps_open=keep_open,
@@ -112,6 +114,20 @@ def plan(
             tell(f"place-rsus: {problem}", err=True)
         saved = [] if server.session is None else server.session.saved_files()
         tell("; the plan is in ".join([ended, *filter(None, [" and ".join(saved)])]) + ".")
+
+
+def _map_file(question: Question) -> "MapFile | None":
+    """The map that a question's scene is cut out of, with its options; None: it names a scene."""
+    from geometry.scene_files import has_scene
+
+    from .session import MapFile
+
+    path = Path(question.scene)
+    if not path.is_file() or has_scene(path):
+        return None
+    given = map_options(question)
+    options = {key: given[key] for key in given.keys() & {"sites", "keeps_left"}}
+    return MapFile(path=path, name=path.name, options=options)
 
 
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":

@@ -202,6 +202,10 @@ class Cancel(_Request, tag="cancel"):
     """Let the optimiser stop."""
 
 
+class CancelOpening(_Request, tag="cancel-opening"):
+    """Let no other scene be opened that is being read or made."""
+
+
 class TakeProposal(_Request, tag="take"):
     """Take a proposal over, in place of what is worked on or as a further variant."""
 
@@ -238,7 +242,16 @@ class ChangeQuestion(_Request, tag="question"):
     vam_rate: float | UnsetType = UNSET
 
 
-_Other = ChangeQuestion | Ask | Cancel | TakeProposal | DropProposal | ShowCoverage | ChooseSensors
+_Other = (
+    ChangeQuestion
+    | Ask
+    | Cancel
+    | CancelOpening
+    | TakeProposal
+    | DropProposal
+    | ShowCoverage
+    | ChooseSensors
+)
 Message = Change | Undo | Redo | Revert | _Other
 _DECODER = msgspec.json.Decoder(Message)
 

@@ -14,16 +14,18 @@ from functools import cache
 from importlib.resources import files
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
 
-from ..language import words_of
+from ..language import tr, words_of
 from ..report.page import page_environment
+from ..scene import CAUSES
+from ..scene.pictures import junction_chooser
 from .numbers import evaluate_command, layout_text
 from .plan import MAX_IMAGE_BYTES, MAX_PLAN_BYTES, build_background, read_plan
-from .session import MAX_MAP_BYTES, Session
+from .session import MAX_MAP_BYTES, MapFile, Session
 from .tasks import Cancelled, TaskError
 
 try:
@@ -145,16 +147,12 @@ def page_files() -> dict[str, tuple[bytes, str]]:
     shared = [(report / name).read_bytes() for name in scripts]
     exported = b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "
     exported += b"wedgeCorners, points, unpackBits, stretches, seconds, say };\n"
+    of_maps = files("experiments.scene")
+    script = (of_maps / "junction_map.js").read_bytes() + b"\nexport { openJunctionMap };\n"
+    found["junction_map.js"] = (script, kinds[".js"])
+    found["junction_map.css"] = ((of_maps / "junction_map.css").read_bytes(), kinds[".css"])
     found["shared.js"] = (b"\n".join([*shared, exported]), "text/javascript")
     return found
-
-
-class _Received(NamedTuple):
-    """A map or a scene that a browser has sent."""
-
-    path: Path
-    name: str
-    found: dict[str, Any]  # as :meth:`.tasks.Tasks.survey` tells
 
 
 class Pages:
@@ -163,7 +161,6 @@ class Pages:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._numbers = count(1)
-        self._map: _Received | None = None  # the map or scene that was sent last
 
     def routes(self) -> list[Route | WebSocketRoute]:
         """All of them."""
@@ -182,6 +179,7 @@ class Pages:
             Route("/report.zip", self._answer(self._report)),
             Route("/sheet.pdf", self._answer(self._sheet)),
             Route("/open", self._answer(self._open), methods=["POST"]),
+            Route("/junctions", self._answer(self._junctions)),
             Route("/import", self._answer(self._import), methods=["POST"]),
         ]
 
@@ -339,35 +337,47 @@ class Pages:
             known = ", ".join(_MAP_SUFFIXES)
             raise InputError("file", name, f"a name that ends in .json, {known}")
         path = await self._received(request, _plain_name(name, suffix))
+        before = self._session.map_file
         try:
-            found = await self._session.call("survey", str(path), is_long=True)
-        except TaskError as error:
+            file = await self._session.open_file(MapFile(path=path, name=name))
+        except BaseException as error:
             _remove(path)
-            raise TaskError(str(error).replace(str(path), name)) from None
-        before, self._map = self._map, _Received(path=path, name=name, found=found)
-        if before is not None:  # one at a time is stored
-            _remove(before.path)
-        return JSONResponse({"map": name, **found})
+            if isinstance(error, TaskError):
+                raise TaskError(str(error).replace(str(path), name)) from None
+            raise
+        if before is not None and self._session.work.scratch in before.path.parents:
+            _remove(before.path)  # one at a time is stored
+        return _to_choose_from(file)
+
+    async def _junctions(self, request: Request) -> Response:
+        """Junctions of the map that the scene is of, or that was sent last."""
+        file = self._map_file()
+        return _to_choose_from(await self._session.open_file(file) if file.found is None else file)
+
+    def _map_file(self) -> MapFile:
+        if self._session.map_file is None:
+            raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
+        return self._session.map_file
 
     async def _import(self, request: Request) -> Response:
         """Go on at a junction of the map that was sent last, or in that scene."""
-        if self._map is None:
-            raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
-        sent = self._map
+        sent, session = self._map_file(), self._session
         junction = (await _body(request, _MAX_NAME_BYTES)).decode("utf-8", errors="replace")
+        found = sent.found or {"isScene": False, "junctions": []}
         try:
-            if sent.found["isScene"]:
-                await self._session.open_scene(str(sent.path))
-                self._map = None  # the session's file from here on
+            if found["isScene"]:
+                await session.open_scene(str(sent.path))
+                session.map_file = None  # the session's file from here on
             else:
-                folder = str(self._session.work.scratch / f"scene-{next(self._numbers)}")
-                given = (str(sent.path), junction, folder)
-                await self._session.call("import_junction", *given, is_long=True)
-                names = {one["id"]: one["name"] for one in sent.found["junctions"]}
-                await self._session.open_scene(folder, title=names.get(junction, ""))
+                names = {one["id"]: one["name"] for one in found["junctions"]}
+                if junction not in names:
+                    raise InputError("junction", junction, f"one of {sent.name}")
+                path = session.work.scratch / f"scene-{next(self._numbers)}.zip"
+                await session.open_junction(sent, junction, path, names[junction])
         except TaskError as error:
-            raise TaskError(str(error).replace(str(sent.path), sent.name)) from None
-        return JSONResponse({"scene": self._session.workspace.title})
+            plain = tr(CAUSES[error.cause]) if error.cause in CAUSES else str(error)
+            raise TaskError(plain.replace(str(sent.path), sent.name)) from None
+        return JSONResponse({"scene": session.workspace.title})
 
     async def _received(self, request: Request, name: str) -> Path:
         """A file of the session with the map that is sent, in a folder of its own."""
@@ -381,6 +391,18 @@ class Pages:
             _remove(path)
             raise
         return path
+
+
+def _to_choose_from(file: MapFile) -> JSONResponse:
+    """What is in a file: a scene, or the junctions of a map with the page to choose one."""
+    found = file.found or {}
+    brief = {key: found[key] for key in ("name", "isScene")}
+    brief["junctions"] = [
+        {key: one[key] for key in ("id", "name", "arms", "lanes")} for one in found["junctions"]
+    ]
+    if not found["isScene"]:
+        brief["chooser"] = junction_chooser(found)
+    return JSONResponse({"map": file.name, **brief})
 
 
 def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:

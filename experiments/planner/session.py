@@ -5,7 +5,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from geometry.catalogue import Sensor, load_cameras
 from geometry.errors import InputError, Unquoted
 from geometry.files import pick, write_atomically
+from geometry.junction import street_names
 from geometry.lidar import load_lidars
 from geometry.scene import Scene
 from placement.candidates import CandidatePose, build_grid, load_candidate_grid, own_models
@@ -25,6 +26,7 @@ from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
+from ..language import said
 from ..parts.camera_views import live_picture
 from ..parts.player import svg_path, unit_records
 from . import plan
@@ -204,6 +206,16 @@ def sensor_words(sensors: str) -> dict[str, str]:
 # ---------- the session
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapFile:
+    """A map or a scene that was named or sent; `found` is as :meth:`.tasks.Tasks.survey` tells."""
+
+    path: Path
+    name: str
+    options: dict[str, Any] = field(default_factory=dict)  # of maps: sites, keeps_left
+    found: dict[str, Any] | None = None
+
+
 class Session:
     """The plan, the browsers that show it, and the processes that work for it.
 
@@ -219,8 +231,12 @@ class Session:
         begun: Plan | None = None,
         save: Path | None = None,
         make_worker: Callable[[Work], Worker] = Worker,
+        map_file: MapFile | None = None,
     ) -> None:
-        self.workspace = Workspace(work, setting, save=save)
+        streets = street_names(setting.scene).values() if map_file else ()
+        title = " / ".join(dict.fromkeys(streets))
+        self.workspace = Workspace(work, setting, title=title, save=save)
+        self.map_file = map_file  # that the scene is of, or that was sent last
         self._make_worker = make_worker
         self.workspace.background = begun.background if begun else None
         first = plan.begin_history(begun.variants if begun else (), self.workspace).state
@@ -232,6 +248,8 @@ class Session:
         self.left_at_s: float | None = None  # since when nobody looks, who looked before
         self.is_lost = False
         self._exact, self._advice = make_worker(work), make_worker(work)
+        self._reader = make_worker(work)  # of maps, which it remembers
+        self._opening: Worker | None = None  # who works at another scene that is to come
         self._begun = work.question
         # The question that is to come, and whose worker builds its setting
         self._coming: tuple[Question, Worker | None] = work.question, None
@@ -282,7 +300,7 @@ class Session:
 
     def stop_processes(self) -> None:
         """End everything that works in other processes; from any thread."""
-        for worker in (self._exact, self._advice, self._coming[1]):
+        for worker in (self._exact, self._advice, self._coming[1], self._reader, self._opening):
             if worker is not None:
                 worker.stop()
 
@@ -331,6 +349,10 @@ class Session:
             **record,
             "title": self.workspace.title,
             "isKept": self.workspace.save is not None,
+            "map": "" if self.map_file is None else self.map_file.name,
+            "assumed": [
+                said(f"{one}") for one in self.setting.scene.notes if one.kind == "junction"
+            ],
             "mostBytes": {
                 **{"plan": plan.MAX_PLAN_BYTES, "map": MAX_MAP_BYTES},
                 "image": plan.MAX_IMAGE_BYTES,
@@ -374,6 +396,10 @@ class Session:
                 self._spawn(self._advise(message, self.history.state.variant.units))
             case plan.Cancel():
                 self._spawn(asyncio.to_thread(self._advice.stop))
+            case plan.CancelOpening():
+                stopped, self._opening = self._opening, None
+                if stopped is not None:
+                    self._spawn(asyncio.to_thread(stopped.stop))
             case plan.TakeProposal():
                 self._take(message)
             case plan.DropProposal(number=number):
@@ -426,7 +452,8 @@ class Session:
         is_elsewhere = history.state.workspace is not self.workspace
         if is_elsewhere:
             self._notice(self.save_plan())
-            self.stop_processes()
+            for worker in filter(None, (self._exact, self._advice, self._coming[1])):
+                worker.stop()
             self.workspace = history.state.workspace
             self._exact = self._make_worker(self.work) if exact is None else exact
             self._advice = self._make_worker(self.work)
@@ -455,6 +482,9 @@ class Session:
                 self._do("rays", "prepare the rays")
                 await asyncio.to_thread(workspace.numbers_by_table, self._first_units())
                 self._do("rays", "")
+            if workspace is not self.workspace:  # another scene was opened meanwhile
+                self._changed.set()
+                continue
             revision, units = self.revision, self.history.state.variant.units
             try:
                 numbers = workspace.known.get(key_of(units))
@@ -733,23 +763,53 @@ class Session:
         finally:
             self._do(who, "")
 
+    async def open_file(self, file: MapFile) -> MapFile:
+        """Survey a map or a scene; another junction is chosen from it. TaskError, Cancelled."""
+        self._opening = reader = self._reader
+        try:
+            given = {key: file.options[key] for key in file.options.keys() & {"keeps_left"}}
+            stages = self._stages("scene")
+            found = await reader.call("survey", str(file.path), on_progress=stages, **given)
+        finally:
+            self._opening = None
+            self._do("scene", "")
+        self.map_file = replace(file, found=found)
+        return self.map_file
+
+    async def open_junction(self, file: MapFile, junction: str, path: Path, title: str) -> None:
+        """Cut a junction out of a map, and go on there; as :meth:`open_scene`."""
+        self._opening = reader = self._reader
+        try:
+            given = str(file.path), junction, str(path)
+            stages = self._stages("scene")
+            await reader.call("import_junction", *given, on_progress=stages, **file.options)
+        finally:
+            is_stopped, self._opening = self._opening is None, None
+            self._do("scene", "")
+        if is_stopped:
+            raise Cancelled
+        await self.open_scene(str(path), title)
+
     async def open_scene(self, path: str, title: str = "") -> None:
         """Go on in another scene, from nothing; Undo leads back. TaskError: it has no runs.
 
         Where the plan has a file, that of the new scene gets another one.
         """
         work = replace(self.work, question=replace(self.work.question, scene=path))
-        exact = self._make_worker(work)
+        self._opening = exact = self._make_worker(work)
         try:
             setting: Setting = await exact.call("open_setting", on_progress=self._stages("scene"))
             save = None if self.workspace.save is None else free_path(self.workspace.save)
             workspace, notice = await asyncio.to_thread(
                 build_workspace, work, setting, title=title, save=save
             )
+            if self._opening is not exact:  # it was stopped, or another one is asked for by now
+                raise Cancelled
         except BaseException:
             exact.stop()
             raise
         finally:
+            self._opening = None
             self._do("scene", "")
         if notice:
             exact.stop()

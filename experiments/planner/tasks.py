@@ -14,15 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import UNSET
 from pyproj.exceptions import CRSError
 
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, Unquoted, check_one_of, refuse
 from geometry.files import reading
 from geometry.frames import parse_crs
 from geometry.maps.georeferences import transform
 from geometry.scene import Site
-from geometry.scene_files import load_scene
+from geometry.scene_files import has_scene, load_scene
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation
@@ -41,11 +40,11 @@ from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment
 from ..results.numbers import euros, percent
+from ..scene import cause_of
 from .numbers import evaluated_numbers, key_of
 from .plan import Background, Lie, LiePoint, with_poles
 
 _MAX_EVALUATIONS = 40
-_MAX_JUNCTIONS = 400
 _AERIAL_M, _FINEST_M = 150.0, 0.1  # of an image: to each side of the junction, and a pixel
 _REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
 
@@ -71,6 +70,7 @@ class Tasks:
         self._adviser: Adviser | None = None
         self._poles: tuple[Site, ...] = ()
         self._chosen: tuple[str, list[Any]] = work.question.sensors, []
+        self._map: tuple[tuple[object, ...], Any] = (), None  # that was read last, with its options
 
     @cached_property
     def setting(self) -> Setting:
@@ -284,39 +284,54 @@ class Tasks:
         self._progress("draw the sheet", 0, 0)
         return mounting_sheet(layout, self.setting, tolerances, compute=self._of_units)
 
-    def survey(self, path: str) -> dict[str, Any]:
-        """Contents of a file: junctions of a map to choose from; none in a scene."""
-        from geometry.maps.importing import ReadingOptions
+    def survey(self, path: str, keeps_left: bool | None = None) -> dict[str, Any]:
+        """Contents of a file: its junctions on a map, to choose from; none in a scene.
 
-        from ..scene.run import run_show
+        `keeps_left`: the side of the road, by default what the map says. Raises InputError.
+        """
+        from ..scene.pictures import junction_map
 
-        found = run_show([path], ReadingOptions(), out=None, progress=_Forwarding(self._progress))
-        if found.site_list is not UNSET:
-            return {"name": found.name, "isScene": True, "junctions": []}
-        junctions = [
-            {
-                **{"id": one.id, "name": one.name, "arms": one.arms, "lanes": one.lanes},
-                **{"x": one.x_m, "y": one.y_m},
-            }
-            for one in found.junctions[:_MAX_JUNCTIONS]
-        ]
-        n_left = max(0, len(found.junctions) - _MAX_JUNCTIONS)
-        return {"name": found.name, "isScene": False, "junctions": junctions, "left": n_left}
+        self._progress("read", 0, 0)
+        if has_scene(Path(path)):
+            return {"name": load_scene(path).name, "isScene": True, "junctions": []}
+        maps, junctions = self._read_map(path, keeps_left)
+        if not junctions:
+            refuse(maps[0].name, "no junction", "a map in which roads meet")
+        return {"name": maps[0].name, "isScene": False, **junction_map(maps, junctions)}
 
-    def import_junction(self, path: str, junction: str, out: str) -> str:
-        """Cut a junction out of a map into a folder; its path."""
-        from geometry.maps.importing import ImportOptions
+    def _read_map(self, path: str, keeps_left: bool | None) -> Any:
+        """A map and its junctions, which are remembered: one of them is cut out next."""
+        from geometry.maps.importing import ReadingOptions, read_maps
+
+        if self._map[0] != (path, keeps_left):
+            self._map = (), None
+            reading = ReadingOptions(keeps_left=keeps_left)
+            read = read_maps([Path(path)], reading, progress=self._progress)
+            self._map = (path, keeps_left), read
+        return self._map[1]
+
+    def import_junction(
+        self,
+        path: str,
+        junction: str,
+        out: str,
+        sites: str = "auto",
+        keeps_left: bool | None = None,
+    ) -> None:
+        """Cut a junction out of a map, into a ZIP file; `sites` is as of ``--sites``."""
+        from geometry.maps.importing import ImportOptions, ReadingOptions
 
         from ..scene.run import run_import
 
+        reading = ReadingOptions(keeps_left=keeps_left)
         run_import(
             [path],
-            ImportOptions(junction=junction),
+            ImportOptions(junction=junction, sites=sites, reading=reading),
             bbox="",
             out=Path(out),
             progress=_Forwarding(self._progress),
+            read=self._read_map(path, keeps_left),
         )
-        return out
 
 
 class _Forwarding(StageProgress):
@@ -373,7 +388,14 @@ OnProgress = Callable[[str, int, int], None]
 
 
 class TaskError(RuntimeError):
-    """A task that could not be done, in a sentence for the page."""
+    """A task that could not be done, in a sentence for the page; with its cause, if it has one.
+
+    The cause is one of ``experiments.scene.CAUSES``: why a junction cannot be planned.
+    """
+
+    def __init__(self, text: str, cause: str = "") -> None:
+        super().__init__(text)
+        self.cause = cause
 
 
 class DiedError(TaskError):
@@ -423,7 +445,7 @@ class Worker:
             if was_stopped:
                 raise Cancelled
             raise DiedError(f"the process that did it ({method}) was ended from outside")
-        raise TaskError(value)
+        raise TaskError(*value)
 
     def stop(self) -> None:
         """End the process, whatever it does; the next call starts another one."""
@@ -475,7 +497,8 @@ def _serve(connection: Connection, work: Work) -> None:
         try:
             answer = ("done", getattr(tasks, method)(*args, **kwargs))
         except InputError as error:
-            answer = ("refused", str(error))
+            answer = ("refused", (str(error), cause_of(error)))
         except Exception as error:
-            answer = ("failed", f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+            said = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+            answer = ("failed", (said,))
         connection.send(answer)

@@ -192,9 +192,18 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
 
 
 def run_import(
-    files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
+    files: Sequence[str],
+    options: ImportOptions,
+    *,
+    bbox: str,
+    out: Path,
+    progress: StageProgress,
+    read: tuple[list[SourceMap], tuple[Surveyed, ...]] | None = None,
 ) -> SceneResult:
-    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError."""
+    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError.
+
+    `read`: what :func:`geometry.maps.importing.read_maps` has given for the same files before.
+    """
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
     progress.kept = f"nothing was written to {out}"
@@ -207,7 +216,7 @@ def run_import(
             scene, sources = load_study_scene(), tuple[str, ...]()
             result = build_scene_result(scene)
         else:
-            imported = import_scene(paths, options)
+            imported = import_scene(paths, options, read=read, progress=progress)
             scene, sources = imported.scene, imported.sources
             result = build_scene_result(scene)
             only, chosen = result.junctions[0], imported.chosen.junction
@@ -309,7 +318,8 @@ def run_show(
         check_folder(out)
     progress("read", 0, 0)
     if paths and not (len(paths) == 1 and has_scene(Path(paths[0]))):
-        maps, junctions = read_maps([Path(path) for path in paths], reading)
+        given = [Path(path) for path in paths]
+        maps, junctions = read_maps(given, reading, progress=progress)
         roads, listed = maps[0], sort_junctions(junctions, sort)
         if out is not None and not listed:
             refuse(roads.name, "no junction", "a map in which roads meet")

@@ -16,7 +16,7 @@ import shapely
 
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
-from ..files import check_file, load_data, open_file, read_text
+from ..files import Progress, check_file, load_data, open_file, read_text, silent
 from ..frames import parse_crs
 from ..junction import build_junction
 from ..notes import Note
@@ -50,7 +50,7 @@ _READERS = {
     "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
     "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
     **dict.fromkeys(
-        _STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left", "staggered_m"))
+        _STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left", "staggered_m", "progress"))
     ),
     **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
     ".city.json": ("city_models", "read_cityjson", ()),
@@ -285,7 +285,9 @@ class ReadingOptions:
     offset_m: tuple[float, float] | None = None
 
 
-def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
+def read_map(
+    path: Path, options: ReadingOptions | None = None, *, progress: Progress = silent
+) -> SourceMap:
     """Read a map file by its ending, or .json, .gml and .xml by content; InputError: it is none."""
     options = options or ReadingOptions()
     crs = _projected(options.crs) if options.crs else ""
@@ -296,7 +298,7 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
         inside = path
         if path.suffix.lower() == ".zip":
             inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
-        source = _read(inside, options)
+        source = _read(inside, options, progress)
     if options.offset_m is not None and not source.lanes:
         offset_m = np.array([*options.offset_m, 0.0])
         things = (replace(one, vertices_m=one.vertices_m + offset_m) for one in source.things)
@@ -314,7 +316,7 @@ def read_map(path: Path, options: ReadingOptions | None = None) -> SourceMap:
     return source
 
 
-def _read(path: Path, options: ReadingOptions) -> SourceMap:
+def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
     """Read a file; heavy modules are imported only when they are needed."""
     name = path.name.lower()
     kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
@@ -334,7 +336,8 @@ def _read(path: Path, options: ReadingOptions) -> SourceMap:
         refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
     module, function, fields = _READERS[kind]
     read: Callable[..., SourceMap] = getattr(import_module(f"{__package__}.{module}"), function)
-    return read(path, **{field: getattr(options, field) for field in fields})
+    given = {name: getattr(options, name, progress) for name in fields}
+    return read(path, **given)
 
 
 def _is_city_json(path: Path) -> bool:
@@ -409,26 +412,36 @@ class ImportedScene:
 
 
 def read_maps(
-    paths: Sequence[Path], reading: ReadingOptions
+    paths: Sequence[Path], reading: ReadingOptions, *, progress: Progress = silent
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
     """Map files, that with roads first, and its junctions; InputError: none or several have any."""
     if not paths:
         refuse("FILE", "nothing", "a map: OpenDRIVE or OpenStreetMap")
-    maps = [read_map(path, reading) for path in paths]
+    maps = [read_map(path, reading, progress=progress) for path in paths]
     with_roads = [source for source in maps if source.lanes]
     if len(with_roads) != 1:
         names = " and ".join(source.name for source in with_roads) or "none"
         where = ", ".join(source.name for source in maps)
         refuse(where, f"roads in {names}", "roads in one of the files")
     roads = with_roads[0]
+    progress("find junctions", 0, 0)
     return [roads, *(s for s in maps if s is not roads)], survey_junctions(roads)
 
 
-def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene:
-    """Make a scene from map files; InputError: no such junction, lane into it, or site."""
-    maps, junctions = read_maps(paths, options.reading)
+def import_scene(
+    paths: Sequence[Path],
+    options: ImportOptions,
+    *,
+    read: tuple[list[SourceMap], tuple[Surveyed, ...]] | None = None,
+    progress: Progress = silent,
+) -> ImportedScene:
+    """Make a scene from map files; InputError: no such junction, lane into it, or site.
+
+    `read`: what :func:`read_maps` has given for the same files and options before.
+    """
+    maps, junctions = read or read_maps(paths, options.reading, progress=progress)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
-    imported = cut_scene(maps, chosen, options)
+    imported = cut_scene(maps, chosen, options, progress=progress)
     if len(junctions) > 1 and not options.junction and options.at is None:
         what = f"{len(junctions) - 1} other junctions of {maps[0].name}"
         why = "none was named: the one with the most arms and lanes was taken"
@@ -437,7 +450,13 @@ def import_scene(paths: Sequence[Path], options: ImportOptions) -> ImportedScene
     return replace(imported, junctions=junctions)
 
 
-def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOptions) -> ImportedScene:
+def cut_scene(
+    maps: Sequence[SourceMap],
+    chosen: Surveyed,
+    options: ImportOptions,
+    *,
+    progress: Progress = silent,
+) -> ImportedScene:
     """Make a scene of one junction of maps that are read; raises as :func:`import_scene` does."""
     roads, junction, radius_m = maps[0], chosen.junction, options.radius_m
     if not chosen.n_driven:
@@ -445,11 +464,14 @@ def cut_scene(maps: Sequence[SourceMap], chosen: Surveyed, options: ImportOption
         refuse(where, "no lane that leads into it", "a junction that cars drive into")
     elevation = None
     if options.terrain is not None:
+        progress("read terrain", 0, 0)
         half_m, middle_m = radius_m + LANES_BEYOND_M, junction.position_m
         elevation = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
+    progress("cut the junction out", 0, 0)
     surroundings = cut_out(
         maps, junction, radius_m=radius_m, ground_m=options.ground_m, elevation=elevation
     )
+    progress("find sites", 0, 0)
     surroundings, settled = settle_poles(surroundings)
     sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=radius_m)
     scene = build_scene(

@@ -1,12 +1,15 @@
 // What opens above the plan: a run that is lost, junctions of a map, the background image, files.
 
+import { createJunctions } from "./junctions.js";
 import { ask, give } from "./line.js";
 import { element } from "./shared.js";
 
 const find = (id) => document.getElementById(id);
 const PLANS = [".json"];
 
-export function openDialogs({ map, notice, scene, state, saved }) {
+export function openDialogs({ map, notice, scene, state, saved, send }) {
+  const hasUnits = () => state()?.variants.some((variant) => variant.units);
+  const junctions = createJunctions({ notice, scene, hasUnits, send });
   document.querySelectorAll("dialog [data-close]").forEach((button) => button.addEventListener("click", () => button.closest("dialog").close()));
 
   // ---------- a run
@@ -76,12 +79,12 @@ export function openDialogs({ map, notice, scene, state, saved }) {
   // ---------- files
 
   async function open(file) {
+    const headers = { "X-File-Name": encodeURIComponent(file.name) };
+    if (!PLANS.some((end) => file.name.toLowerCase().endsWith(end))) { junctions.read(file, headers); return; }
     notice(`${file.name} is being read \u2026`);
     try {
-      const message = await give("open", file, { headers: { "X-File-Name": encodeURIComponent(file.name) }, most: PLANS.some((end) => file.name.toLowerCase().endsWith(end)) ? scene().mostBytes.plan : scene().mostBytes.map });
-      notice(message.opened ? `Opened: ${message.opened.join(", ")}.` : "");
-      if (message.isScene && !hasUnits()) await take("");
-      else if (message.map) chooseJunction(message);
+      const message = await give("open", file, { headers, most: scene().mostBytes.plan });
+      notice(`Opened: ${message.opened.join(", ")}.`);
     } catch (error) {
       notice(error.message); // it begins with the file's name
     }
@@ -121,54 +124,6 @@ export function openDialogs({ map, notice, scene, state, saved }) {
       if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice("Nothing is mounted yet: there is no layout to save."); } else saved();
     });
   }
-
-  // ---------- a map
-
-  const hasUnits = () => state()?.variants.some((variant) => variant.units);
-
-  function chooseJunction(message) {
-    const has = message.isScene ? `${message.map} is the scene ${message.name}.` : `${message.map} has ${message.junctions.length + (message.left || 0)} junctions${message.left ? `; here are ${message.junctions.length}` : ""}.`;
-    find("map-text").textContent = hasUnits() ? `${has} Planning there begins with nothing mounted; Undo leads back to the plan at ${scene().title}.` : has;
-    find("map-choice").hidden = message.isScene;
-    if (message.isScene) { find("map-dialog").showModal(); return; }
-    const select = find("map-junction");
-    fill(select, message.junctions.map((one) => [one.id, `${one.name || one.id}: ${one.arms} arms, ${one.lanes} lanes`]));
-    select.selectedIndex = 0;
-    const svg = find("map-plan");
-    svg.replaceChildren();
-    const [xs, ys] = ["x", "y"].map((axis) => message.junctions.map((one) => one[axis]));
-    const [west, south] = [Math.min(...xs), Math.min(...ys)];
-    // Degrees of longitude are shorter than those of latitude.
-    const squeeze = Math.max(...ys.map(Math.abs)) <= 90 && Math.max(...xs.map(Math.abs)) <= 180 ? Math.cos(south * Math.PI / 180) : 1;
-    const size = Math.max((Math.max(...xs) - west) * squeeze, Math.max(...ys) - south) || 1;
-    svg.setAttribute("viewBox", "-8 -8 116 116");
-    const dots = message.junctions.map((one) => {
-      const dot = element("circle", { cx: 100 * (one.x - west) * squeeze / size, cy: 100 - 100 * (one.y - south) / size, r: 1.6, stroke: "#000", "stroke-width": 0.3 }, svg);
-      element("title", { text: one.name || one.id }, dot);
-      dot.addEventListener("click", () => { select.value = one.id; mark(); });
-      return dot;
-    });
-    const mark = () => dots.forEach((dot, index) => dot.setAttribute("fill", index === select.selectedIndex ? "#000" : "#fff"));
-    select.onchange = mark;
-    mark();
-    find("map-dialog").showModal();
-  }
-  async function take(junction) {
-    const message = await give("import", junction);
-    if (!find("notice").textContent) notice(`The scene is ${message.scene}.`);
-  }
-  find("map-take").addEventListener("click", async () => {
-    find("map-take").disabled = true;
-    find("map-text").textContent = "The scene is being read \u2026";
-    try {
-      await take(find("map-choice").hidden ? "" : find("map-junction").value);
-      find("map-dialog").close();
-    } catch (error) {
-      find("map-text").textContent = error.message;
-    } finally {
-      find("map-take").disabled = false;
-    }
-  });
 
   // ---------- the background image
 
@@ -259,5 +214,5 @@ export function openDialogs({ map, notice, scene, state, saved }) {
   }
 
   find("show-help").addEventListener("click", () => find("help-dialog").showModal());
-  return { showRun, readBackground, showHelp: () => find("help-dialog").showModal() };
+  return { junctions, showRun, readBackground, showHelp: () => find("help-dialog").showModal() };
 }

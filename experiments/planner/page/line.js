@@ -67,7 +67,7 @@ async function answerOf(response) {
   const kind = response.headers.get("content-type") || "";
   if (response.ok) return kind.startsWith("application/json") ? response.json() : response.blob();
   const said = kind.startsWith("application/json") ? (await response.json()).problem : `it answers ${response.status}`;
-  throw new Error(said);
+  throw Object.assign(new Error(said), { status: response.status });
 }
 
 export const ask = async (path, values = {}) => answerOf(await fetch(`${path}?${new URLSearchParams(values)}`));

@@ -68,7 +68,7 @@ const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => { 
 const seen = createSeen({ scene: () => scene, unitNow: () => state?.units.find((unit) => unit.id === selected), runNow: () => (played.run() ? { run: played.run(), frame: played.frame() } : null) });
 const question = createQuestion({ send: (message) => line.send(message) });
 const comparison = compareVariants({ map, state: () => state, cases: () => scene.cases });
-const dialogs = openDialogs({ map, notice, scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
+const dialogs = openDialogs({ map, notice, send: (message) => line.send(message), scene: () => scene, state: () => state, saved: () => { savedRevision = state.revision; } });
 
 // A plan that is in no file is gone with the page.
 window.addEventListener("beforeunload", (event) => {
@@ -143,6 +143,7 @@ function readScene(message) {
   coverage = null;
   chooseSite(isOther || !scene.sites.some((site) => site.id === site_) ? find("site").value : site_);
   seen.again();
+  dialogs.junctions.readScene(scene);
 }
 
 // Poles of one's own come with the state: they are undone as all else is.
@@ -618,6 +619,7 @@ find("cancel").addEventListener("click", () => line.send({ do: "cancel" }));
 function readDoing(message) {
   const text = message.stage ? `${message.who}: ${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}` : "";
   if (message.who === "setting") question.doing(message.stage && `${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}`);
+  else if (message.who === "scene") dialogs.junctions.doing(message);
   else if (message.who === "optimiser") {
     find("doing").textContent = text;
     find("cancel").hidden = !text;

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted, refuse
-from ...files import write_atomically
+from ...files import Progress, counted, silent, write_atomically
 from ...notes import Note
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import SourceMap
@@ -99,7 +99,11 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
 
 # ---------- files
 def read_openstreetmap(
-    path: Path, *, keeps_left: bool | None = None, staggered_m: float = 0.0
+    path: Path,
+    *,
+    keeps_left: bool | None = None,
+    staggered_m: float = 0.0,
+    progress: Progress = silent,
 ) -> SourceMap:
     """Read a file of OpenStreetMap data: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
 
@@ -115,6 +119,7 @@ def read_openstreetmap(
     if not len(rows):
         found = "no road for cars" if len(elements.node_ids) else "no nodes"
         refuse(str(path), found, "a map with roads")
+    progress("read streets", 0, 0)
     elements, crs = _placed(elements, rows, path)
     side = "given"
     if keeps_left is None:
@@ -125,7 +130,9 @@ def read_openstreetmap(
     reaches, junctions = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
     poles, crosswalks_m = tuple(find_poles(network, reaches)), find_crosswalks(network)
-    built = (*find_buildings(network), *find_bridges(network, reaches))
+    n_buildings = sum("building" in way.tags for way in elements.ways)
+    buildings = counted(find_buildings(network), "read buildings", n_buildings, progress)
+    built = (*buildings, *find_bridges(network, reaches))
     things = (*built, *find_barriers(elements), *find_trees(elements))
     skipped = elements.omissions.listed()
     if not side:

@@ -396,11 +396,10 @@ def test_a_map_is_dropped_and_a_junction_of_it_chosen(browser, serve):
     text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         drop(page, "crossing.osm", text)
-        page.locator("#map-dialog").wait_for()
+        page.locator("#map-choice .junction-chooser").wait_for()
         assert "crossing.osm has" in page.locator("#map-text").inner_text()
-        assert (
-            page.locator("#map-plan circle").count() == page.locator("#map-junction option").count()
-        )
+        assert page.locator("#map-choice circle").count() == 1
+        assert page.locator("#map-choice circle.chosen").count() == 1
         page.locator("#map-take").click()
         page.locator("#map-dialog").wait_for(state="hidden")
         assert "town05" not in page.locator("#scene-name").inner_text()
@@ -528,7 +527,7 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         page.locator("#picture").wait_for()
         has_no_fault()
         drop(page, "crossing.osm", text)
-        page.locator("#map-dialog").wait_for()
+        page.locator("#map-choice .junction-chooser").wait_for()
         has_no_fault()
 
 
@@ -710,9 +709,9 @@ def test_another_scene_is_asked_for_and_undo_leads_back(browser, serve):
     text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         drop(page, "crossing.osm", text)
-        page.locator("#map-dialog").wait_for()
+        page.locator("#map-choice .junction-chooser").wait_for()
         assert "Undo leads back to the plan at town05" in page.locator("#map-text").inner_text()
-        street = page.locator("#map-junction option").first.inner_text().split(":")[0]
+        street = page.locator("#map-choice li button").first.inner_text().split("\n")[0]
         page.locator("#map-take").click()
         page.locator("#map-dialog").wait_for(state="hidden")
         assert page.locator("#scene-name").inner_text().startswith(f"at {street},")

@@ -464,33 +464,36 @@ def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
 @pytest.mark.system
 def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
     with start_browser() as browser, open_page(browser, chooser.as_uri()) as page:
-        page.locator("circle").nth(1).click()
+        page.locator(".street-map circle").nth(1).click()
         assert page.inner_text("#chosen-name") == "A Lane / Main Street"
         assert page.inner_text("#command").startswith("place-rsus scene import ")
         assert "--junction n1 -o scene\n" in page.inner_text("#command")
-        page.fill("#find", "lane b")
-        assert page.inner_text("#count") == "1 / 3"
+        page.fill(".map-find", "lane b")
+        assert page.inner_text(".map-count") == "1 / 3"
         page.locator("li button:visible").press("Enter")
         assert "--junction n2 " in page.inner_text("#command")
-        box = [float(part) for part in page.get_attribute("svg", "viewBox").split()]
-        x, y = (float(page.locator("circle").nth(2).get_attribute(name)) for name in ("cx", "cy"))
+        box = [float(part) for part in page.get_attribute(".street-map", "viewBox").split()]
+        x, y = (
+            float(page.locator(".street-map circle").nth(2).get_attribute(name))
+            for name in ("cx", "cy")
+        )
         assert [box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]] == pytest.approx([x, y])
-        page.click("#nearer")
-        nearer = [float(part) for part in page.get_attribute("svg", "viewBox").split()]
+        page.click(".map-nearer")
+        nearer = [float(part) for part in page.get_attribute(".street-map", "viewBox").split()]
         assert nearer[2] == pytest.approx(0.6 * box[2])
         assert nearer[0] + 0.5 * nearer[2] == pytest.approx(x)
-        middle = page.locator("svg").bounding_box()
+        middle = page.locator(".street-map").bounding_box()
         at = (middle["x"] + 100.0, middle["y"] + 100.0)
         page.mouse.move(*at)
         page.mouse.wheel(0, 200)
         page.wait_for_function(
             f"document.querySelector('svg').viewBox.baseVal.width > {nearer[2] + 1.0}"
         )
-        page.click("#all")
+        page.click(".map-all")
         page.mouse.move(*at)
         page.mouse.down()
         page.mouse.move(at[0] + 60.0, at[1])
         page.mouse.up()
-        moved = [float(part) for part in page.get_attribute("svg", "viewBox").split()]
+        moved = [float(part) for part in page.get_attribute(".street-map", "viewBox").split()]
         assert moved[0] < 0.0
         assert moved[1] == pytest.approx(0.0, abs=1e-6)
