@@ -1,16 +1,19 @@
 """Messages to the page: the junction once, then units and numbers whenever they change."""
 
 import json
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
+from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor, sensor_kind
 from geometry.errors import InputError, check_one_of
+from geometry.frames import to_geographic
 from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
@@ -36,6 +39,14 @@ from ..results.record import build_evaluation_record
 from .plan import SCHEMA, Background, ChangeQuestion, History, PlanState, mount_range_m
 
 BY_TABLE, BY_EVALUATOR = "table", "evaluator"
+_HOST = r"[A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?"
+_TEMPLATE = re.compile(
+    rf"(?P<origin>https?://(?P<host>{_HOST})(?::(?P<port>\d{{1,5}}))?)/[!#-&(-;=?-~]*"  # no ' " < >
+)
+_HIGHEST_PORT = 65535
+_TILES_M = 1500.0  # around the junction, to each side
+_FIT_STEPS, _FIT_ORDER = 9, 3
+_MERCATOR_DEG = 85.0  # its tiles end a little farther north
 
 
 def key_of(units: Sequence[CandidatePose]) -> tuple[object, ...]:
@@ -369,4 +380,58 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
         "band": to_base64(band),
         "road": to_base64(found.is_road.astype(np.uint8)),
         "shares": {name: percent(value) for name, value in found.shares().items()},
+    }
+
+
+# ---------- tiles of a server that the user names
+class TileServer(NamedTuple):
+    """Where tiles of a map come from: ``https://HOST/{z}/{x}/{y}.png``, and whose they are."""
+
+    template: str
+    attribution: str
+    origin: str  # the only one that the page may ask, such as "https://HOST"
+
+
+def read_tile_server(template: str, attribution: str) -> TileServer | None:
+    """The server of ``--tiles``; None: none is named. InputError: it is no such address."""
+    if not template:
+        return None
+    found = _TEMPLATE.fullmatch(template)
+    names = sorted(re.findall(r"\{(.*?)\}", template))
+    if found is None or names != ["x", "y", "z"] or int(found["port"] or 0) > _HIGHEST_PORT:
+        raise InputError("--tiles", template, "https://HOST/{z}/{x}/{y}.png, or http")
+    return TileServer(template, attribution or found["host"], found["origin"])
+
+
+def tile_frame(scene: Scene) -> dict[str, Any] | None:
+    """How tiles lie on the plan of a scene; None: it does not say where on earth it lies.
+
+    Tiles are squares of Web Mercator: of the whole map, 0 to 1 from west to east and from north to
+    south (EPSG:3857, scaled). Around the junction the plan is a polynomial of these and they are
+    one of the plan; each is fitted to a grid of 1.5 km to all sides, to less than a millimetre.
+    """
+    if not scene.crs:
+        return None
+    centre_m = scene.outline_m.mean(axis=0)
+    steps = np.linspace(-1.0, 1.0, _FIT_STEPS)
+    plan = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    lon_deg, lat_deg = to_geographic(centre_m + _TILES_M * plan, scene.crs).T
+    if not (np.isfinite(lon_deg).all() and (np.abs(lat_deg) <= _MERCATOR_DEG).all()):
+        return None
+    north = np.arcsinh(np.tan(np.radians(lat_deg))) / (2.0 * np.pi)
+    places = np.column_stack([(lon_deg + 180.0) / 360.0, 0.5 - north])
+    middle = places.mean(axis=0)
+    size = float(np.abs(places - middle).max())
+    tiles = (places - middle) / size
+
+    def fit(given: FloatArray, wanted: FloatArray) -> list[list[float]]:
+        u, v = given.T
+        powers = [u**i * v ** (n - i) for n in range(_FIT_ORDER + 1) for i in range(n, -1, -1)]
+        found: list[list[float]] = np.linalg.lstsq(np.stack(powers, 1), wanted)[0].tolist()
+        return found
+
+    return {
+        **{"middle": middle.tolist(), "size": size},
+        **{"centre": (100.0 * centre_m).tolist(), "reach": 100.0 * _TILES_M},
+        **{"toPlan": fit(tiles, plan), "toTiles": fit(plan, tiles)},
     }
