@@ -15,6 +15,7 @@ from placement.question import Question, map_options
 
 from ..cli import options
 from ..cli.running import begin
+from ..language import mark, tr
 from ..progress import Interrupted, StageProgress, tell
 
 if TYPE_CHECKING:
@@ -96,24 +97,29 @@ def plan(
         server.start()
         progress.stop()
         try:
-            ends = "Ctrl-C ends it." if keep_open else "It ends when the page is closed, or Ctrl-C."
-            tell(f"The page is at {server.address}\n{ends}")
+            how = mark("It ends when the page is closed, or Ctrl-C.")
+            how = mark("Ctrl-C ends it.") if keep_open else how
+            tell(tr("The page is at {address}", address=server.address) + f"\n{tr(how)}")
             if host != _LOCAL:
-                tell(f"--host {host}: whoever has this address can change the plan.", err=True)
+                warning = mark("--host {host}: whoever has this address can change the plan.")
+                tell(tr(warning, host=host), err=True)
             if opens:
                 webbrowser.open(_redirect(server.address, Path(folder)))
             server.wait()
-            ended = "The page was closed: ended"
+            ended = (
+                mark("The page was closed: ended."),
+                mark("The page was closed: ended; the plan is in {files}."),
+            )
         except Interrupted as interrupted:
             if interrupted.signum != signal.SIGINT:
                 raise
-            ended = "Ended"
+            ended = mark("Ended."), mark("Ended; the plan is in {files}.")
         finally:
             problem = server.stop()
         if problem:
             tell(f"place-rsus: {problem}", err=True)
         saved = [] if server.session is None else server.session.saved_files()
-        tell("; the plan is in ".join([ended, *filter(None, [" and ".join(saved)])]) + ".")
+        tell(tr(ended[bool(saved)], files=tr(" and ").join(saved)))
 
 
 def _map_file(question: Question) -> "MapFile | None":

@@ -31,7 +31,7 @@ from scenarios.weights import WEIGHT_WORDS, default_weights
 from ..cli.options import JUDGED, option_of
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
-from ..language import mark, tr
+from ..language import mark, said, tr
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
@@ -90,7 +90,7 @@ def scene_record(
             }
             for index, run in enumerate(setting.runs)
         ],
-        "cases": {run.case.name: run.case.title for run in setting.runs},
+        "cases": {run.case.name: said(run.case.title) for run in setting.runs},
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
         "private": [] if ground is None else _private_areas(ground),
@@ -99,7 +99,7 @@ def scene_record(
 
 def _site_record(site: Site, *, is_own: bool = False) -> dict[str, Any]:
     return {
-        **{"id": site.id, "kind": site.kind, "place": centimetres(site.position_m[:2])},
+        **{"id": site.id, "kind": said(site.kind), "place": centimetres(site.position_m[:2])},
         **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
         "capacity": site.capacity_units,
         "isForbidden": site.use == "forbidden",
@@ -121,7 +121,7 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
     for (approach, position), runs in found.items():
         impacts_m = np.mean([run.vut_position_m[-1] for run in runs], axis=0)
         longest = max(runs, key=lambda run: len(run.time_s))
-        record = {"approach": approach, "position": position, "place": centimetres(impacts_m)}
+        record = {"approach": said(approach), "position": position, "place": centimetres(impacts_m)}
         records.append(record | {"way": centimetres(longest.vut_position_m)})
     return records
 
@@ -241,7 +241,7 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
     sensors, sites = (_sum([one.sum_eur for one in items]) for items in (bill.sensors, bill.sites))
     sums = {"sensors": sensors, "sites": sites, "all": _sum([sensors, sites])}
     words = {name: euros(amount) for name, amount in sums.items()}
-    return words | {"assumed": list(bill.assumed)}
+    return words | {"assumed": [*map(said, bill.assumed)]}
 
 
 def _sum(amounts: Sequence[float | None]) -> float | None:
@@ -321,7 +321,9 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
         return finite_or_none(apr(verdict, axis, mask))
 
     def by(values: Any) -> dict[str, str]:
-        return {name: percent(share(values == name)) for name in dict.fromkeys(values.tolist())}
+        return {
+            said(name): percent(share(values == name)) for name in dict.fromkeys(values.tolist())
+        }
 
     by_case = apr_by_case(verdict, axis).items()
     return {
@@ -333,7 +335,7 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
             share((approaches == approach) & (positions == position)) for approach, position in arms
         ],
         "lost": [
-            [index, outcome, bool(axis.weight[index] > 0.0)]
+            [index, tr(outcome), bool(axis.weight[index] > 0.0)]
             for index, outcome in enumerate(run_outcomes(verdict, axis))
             if outcome != "avoided"
         ],
@@ -379,7 +381,7 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
         "columns": len(found.east_m),
         "band": to_base64(band),
         "road": to_base64(found.is_road.astype(np.uint8)),
-        "shares": {name: percent(value) for name, value in found.shares().items()},
+        "shares": {said(name): percent(value) for name, value in found.shares().items()},
     }
 
 

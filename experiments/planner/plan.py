@@ -25,6 +25,8 @@ from placement.candidates import CandidatePose, is_ring, load_candidate_grid
 from placement.layout import Layout, check_layout, read_layout
 from placement.retrofit import free_name
 
+from ..language import tr
+
 MAX_UNITS = 1000
 MAX_VARIANTS = 12
 _MAX_NAME = 80
@@ -296,7 +298,7 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
         case RemovePole(site=name):
             return _remove_pole(state, name)
         case AddVariant(name=name):
-            name = name or free_name({variant.name for variant in state.variants}, "Variant ")
+            name = name or free_name({each.name for each in state.variants}, tr("Variant") + " ")
             return add_variant(state, Variant(name=name, units=units))
         case SelectVariant(index=index):
             if not 0 <= index < len(state.variants):
@@ -637,7 +639,7 @@ class History:
 
 def begin_history(variants: Sequence[Variant], workspace: Any = None) -> History:
     """A history of one state with these variants, the first one current; or with an empty one."""
-    first = variants[0] if variants else Variant(name="Variant 1")
+    first = variants[0] if variants else Variant(name=tr("Variant") + " 1")
     state = PlanState(variants=(first,), workspace=workspace)
     for variant in variants[1:]:
         state = add_variant(state, variant)

@@ -19,7 +19,7 @@ from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted
 
-from ..language import tr, words_of
+from ..language import mark, said, tr, words_of
 from ..report.page import page_environment
 from ..scene import CAUSES
 from ..scene.pictures import junction_chooser
@@ -44,7 +44,7 @@ except ModuleNotFoundError as error:
 
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_NAME_BYTES = 500
-_STOPPED = "it was stopped"
+_STOPPED = mark("it was stopped")
 _WIDEST_PX = 640  # of a picture that is drawn while a camera is turned
 _EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
 _MAX_WAITING = 2000  # messages for a browser that does not read
@@ -103,13 +103,13 @@ class Guard:
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin", "")
         if self._hosts is not None and host not in self._hosts:
-            return "another host"
+            return tr("another host")
         is_read = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if (origin or not is_read) and origin != f"http://{host}":
-            return "another origin"
+            return tr("another origin")
         token = scope["path"].split("/")[1] if scope["path"].startswith("/") else ""
         if not secrets.compare_digest(token.encode(), self._token.encode()):
-            return "no such page; the address is the one that place-rsus plan has printed"
+            return tr("no such page; the address is the one that place-rsus plan has printed")
         return ""
 
 
@@ -127,8 +127,7 @@ def page_messages() -> list[tuple[str, str]]:
 def page_html() -> str:
     """The page in the language that is spoken, with all that its scripts say."""
     source = (files("experiments.planner") / "page" / "index.html.j2").read_text(encoding="utf-8")
-    template = page_environment().from_string(source)
-    page: str = template.render(own_words=words_of(page_messages()))
+    page: str = page_environment().from_string(source).render(own_words=words_of(page_messages()))
     return page
 
 
@@ -146,7 +145,7 @@ def page_files() -> dict[str, tuple[bytes, str]]:
     scripts = ("words.js", "run_numbers.js", "plan_drawing.js")
     shared = [(report / name).read_bytes() for name in scripts]
     exported = b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "
-    exported += b"wedgeCorners, points, unpackBits, stretches, seconds, say };\n"
+    exported += b"wedgeCorners, points, unpackBits, stretches, seconds, say, inWords };\n"
     of_maps = files("experiments.scene")
     script = (of_maps / "junction_map.js").read_bytes() + b"\nexport { openJunctionMap };\n"
     found["junction_map.js"] = (script, kinds[".js"])
@@ -193,9 +192,9 @@ class Pages:
             try:
                 response = await make(request)
             except (InputError, TaskError) as error:
-                response = JSONResponse({"problem": str(error)}, 400)
+                response = JSONResponse({"problem": said(str(error))}, 400)
             except Cancelled:
-                response = JSONResponse({"problem": _STOPPED}, 409)
+                response = JSONResponse({"problem": tr(_STOPPED)}, 409)
             response.headers.setdefault(_POLICY, _STRICT)
             response.headers.update(_GUARDED)
             return response
@@ -208,7 +207,7 @@ class Pages:
     async def _file(self, request: Request) -> Response:
         found = page_files().get(request.path_params["name"])
         if found is None:
-            return Response("no such file\n", 404, media_type="text/plain")
+            return Response(tr("no such file") + "\n", 404, media_type="text/plain")
         return Response(found[0], media_type=found[1])
 
     async def _live(self, socket: WebSocket) -> None:
@@ -233,7 +232,7 @@ class Pages:
                         raise InputError("message", Unquoted(f"{len(text)} bytes"), "fewer")
                     self._session.handle(text.encode())
                 except InputError as error:
-                    listen({"type": "problem", "text": str(error)})
+                    listen({"type": "problem", "text": said(str(error))})
                 listen({"type": "heard", "number": number})
         except WebSocketDisconnect as ended:
             code = ended.code
@@ -285,7 +284,7 @@ class Pages:
             return JSONResponse({})
         background = session.workspace.background
         if background is None:
-            return Response("no image\n", 404, media_type="text/plain")
+            return Response(tr("no image") + "\n", 404, media_type="text/plain")
         return Response(background.image, media_type=background.media_type)
 
     async def _explain(self, request: Request) -> Response:
@@ -303,9 +302,9 @@ class Pages:
             unit = values.get("unit", "")
             found = await self._session.camera_picture(unit, width_px=width_px, **asked)
         except Cancelled:
-            found = {"problem": _STOPPED}
+            found = {"problem": tr(_STOPPED)}
         except InputError as error:
-            found = {"problem": str(error)}
+            found = {"problem": said(str(error))}
         return JSONResponse(found)
 
     async def _picture(self, request: Request) -> Response:

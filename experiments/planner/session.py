@@ -26,7 +26,7 @@ from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..language import said
+from ..language import said, tr
 from ..parts.camera_views import live_picture
 from ..parts.player import svg_path, unit_records
 from . import plan
@@ -156,7 +156,9 @@ def build_workspace(
         return Workspace(work, setting, title=title, save=save), ""
     except InputError as error:
         work = replace(work, question=replace(work.question, no_look="", no_look_share=None))
-        return Workspace(work, setting, title=title, save=save), f"without private areas: {error}"
+        return Workspace(work, setting, title=title, save=save), tr(
+            "without private areas: {reason}", reason=said(str(error))
+        )
 
 
 def free_path(path: Path) -> Path:
@@ -371,7 +373,8 @@ class Session:
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
         """Show the stage of some work; empty: it has ended."""
-        self._doing = {"type": "doing", "who": who, "stage": stage, "done": done, "total": total}
+        self._doing = {"type": "doing", "who": who, "stage": said(stage)}
+        self._doing |= {"done": done, "total": total}
         self.send(self._doing)
 
     # ---------- changes
@@ -501,7 +504,7 @@ class Session:
             except Cancelled:
                 return
             except Exception as error:  # the next change may be one that can be counted
-                self._notice(f"no numbers: {error}")
+                self._notice(tr("no numbers: {reason}", reason=said(str(error))))
             self._rests.set()
 
     async def _look(self) -> None:
@@ -588,11 +591,11 @@ class Session:
         except TaskError as error:
             if isinstance(error, DiedError) and key not in workspace.died:
                 workspace.died.add(key)  # once more, by a new process
-                self._notice(f"{error}; it is tried again")
+                self._notice(tr("{reason}; it is tried again", reason=error))
                 self._rests.set()
                 return
             workspace.failed[key] = str(error)
-            self._notice(f"not evaluated: {error}")
+            self._notice(tr("not evaluated: {reason}", reason=error))
             return
         finally:
             self._do("evaluator", "")
@@ -642,7 +645,7 @@ class Session:
         try:
             write_atomically(save, text)
         except OSError as error:
-            return f"not saved: {save}: {error.strerror or error}"
+            return tr("not saved: {file}: {reason}", file=save, reason=error.strerror or error)
         return ""
 
     def saved_files(self) -> list[str]:
@@ -662,7 +665,7 @@ class Session:
                 "advise", units, ask.request, n_units=ask.units, site=ask.site, on_progress=tell
             )
         except Cancelled:
-            self._notice("The optimiser was stopped.")
+            self._notice(tr("The optimiser was stopped."))
             return
         except TaskError as error:
             self._notice(str(error))
@@ -819,4 +822,5 @@ class Session:
         self._go_to(self.history.went_on(state).of_newest(_MAX_WORKSPACES), exact)
         if save is not None:
             self._saves.append(save)
-            self._notice(f"The plan at {before.title} is in {before.save}; this one: {save}.")
+            where = {"scene": before.title, "file": before.save, "new": save}
+            self._notice(tr("The plan at {scene} is in {file}; this one: {new}.", **where))

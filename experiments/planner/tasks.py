@@ -36,6 +36,8 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.confirmation import is_in_time
 
+from ..language import language, localized, mark, said, set_language, tr
+from ..parts.explanation import cause
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
 from ..report.page import page_environment
@@ -46,6 +48,7 @@ from .plan import Background, Lie, LiePoint, with_poles
 
 _MAX_EVALUATIONS = 40
 _AERIAL_M, _FINEST_M = 150.0, 0.1  # of an image: to each side of the junction, and a pixel
+_MORE, _IN_ALL = mark("{amount} more"), mark("{amount} in all")  # what an answer costs
 _REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
 
 
@@ -125,16 +128,10 @@ class Tasks:
         units = []
         reasons = find_reasons(setting, looks, compute=self._of_units)
         for look, why in zip(looks, reasons, strict=True):
-            words = [
-                {
-                    "words": f"hidden by {one.thing}" if one.thing else one.cause,
-                    "frames": one.frames,
-                }
-                for one in why
-            ]
+            words = [{"words": cause(one), "cause": one.cause, "frames": one.frames} for one in why]
             n_detected = n_in_time - len(look.frame_index)
             units.append({"unit": look.unit.id, "detected": n_detected, "reasons": words})
-        shown = [{"index": n, "time": f"{at_s:.1f} s"} for n, at_s in enumerate(time_s)]
+        shown = [{"index": n, "time": localized(f"{at_s:.1f} s")} for n, at_s in enumerate(time_s)]
         played = {layout.name: evaluation}
         return {
             **{"run": run_id, "inTime": n_in_time, "frames": shown, "units": units},
@@ -229,19 +226,21 @@ class Tasks:
         check_one_of("request", request, _REQUESTS)
         adviser = self._advise()
         if request == "next":
-            return [_answer("The best next unit", adviser.best_next(units), costs="more")]
+            return [_answer(tr("The best next unit"), adviser.best_next(units), costs=_MORE)]
         if request == "complete":
             advice = adviser.complete(units, n_units=n_units)
-            return [_answer(f"Completed to {n_units}", advice, costs="more")]
+            return [_answer(tr("Completed to {n}", n=n_units), advice, costs=_MORE)]
         if request == "re-aim":
-            return [_answer("All re-aimed, poles kept", adviser.re_aim(units), costs="")]
+            return [_answer(tr("All re-aimed, poles kept"), adviser.re_aim(units), costs="")]
         if request == "cheapest":
             advice = adviser.cheapest(units)
-            return [_answer("The cheapest that keeps this", advice, costs="in all")]
+            return [_answer(tr("The cheapest that keeps this"), advice, costs=_IN_ALL)]
         one_more, instead = adviser.why_not(units, site)
         return [
-            _answer(f"One more unit at {site}", one_more, costs="more"),
-            _answer(f"The best {len(units)} with {site}", instead, costs="in all"),
+            _answer(tr("One more unit at {site}", site=site), one_more, costs=_MORE),
+            _answer(
+                tr("The best {n} with {site}", n=len(units), site=site), instead, costs=_IN_ALL
+            ),
         ]
 
     def _advise(self) -> Adviser:
@@ -350,17 +349,20 @@ class _Forwarding(StageProgress):
 def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
     """An answer as the page shows it: units, numbers in words, and the proof."""
     after, before = advice.after, advice.before
-    said = f"APR {percent(after.apr)}"
+    share = tr("APR {apr}", apr=percent(after.apr))
     if before is not None:
         is_same = abs(after.apr - before.apr) <= LEAST_GAIN
-        said += " (as much as now)" if is_same else f" (now {percent(before.apr)})"
-    if costs:
-        said += f", {euros(after.cost_eur)} {costs}"
-        if costs == "in all" and before is not None:
-            said += f" (now {euros(before.cost_eur)})"
+        than = tr("as much as now") if is_same else tr("now {amount}", amount=percent(before.apr))
+        share += f" ({than})"
+    price = tr(costs, amount=euros(after.cost_eur)) if costs else ""
+    if costs == _IN_ALL and before is not None:
+        price += " (" + tr("now {amount}", amount=euros(before.cost_eur)) + ")"
+    gained = ", ".join(filter(None, [share, price]))
     return {
         "title": title,
-        "words": f"On the detection table: {said}; {_proof(advice)}.",
+        "words": tr(
+            "On the detection table: {gained}; {proof}.", gained=gained, proof=_proof(advice)
+        ),
         "apr": percent(after.apr),
         "bound": percent(advice.bound),
         "isProven": advice.is_proven,
@@ -371,17 +373,25 @@ def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
 def _proof(advice: Advice) -> str:
     """The proof of an answer in words; bounds are those of the detection table."""
     if advice.n_compared:
-        return f"the best of {advice.n_compared} tried, all that there are"
+        return tr("the best of {n} tried, all that there are", n=advice.n_compared)
     if advice.is_all_proven:
-        return "proven: nothing of its kind is better"
+        return tr("proven: nothing of its kind is better")
     first = None if advice.certificate is None else advice.certificate.stages[0]
-    best, equal, limit = "no APR is higher", "APR", f"no APR above {percent(advice.bound)}"
     if first is not None and first.name == "cost_eur":
-        best, equal = "none costs less", "price"
-        limit = f"nothing for less than {euros(first.bound)}"
-    if advice.is_proven:
-        return f"proven: {best}; of those with the same {equal} not all were compared in time"
-    return f"not proven in the time given: {limit} is possible there"
+        proven = mark(
+            "proven: none costs less; of those with the same price not all were compared in time"
+        )
+        open_ = mark(
+            "not proven in the time given: nothing for less than {bound} is possible there"
+        )
+        bound = euros(first.bound)
+    else:
+        proven = mark(
+            "proven: no APR is higher; of those with the same APR not all were compared in time"
+        )
+        open_ = mark("not proven in the time given: no APR above {bound} is possible there")
+        bound = percent(advice.bound)
+    return tr(proven) if advice.is_proven else tr(open_, bound=bound)
 
 
 OnProgress = Callable[[str, int, int], None]
@@ -444,7 +454,9 @@ class Worker:
             self.stop()
             if was_stopped:
                 raise Cancelled
-            raise DiedError(f"the process that did it ({method}) was ended from outside")
+            raise DiedError(
+                tr("the process that did it ({name}) was ended from outside", name=method)
+            )
         raise TaskError(*value)
 
     def stop(self) -> None:
@@ -464,7 +476,9 @@ class Worker:
         if self._process is None or self._connection is None or not self._process.is_alive():
             context = multiprocessing.get_context("spawn")
             ours, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs, self._work), daemon=False)
+            self._process = context.Process(
+                target=_serve, args=(theirs, self._work, language()), daemon=False
+            )
             self._process.start()
             theirs.close()
             self._connection = ours
@@ -485,9 +499,10 @@ def _exchange(connection: Connection, request: Any, tell: OnProgress) -> tuple[s
         return "ended", None
 
 
-def _serve(connection: Connection, work: Work) -> None:
-    """Main function of the process: tasks until the pipe is closed."""
+def _serve(connection: Connection, work: Work, code: str) -> None:
+    """Main function of the process, in a language: tasks until the pipe is closed."""
     follow_parent()
+    set_language(code)
     tasks = Tasks(work, lambda *stage: connection.send(("progress", stage)))
     while True:
         try:
@@ -497,8 +512,8 @@ def _serve(connection: Connection, work: Work) -> None:
         try:
             answer = ("done", getattr(tasks, method)(*args, **kwargs))
         except InputError as error:
-            answer = ("refused", (str(error), cause_of(error)))
+            answer = ("refused", (said(str(error)), cause_of(error)))
         except Exception as error:
-            said = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
-            answer = ("failed", (said,))
+            text = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+            answer = ("failed", (text,))
         connection.send(answer)

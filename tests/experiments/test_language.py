@@ -34,6 +34,7 @@ from experiments.language import (
 )
 from experiments.parts import latency as latency_part
 from experiments.parts import section, sheet
+from experiments.planner.server import page_files, page_messages
 from experiments.report.page import page_environment
 from geometry.catalogue import load_cameras, load_lidars
 from geometry.files import load_data
@@ -71,6 +72,8 @@ def messages_of_code():
             options = {"extensions": "jinja2.ext.do", "silent": "false"}
             for line, message, *_ in extract_from_file(method, path, KEYWORDS, options=options):
                 found.setdefault(message, []).append(f"{path.relative_to(ROOT)}:{line}")
+    for one, many in page_messages():
+        found.setdefault((one, many) if one else many, []).append("planner/page/*.js")
     for message in load_data("experiments", "said_below.toml")["messages"]:
         found.setdefault(message, []).append("data/said_below.toml")
     for of_part in load_data("experiments", "texts.toml").values():

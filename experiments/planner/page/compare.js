@@ -2,12 +2,14 @@
 
 import { ask } from "./line.js";
 import { element } from "./shared.js";
+import { number, tr } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const REST_MS = 250; // after a change, before it is compared again
 const NEAR_M = 0.05, LEAST_DEG = 0.05;
 const wrapped = (deg) => 180 - ((((180 - deg) % 360) + 360) % 360);
-const signed = (value, digits, unit) => `${value > 0 ? "+" : value < 0 ? "\u2212" : "\u00b1"}${Math.abs(value).toFixed(digits)}${unit}`;
+const signed = (value, digits) => `${value > 0 ? "+" : value < 0 ? "\u2212" : "\u00b1"}${number(Math.abs(value), digits)}`;
+const shareOf = (text) => Number.parseFloat(`${text}`.replace(",", ".")); // "81.3 %", or "81,3 %"
 
 // Units of two variants as a plan's file has them: pairs by name, then by place; those left over.
 export function differences(here, there) {
@@ -31,13 +33,22 @@ export function differences(here, there) {
 function changesOf(unit, other) {
   const words = [], turned = wrapped(unit.yaw_deg - other.yaw_deg), tilted = (unit.pitch_deg ?? 0) - (other.pitch_deg ?? 0), raised = unit.z_m - other.z_m;
   const awayM = Math.hypot(unit.x_m - other.x_m, unit.y_m - other.y_m);
-  if (unit.site !== other.site) words.push(`moved from ${other.site || "no pole"} to ${unit.site || "no pole"}`);
-  else if (awayM > NEAR_M) words.push(`moved by ${awayM.toFixed(2)} m`);
-  if (Math.abs(turned) > LEAST_DEG) words.push(`turned by ${Math.abs(turned).toFixed(1)}\u00b0 ${turned < 0 ? "clockwise" : "counterclockwise"}`);
-  if (Math.abs(tilted) > LEAST_DEG) words.push(`tilted ${Math.abs(tilted).toFixed(1)}\u00b0 ${tilted > 0 ? "up" : "down"}`);
-  if (Math.abs(raised) > NEAR_M && unit.site === other.site) words.push(`${Math.abs(raised).toFixed(2)} m ${raised > 0 ? "higher" : "lower"}`);
+  if (unit.site !== other.site) words.push(tr("moved from {before} to {after}", { before: other.site || tr("no pole"), after: unit.site || tr("no pole") }));
+  else if (awayM > NEAR_M) words.push(tr("moved by {distance} m", { distance: number(awayM, 2) }));
+  if (Math.abs(turned) > LEAST_DEG) {
+    const angle = number(Math.abs(turned), 1);
+    words.push(turned < 0 ? tr("turned by {angle}\u00b0 clockwise", { angle }) : tr("turned by {angle}\u00b0 counterclockwise", { angle }));
+  }
+  if (Math.abs(tilted) > LEAST_DEG) {
+    const angle = number(Math.abs(tilted), 1);
+    words.push(tilted > 0 ? tr("tilted {angle}\u00b0 up", { angle }) : tr("tilted {angle}\u00b0 down", { angle }));
+  }
+  if (Math.abs(raised) > NEAR_M && unit.site === other.site) {
+    const distance = number(Math.abs(raised), 2);
+    words.push(raised > 0 ? tr("{distance} m higher", { distance }) : tr("{distance} m lower", { distance }));
+  }
   const model = (one) => JSON.stringify([one.camera, one.lidar, one.fov_deg, one.horizontal_fov_deg]);
-  if (model(unit) !== model(other)) words.push("another model or lens");
+  if (model(unit) !== model(other)) words.push(tr("another model or lens"));
   return words;
 }
 
@@ -51,7 +62,7 @@ export function compareVariants({ map, state, cases }) {
     const wanted = JSON.stringify(others);
     if (select.dataset.names !== wanted) {
       select.dataset.names = wanted;
-      select.replaceChildren(...["", ...others].map((name) => element("option", { value: name, text: name || "nothing" })));
+      select.replaceChildren(...["", ...others].map((name) => element("option", { value: name, text: name || tr("nothing") })));
     }
     select.value = chosen;
     find("compare-row").hidden = others.length === 0;
@@ -75,14 +86,14 @@ export function compareVariants({ map, state, cases }) {
   }
 
   function show(mine, { added, removed, changed }) {
-    find("compare-title").textContent = `${mine} against ${chosen}`;
+    find("compare-title").textContent = tr("{one} against {other}", { one: mine, other: chosen });
     const said = [
-      ...added.map((unit) => `${unit.id}: only here${unit.site ? `, at ${unit.site}` : ""}`),
-      ...removed.map((unit) => `${unit.id}: only in ${chosen}${unit.site ? `, at ${unit.site}` : ""}`),
-      ...changed.map(({ unit, other, words }) => `${unit.id}${unit.id === other.id ? "" : ` (there ${other.id})`}: ${words.join(", ")}`),
+      ...added.map(({ id, site }) => (site ? tr("{id}: only here, at {site}", { id, site }) : tr("{id}: only here", { id }))),
+      ...removed.map(({ id, site }) => (site ? tr("{id}: only in {variant}, at {site}", { id, site, variant: chosen }) : tr("{id}: only in {variant}", { id, variant: chosen }))),
+      ...changed.map(({ unit, other, words }) => `${unit.id === other.id ? unit.id : tr("{id} (there {other})", { id: unit.id, other: other.id })}: ${words.join(", ")}`),
     ];
-    find("compare-units").replaceChildren(...(said.length ? said : ["The same units, aimed alike."]).map((text) => element("li", { text })));
-    map.showOther([...removed, ...changed.map(({ other }) => other)].map((unit) => ({ place: [100 * unit.x_m, 100 * unit.y_m], yawDeg: unit.yaw_deg, text: `${unit.id} in ${chosen}` })));
+    find("compare-units").replaceChildren(...(said.length ? said : [tr("The same units, aimed alike.")]).map((text) => element("li", { text })));
+    map.showOther([...removed, ...changed.map(({ other }) => other)].map((unit) => ({ place: [100 * unit.x_m, 100 * unit.y_m], yawDeg: unit.yaw_deg, text: tr("{id} in {variant}", { id: unit.id, variant: chosen }) })));
     showPoints(mine);
   }
 
@@ -93,18 +104,18 @@ export function compareVariants({ map, state, cases }) {
     body.replaceChildren();
     const isKnown = here && there && here.source !== "none" && there.source !== "none";
     const isSameSource = isKnown && here.source === there.source;
-    find("compare-note").textContent = !isKnown ? "Numbers come once both are computed." : isSameSource ? "" : "One is by the detection table, the other by the evaluator: not to be compared yet.";
+    find("compare-note").textContent = !isKnown ? tr("Numbers come once both are computed.") : isSameSource ? "" : tr("One is by the detection table, the other by the evaluator: not to be compared yet.");
     if (!isSameSource) return;
     const names = [...new Set([...Object.keys(here.byCase), ...Object.keys(there.byCase)])];
-    const lines = [["APR", here.apr, there.apr], ["APR if one fails", here.oneFails, there.oneFails], ...names.map((name) => [name, here.byCase[name], there.byCase[name]])];
+    const lines = [["APR", here.apr, there.apr], [tr("APR if one fails"), here.oneFails, there.oneFails], ...names.map((name) => [name, here.byCase[name], there.byCase[name]])];
     for (const [name, a, b] of lines) {
-      const [x, y] = [Number.parseFloat(a), Number.parseFloat(b)];
+      const [x, y] = [shareOf(a), shareOf(b)];
       if (!Number.isFinite(x) || !Number.isFinite(y)) continue;
       const row = element("tr", {}, body);
       element("th", { scope: "row", text: name, title: cases()[name] ?? "" }, row);
-      for (const text of [a, b, signed(x - y, 1, " points")]) element("td", { class: "number", text }, row);
+      for (const text of [a, b, tr("{n} points", { n: signed(x - y, 1) })]) element("td", { class: "number", text }, row);
     }
-    find("compare-points").tHead.rows[0].replaceChildren(...["", mine, chosen, "difference"].map((text) => element("th", { scope: "col", text })));
+    find("compare-points").tHead.rows[0].replaceChildren(...["", mine, chosen, tr("difference")].map((text) => element("th", { scope: "col", text })));
   }
 
   select.addEventListener("change", () => { chosen = select.value; compare(); });

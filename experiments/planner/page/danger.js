@@ -1,6 +1,7 @@
 // Where it is still dangerous: the weight of lost runs around each place of the road.
 
 import { element } from "./shared.js";
+import { number, tr } from "./words.js";
 
 const REACH_CM = 200, CELL_CM = 50;
 // Shares of the weight of all runs from which a band begins; the darker the more, in grey, too.
@@ -33,13 +34,15 @@ export function drawDanger(layer, points) {
 
 // The legend, and the sum in words.
 export function fillDangerKey(holder, points) {
-  const percent = (share) => `${Number((100 * share).toFixed(1))} %`;
+  const percent = (share) => `${number(Number((100 * share).toFixed(1)))} %`;
   const all = points.reduce((sum, point) => sum + point[2], 0);
-  if (!points.length) { holder.textContent = "No run is lost: nothing is drawn."; return; }
-  holder.replaceChildren(`Lost runs by where they end: ${points.length}, with ${percent(all)} of the weight of all. Of that weight, within ${REACH_CM / 100} m of a place: `, ...BANDS.map(([least, fill], band) => {
+  if (!points.length) { holder.textContent = tr("No run is lost: nothing is drawn."); return; }
+  const lost = tr("Lost runs by where they end: {n}, with {share} of the weight of all. Of that weight, within {reach} m of a place:", { n: points.length, share: percent(all), reach: REACH_CM / 100 });
+  holder.replaceChildren(`${lost} `, ...BANDS.map(([least, fill], band) => {
     const item = element("span", { class: "key" });
     element("rect", { width: 12, height: 12, fill, stroke: "#333" }, element("svg", { width: 12, height: 12, "aria-hidden": "true" }, item));
-    item.append(` ${band === 0 ? `${percent(least)} and more` : least ? `${percent(least)} to ${percent(BANDS[band - 1][0])}` : `up to ${percent(BANDS[band - 1][0])}`} `);
+    const said = { least: percent(least), most: percent(BANDS[band - 1]?.[0]) };
+    item.append(` ${band === 0 ? tr("{least} and more", said) : least ? tr("{least} to {most}", said) : tr("up to {most}", said)} `);
     return item;
   }));
 }

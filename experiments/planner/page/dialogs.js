@@ -3,6 +3,7 @@
 import { createJunctions } from "./junctions.js";
 import { ask, give } from "./line.js";
 import { element } from "./shared.js";
+import { tr, trn } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const PLANS = [".json"];
@@ -22,9 +23,9 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
     find("play").hidden = false;
     find("picture-text").textContent = "";
     find("run-title").textContent = `${run.title}: ${outcome}`;
-    find("run-why").textContent = "Why: computing \u2026";
+    find("run-why").textContent = tr("Why: computing \u2026");
     fill(find("picture-unit"), [...state().units.map((unit) => unit.id), "VUT"]);
-    fill(find("picture-frame"), Array.from({ length: run.frames }, (_, frame) => [frame - run.frames, frame === run.frames - 1 ? "at the impact" : `${run.frames - 1 - frame} before the impact`]));
+    fill(find("picture-frame"), Array.from({ length: run.frames }, (_, frame) => [frame - run.frames, frame === run.frames - 1 ? tr("at the impact") : tr("{n} before the impact", { n: run.frames - 1 - frame })]));
     find("picture-frame").value = Math.max(-run.frames, -15);
     if (!find("run-dialog").open) find("run-dialog").showModal();
     const asked = run;
@@ -32,7 +33,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
       const message = await ask("explain", { run: run.id });
       if (run === asked) explain(message);
     } catch (error) {
-      if (run === asked) find("run-why").textContent = `Why: ${error.message}`;
+      if (run === asked) find("run-why").textContent = tr("Why: {reason}", { reason: error.message });
     }
   }
 
@@ -43,27 +44,27 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   function explain(message) {
     const holder = find("run-why");
     holder.replaceChildren();
-    element("p", { text: message.inTime ? `${message.inTime} frames come early enough to brake for. In these:` : "No frame comes early enough: no sensor could help." }, holder);
+    element("p", { text: message.inTime ? trn("{n} frame comes early enough to brake for. In it:", "{n} frames come early enough to brake for. In these:", message.inTime) : tr("No frame comes early enough: no sensor could help.") }, holder);
     const list = element("ul", {}, holder);
-    if (message.inTime) message.units.forEach((unit) => element("li", { text: `${unit.unit} detects the road user in ${unit.detected}; in the others: ${unit.reasons.map((reason) => `${reason.words} (${reason.frames})`).join(", ")}.` }, list));
+    if (message.inTime) message.units.forEach((unit) => element("li", { text: tr("{unit} detects the road user in {detected}; in the others: {reasons}.", { ...unit, reasons: unit.reasons.map((reason) => `${reason.words} (${reason.frames})`).join(", ") }) }, list));
     // A frame that matters most, of those in time: the last one.
     const times = message.frames;
-    [...find("picture-frame").options].forEach((option, index) => { option.textContent = `${times[index].time}${index < message.inTime ? ", in time" : ""}`; });
+    [...find("picture-frame").options].forEach((option, index) => { option.textContent = index < message.inTime ? tr("{time}, in time", times[index]) : times[index].time; });
     if (message.inTime) find("picture-frame").value = message.inTime - 1 - run.frames;
   }
 
   find("picture-show").addEventListener("click", async () => {
     const asked = run;
-    find("picture-text").textContent = "It is being rendered \u2026";
+    find("picture-text").textContent = tr("It is being rendered \u2026");
     try {
       const values = { run: run.id, unit: find("picture-unit").value, frame: find("picture-frame").value };
       const picture = await ask("picture", values);
       if (run !== asked) return;
       if (shown) URL.revokeObjectURL(shown);
       shown = URL.createObjectURL(picture);
-      const when = find("picture-frame").selectedOptions[0].textContent;
-      Object.assign(find("picture"), { src: shown, hidden: false, alt: `What ${values.unit} sees, ${when}` });
-      find("picture-text").textContent = `What ${values.unit} sees, ${when}; rendered.`;
+      const said = { unit: values.unit, when: find("picture-frame").selectedOptions[0].textContent };
+      Object.assign(find("picture"), { src: shown, hidden: false, alt: tr("What {unit} sees, {when}", said) });
+      find("picture-text").textContent = tr("What {unit} sees, {when}; rendered.", said);
     } catch (error) {
       find("picture-text").textContent = error.message;
     }
@@ -81,10 +82,10 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   async function open(file) {
     const headers = { "X-File-Name": encodeURIComponent(file.name) };
     if (!PLANS.some((end) => file.name.toLowerCase().endsWith(end))) { junctions.read(file, headers); return; }
-    notice(`${file.name} is being read \u2026`);
+    notice(tr("{file} is being read \u2026", { file: file.name }));
     try {
       const message = await give("open", file, { headers, most: scene().mostBytes.plan });
-      notice(`Opened: ${message.opened.join(", ")}.`);
+      notice(tr("Opened: {names}.", { names: message.opened.join(", ") }));
     } catch (error) {
       notice(error.message); // it begins with the file's name
     }
@@ -102,18 +103,18 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
     else open(file);
   });
 
-  for (const [id, path, name] of [["make-report", "report.zip", "report"], ["make-sheet", "sheet.pdf", "mounting sheet"]]) {
+  for (const [id, path, name] of [["make-report", "report.zip", tr("The report")], ["make-sheet", "sheet.pdf", tr("The mounting sheet")]]) {
     find(id).addEventListener("click", async () => {
       find(id).disabled = true;
-      notice(`The ${name} is being made \u2026`);
+      notice(tr("{what} is being made \u2026", { what: name }));
       try {
         const address = URL.createObjectURL(await ask(path));
         const link = element("a", { href: address, download: path });
         link.click();
         setTimeout(() => URL.revokeObjectURL(address), 60000);
-        notice(`The ${name} is in your downloads: ${path}.`);
+        notice(tr("{what} is in your downloads: {file}.", { what: name, file: path }));
       } catch (error) {
-        notice(`The ${name}: ${error.message}`);
+        notice(`${name}: ${error.message}`);
       } finally {
         find(id).disabled = false;
       }
@@ -121,7 +122,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   }
   for (const id of ["save-layout", "save-plan"]) {
     find(id).addEventListener("click", (event) => {
-      if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice("Nothing is mounted yet: there is no layout to save."); } else saved();
+      if (id === "save-layout" && !state()?.units.length) { event.preventDefault(); notice(tr("Nothing is mounted yet: there is no layout to save.")); } else saved();
     });
   }
 
@@ -133,11 +134,11 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
     preview = address.startsWith("blob:") ? address : "";
     Object.assign(find("image-shown"), { src: address, hidden: false });
   }
-  find("image-shown").addEventListener("error", () => { find("image-text").textContent = "This is no image that the browser can show."; find("image-shown").hidden = true; image = null; });
+  find("image-shown").addEventListener("error", () => { find("image-text").textContent = tr("This is no image that the browser can show."); find("image-shown").hidden = true; image = null; });
   function showImage(file) {
     image = file;
     preparePreview(URL.createObjectURL(file));
-    find("image-text").textContent = "Click on the first point in the image.";
+    find("image-text").textContent = tr("Click on the first point in the image.");
     turn = 1;
     if (!find("image-dialog").open) find("image-dialog").showModal();
   }
@@ -145,7 +146,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   const IS_WORLD = /\.(pgw|jgw|wld|pngw|jpgw|tfw)$/i, IS_TIFF = /\.tiff?$/i;
   async function laidByItself(file, world) {
     const numbers = world ? (await world.text()).trim().split(/\s+/).join(" ") : "";
-    find("image-text").textContent = `${file.name} is being laid on the plan \u2026`;
+    find("image-text").textContent = tr("{file} is being laid on the plan \u2026", { file: file.name });
     const headers = { "X-File-Name": encodeURIComponent(file.name), "X-World": numbers.slice(0, 500), "X-Crs": find("image-crs").value };
     try {
       await give("background", file, { headers, most: scene().mostBytes.map });
@@ -157,7 +158,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   }
   function takeImage(files) {
     const world = files.find((file) => IS_WORLD.test(file.name)), file = files.find((one) => one !== world);
-    if (!file) { if (world) find("image-text").textContent = "Choose the image together with its world file."; return; }
+    if (!file) { if (world) find("image-text").textContent = tr("Choose the image together with its world file."); return; }
     if (world || IS_TIFF.test(file.name)) { if (!find("image-dialog").open) find("image-dialog").showModal(); laidByItself(file, world); } else showImage(file);
   }
   find("image-file").addEventListener("change", (event) => { takeImage([...event.target.files]); event.target.value = ""; });
@@ -166,13 +167,13 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
     const target = event.target, box = target.getBoundingClientRect();
     find(`x${turn}`).value = ((event.clientX - box.left) / box.width * target.naturalWidth).toFixed(1);
     find(`y${turn}`).value = ((event.clientY - box.top) / box.height * target.naturalHeight).toFixed(1);
-    find("image-text").textContent = `Point ${turn} of the image is chosen.`;
+    find("image-text").textContent = tr("Point {n} of the image is chosen.", { n: turn });
     turn = 3 - turn;
   });
   document.querySelectorAll("[data-pick]").forEach((button) => button.addEventListener("click", () => {
     const which = button.dataset.pick;
     find("image-dialog").close();
-    notice("Click the same place on the plan.");
+    notice(tr("Click the same place on the plan."));
     map.pick(([x, y]) => {
       find(`east${which}`).value = (x / 100).toFixed(2);
       find(`north${which}`).value = (y / 100).toFixed(2);
@@ -184,7 +185,7 @@ export function openDialogs({ map, notice, scene, state, saved, send }) {
   find("image-lay").addEventListener("click", async () => {
     const numbers = [1, 2].map((n) => POINT_FIELDS.map((name) => find(`${name}${n}`).valueAsNumber));
     const { src, naturalWidth, naturalHeight, hidden } = find("image-shown");
-    if (hidden || !naturalWidth || !numbers.flat().every(Number.isFinite)) { find("image-text").textContent = "An image, and all eight numbers, are needed."; return; }
+    if (hidden || !naturalWidth || !numbers.flat().every(Number.isFinite)) { find("image-text").textContent = tr("An image, and all eight numbers, are needed."); return; }
     const points = numbers.map(([x_px, y_px, east_m, north_m]) => ({ x_px, y_px, east_m, north_m }));
     try {
       const content = image || await (await fetch(src)).blob();

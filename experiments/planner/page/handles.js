@@ -1,8 +1,9 @@
 // The chosen sensor from beside and on a compass: drag it up and down, tilt its ray, turn its needle.
 
 import { element } from "./shared.js";
+import { number, tr } from "./words.js";
 
-const DIRECTIONS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
+const DIRECTIONS = [tr("north"), tr("north-east"), tr("east"), tr("south-east"), tr("south"), tr("south-west"), tr("west"), tr("north-west")];
 const STEP_DEG = 15;
 const radians = (deg) => deg * Math.PI / 180;
 const degrees = (angle) => angle * 180 / Math.PI;
@@ -46,17 +47,17 @@ const placeIn = (box, event) => [event.clientX - box.left, event.clientY - box.t
 
 export function createCompass(holder, on) {
   const SIZE = 124, MIDDLE = SIZE / 2, RADIUS = 44;
-  const svg = element("svg", { id: "compass", width: SIZE, height: SIZE, viewBox: `0 0 ${SIZE} ${SIZE}`, role: "slider", tabindex: 0, "aria-label": "Compass: bearing", "aria-valuemin": 0, "aria-valuemax": 359.9 }, holder);
+  const svg = element("svg", { id: "compass", width: SIZE, height: SIZE, viewBox: `0 0 ${SIZE} ${SIZE}`, role: "slider", tabindex: 0, "aria-label": tr("Compass: bearing"), "aria-valuemin": 0, "aria-valuemax": 359.9 }, holder);
   let unit = null;
 
   function show(next) {
     unit = next;
     const bearing = bearingOf(unit.yawDeg), where = DIRECTIONS[Math.round(bearing / 45) % 8];
     svg.setAttribute("aria-valuenow", Number(bearing.toFixed(1)));
-    svg.setAttribute("aria-valuetext", `${bearing.toFixed(1)} degrees, ${where}`);
+    svg.setAttribute("aria-valuetext", tr("{angle} degrees, {direction}", { angle: number(bearing, 1), direction: where }));
     svg.setAttribute("aria-disabled", unit.isLocked);
     svg.replaceChildren();
-    element("title", { text: "drag to turn; with Shift in steps of 15\u00b0" }, svg);
+    element("title", { text: tr("drag to turn; with Shift in steps of 15\u00b0") }, svg);
     element("circle", { cx: MIDDLE, cy: MIDDLE, r: RADIUS, fill: "#fff", stroke: "#333", "stroke-width": 1.4 }, svg);
     const at = (deg, radius) => [MIDDLE + radius * Math.sin(radians(deg)), MIDDLE - radius * Math.cos(radians(deg))];
     const half = Math.min(unit.fovDeg, 359.9) / 2, [from, to] = [at(bearing - half, RADIUS), at(bearing + half, RADIUS)];
@@ -65,7 +66,7 @@ export function createCompass(holder, on) {
       const [[x1, y1], [x2, y2]] = [at(deg, RADIUS), at(deg, RADIUS - (deg % 90 ? 4 : 8))];
       element("line", { x1, y1, x2, y2, stroke: "#333", "stroke-width": 1 }, svg);
     }
-    ["N", "E", "S", "W"].forEach((text, index) => { const [x, y] = at(90 * index, RADIUS + 9); element("text", { text, x, y: y + 4, "font-size": 12, "font-weight": 700, "text-anchor": "middle" }, svg); });
+    [tr("N"), tr("E"), tr("S"), tr("W")].forEach((text, index) => { const [x, y] = at(90 * index, RADIUS + 9); element("text", { text, x, y: y + 4, "font-size": 12, "font-weight": 700, "text-anchor": "middle" }, svg); });
     const [x, y] = at(bearing, RADIUS - 6);
     element("line", { x1: MIDDLE, y1: MIDDLE, x2: x, y2: y, stroke: "#000", "stroke-width": 2.4 }, svg);
     element("circle", { cx: MIDDLE, cy: MIDDLE, r: 3, fill: "#000" }, svg);
@@ -96,7 +97,7 @@ export function createCompass(holder, on) {
 
 export function createSideView(holder, on) {
   const HEIGHT = 156, LEFT = 46, BOTTOM = 22, TOP = 8, RAY_PX = 78, MOST_M = 16;
-  const svg = element("svg", { id: "side", height: HEIGHT, role: "group", "aria-label": "The chosen sensor from beside" }, holder);
+  const svg = element("svg", { id: "side", height: HEIGHT, role: "group", "aria-label": tr("The chosen sensor from beside") }, holder);
   const drawing = element("g", {}, svg);
   let unit = null, reachM = null, topM = 10, scale = 10, width = 300;
 
@@ -110,10 +111,10 @@ export function createSideView(holder, on) {
       const told = { transform: `translate(${x.toFixed(1)} ${y.toFixed(1)})`, "aria-valuemin": low, "aria-valuemax": high, "aria-valuenow": Number(now.toFixed(2)), "aria-valuetext": said, "aria-disabled": unit.isLocked };
       for (const [key, value] of Object.entries(told)) mark.setAttribute(key, value);
       if (shape === "rect") sign.setAttribute("fill", unit.colour);
-      title.textContent = unit.isLocked ? "locked" : tip;
+      title.textContent = unit.isLocked ? tr("locked") : tip;
     };
   }
-  const putTilt = grip("tilt", "circle", "Tilt, degrees"), putHeight = grip("height", "rect", "Height, metres");
+  const putTilt = grip("tilt", "circle", tr("Tilt, degrees")), putHeight = grip("height", "rect", tr("Height, metres"));
   const at = ([along, up]) => [LEFT + along * scale, HEIGHT - BOTTOM - up * scale];
 
   // Where a ray from the sensor leaves the drawing, or meets the road.
@@ -161,9 +162,9 @@ export function createSideView(holder, on) {
     if (reachM && LEFT + reachM * scale < width) element("path", { d: `M${LEFT + reachM * scale} ${HEIGHT - BOTTOM}v-14`, stroke: "#000", "stroke-width": 2 }, drawing);
     const tilt = radians(unit.pitchDeg), knob = [eye[0] + RAY_PX * Math.cos(tilt), within(eye[1] - RAY_PX * Math.sin(tilt), 9, HEIGHT - 9)];
     element("path", { d: `M${eye.join(" ")}L${knob.join(" ")}`, stroke: "#000", "stroke-width": 1.4, "stroke-dasharray": "3 3" }, drawing);
-    putTilt(knob, { now: unit.pitchDeg, low: -90, high: 90, said: `${unit.pitchDeg.toFixed(1)} degrees`, tip: "drag to tilt" });
-    putHeight(eye, { now: unit.heightM, low: unit.heightRange[0], high: unit.heightRange[1], said: `${unit.heightM.toFixed(2)} metres`, tip: "drag up or down" });
-    element("text", { text: `${unit.heightM.toFixed(2)} m`, x: eye[0] + 12, y: eye[1] - 10, "font-size": 12, "font-weight": 700, "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, drawing);
+    putTilt(knob, { now: unit.pitchDeg, low: -90, high: 90, said: tr("{angle} degrees", { angle: number(unit.pitchDeg, 1) }), tip: tr("drag to tilt") });
+    putHeight(eye, { now: unit.heightM, low: unit.heightRange[0], high: unit.heightRange[1], said: tr("{height} metres", { height: number(unit.heightM, 2) }), tip: tr("drag up or down") });
+    element("text", { text: `${number(unit.heightM, 2)} m`, x: eye[0] + 12, y: eye[1] - 10, "font-size": 12, "font-weight": 700, "paint-order": "stroke", stroke: "#fff", "stroke-width": 3 }, drawing);
   }
 
   dragOn(svg, {

@@ -124,7 +124,7 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
     });
     if (!message) return;
     find("map-dialog").close();
-    if (!find("notice").textContent) notice(tr("The scene is {scene}.", message));
+    if (!find("notice").textContent) notice(tr("The scene is {name}.", { name: message.scene }));
   }
   find("map-take").addEventListener("click", take);
 

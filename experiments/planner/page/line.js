@@ -1,5 +1,7 @@
 // The connection to the session: messages both ways, and how to reconnect.
 
+import { bytes, tr } from "./words.js";
+
 const FIRST_WAIT_MS = 400, LONGEST_WAIT_MS = 5000, PATIENCE_MS = 1500, SILENCE_MS = 3000;
 
 export function openLine({ onMessage, onState, onSilence }) {
@@ -66,7 +68,7 @@ export function openLine({ onMessage, onState, onSilence }) {
 async function answerOf(response) {
   const kind = response.headers.get("content-type") || "";
   if (response.ok) return kind.startsWith("application/json") ? response.json() : response.blob();
-  const said = kind.startsWith("application/json") ? (await response.json()).problem : `it answers ${response.status}`;
+  const said = kind.startsWith("application/json") ? (await response.json()).problem : tr("it answers {status}", response);
   throw Object.assign(new Error(said), { status: response.status });
 }
 
@@ -74,6 +76,6 @@ export const ask = async (path, values = {}) => answerOf(await fetch(`${path}?${
 
 // What is too large is not sent: browsers do not read an answer that comes before all is sent.
 export async function give(path, body, { headers = {}, most = Infinity } = {}) {
-  if (body.size > most) throw new Error(`${body.name || "file"}: got ${body.size.toLocaleString("en")} bytes; expected at most ${most.toLocaleString("en")}`);
+  if (body.size > most) throw new Error(tr("{file}: got {size} bytes; expected at most {most}", { file: body.name || tr("file"), size: bytes(body.size), most: bytes(most) }));
   return answerOf(await fetch(path, { method: "POST", body, headers }));
 }

@@ -3,6 +3,7 @@
 import { drawDanger } from "./danger.js";
 import { createRunDrawing } from "./run.js";
 import { addPatterns, drawGround, drawScale, element, MARKS } from "./shared.js";
+import { number, tr } from "./words.js";
 
 const THIN = { "vector-effect": "non-scaling-stroke" };
 // What a band of pixel density looks like: the finest first, then those that are coarser or unseen.
@@ -95,7 +96,7 @@ function addHatching(svg) {
 }
 
 export function createMap(holder, on) {
-  const svg = element("svg", { role: "group", "aria-label": "Plan: poles and sensors" }, holder);
+  const svg = element("svg", { role: "group", "aria-label": tr("Plan: poles and sensors") }, holder);
   addPatterns(svg);
   addHatching(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
@@ -161,7 +162,7 @@ export function createMap(holder, on) {
     for (const layer of ["arms", "names", "sites"]) marked[layer].replaceChildren();
     placed = [];
     drawGround(layers.still, scene.plan);
-    scene.private.forEach((area) => element("title", { text: `private: ${area.name}` }, element("path", { d: area.path, "fill-rule": "evenodd", fill: "url(#private-fill)", stroke: "#3d0f40", "stroke-width": 1.6, ...THIN }, layers.private)));
+    scene.private.forEach((area) => element("title", { text: tr("private: {name}", area) }, element("path", { d: area.path, "fill-rule": "evenodd", fill: "url(#private-fill)", stroke: "#3d0f40", "stroke-width": 1.6, ...THIN }, layers.private)));
     const along = (places) => "M" + places.map((place) => place.join(" ")).join("L");
     scene.arms.forEach((arm) => element("path", { d: along(arm.way), fill: "none", stroke: "#6b6b6b", "stroke-width": 1, "stroke-dasharray": "5 4", ...THIN }, layers.ways));
     scene.arms.forEach((arm) => element("path", { d: along(lastOf(arm.way)), fill: "none", stroke: "none", "stroke-width": 5, "stroke-opacity": 0.75, class: "share", ...THIN }, layers.ways));
@@ -183,7 +184,8 @@ export function createMap(holder, on) {
       const drawn_ = { fill: site.isForbidden ? "#bbb" : "#fff", stroke: "#222", "stroke-width": 1.6, class: "dot" };
       if (site.isOwn) element("rect", { x: -5, y: -5, width: 10, height: 10, ...drawn_ }, mark);
       else element("circle", { r: 5, ...drawn_ }, mark);
-      element("title", { text: `${site.id}: ${site.isOwn ? "your own, " : ""}${site.kind}${site.isForbidden ? ", forbidden" : `, carries ${site.capacity}`}` }, mark);
+      const said = site.isForbidden ? tr("{id}: {kind}, forbidden", site) : site.isOwn ? tr("{id}: your own, {kind}, carries {capacity}", site) : tr("{id}: {kind}, carries {capacity}", site);
+      element("title", { text: said }, mark);
       mark.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); if (ruler) rule(site.place); else on.site(site.id); } });
       placed.push({ place: site.place, site, mark });
     });
@@ -199,8 +201,8 @@ export function createMap(holder, on) {
       const share = shares ? shares[index] : null;
       element("circle", { r: 7, fill: share === null || share === undefined ? "#ddd" : LOST_COLOUR, stroke: "#222", "stroke-width": 1 }, item.mark);
       if (share) element("path", { d: pie(share, 7), fill: AVOIDED_COLOUR }, item.mark);
-      const said = share === null || share === undefined ? "not known yet" : `${(100 * share).toFixed(0)} % avoided`;
-      element("title", { text: `from the ${item.arm.approach}, at ${item.arm.position} m: ${said}` }, item.mark);
+      const said = share === null || share === undefined ? tr("not known yet") : tr("{share} % avoided", { share: number(100 * share, 0) });
+      element("title", { text: tr("from the {approach}, at {position} m: {said}", { ...item.arm, said }) }, item.mark);
     });
   }
 
@@ -269,7 +271,7 @@ export function createMap(holder, on) {
     drawn.forEach(({ mark, place }) => put(mark, place));
     placed.filter((item) => item.site).forEach(({ site, mark }) => {
       const n = units.filter((unit) => unit.site === site.id).length;
-      mark.setAttribute("aria-label", `Pole ${site.id}, ${site.kind}, ${n} of ${site.capacity} units`);
+      mark.setAttribute("aria-label", tr("Pole {id}, {kind}, {n} of {capacity} units", { ...site, n }));
     });
     if (focused) marked.units.querySelector(`[data-unit="${CSS.escape(focused)}"]`)?.focus({ preventScroll: true });
   }
@@ -279,7 +281,7 @@ export function createMap(holder, on) {
     const faint = Math.min(0.14, 1.2 / Math.max(units.length, 1)), isOld = unit.isLive; // a view of before it was turned
     for (const [name, value] of Object.entries({ "fill-opacity": isSelected ? isOld ? 0.15 : 0.3 : faint, "stroke-width": isSelected && !isOld ? 2.2 : 0.9 })) view.setAttribute(name, value);
     mark.setAttribute("aria-pressed", isSelected);
-    mark.setAttribute("aria-label", `${unit.title}${unit.isLocked ? ", locked" : ""}`);
+    mark.setAttribute("aria-label", unit.isLocked ? tr("{unit}, locked", { unit: unit.title }) : unit.title);
     mark.classList.toggle("locked", unit.isLocked);
     mark.replaceChildren();
     const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)], [x, y] = [(MARK_PX * cos).toFixed(1), (-MARK_PX * sin).toFixed(1)];
@@ -309,7 +311,7 @@ export function createMap(holder, on) {
     element("circle", { r: 16, fill: "transparent" }, mark);
     element("circle", { r: 9, fill: "#fff", "fill-opacity": 0.8, stroke: "#000", "stroke-width": 2 }, mark);
     element("circle", { r: 2.5, fill: "#000" }, mark);
-    element("title", { text: "drag to turn and tilt; with Shift to turn alone" }, mark);
+    element("title", { text: tr("drag to turn and tilt; with Shift to turn alone") }, mark);
     handle = { unit, aim, mark };
     putHandle();
   }
@@ -379,7 +381,7 @@ export function createMap(holder, on) {
     const [[x1, y1], [x2, y2]] = [at(ruler.from), at(ruler.to)];
     for (const [stroke, width] of [["#fff", 5], ["#000", 2]]) element("path", { d: `M${x1} ${y1}L${x2} ${y2}`, stroke, "stroke-width": width }, marked.ruler);
     for (const [cx, cy] of [[x1, y1], [x2, y2]]) element("circle", { cx, cy, r: 4, fill: "#fff", stroke: "#000", "stroke-width": 2 }, marked.ruler);
-    element("text", { text: `${rulerM().toFixed(2)} m`, x: (x1 + x2) / 2, y: (y1 + y2) / 2 - 8, "font-size": 14, "font-weight": 700, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 4 }, marked.ruler);
+    element("text", { text: `${number(rulerM(), 2)} m`, x: (x1 + x2) / 2, y: (y1 + y2) / 2 - 8, "font-size": 14, "font-weight": 700, "text-anchor": "middle", "paint-order": "stroke", stroke: "#fff", "stroke-width": 4 }, marked.ruler);
   }
   const rulerM = () => Math.hypot(ruler.to[0] - ruler.from[0], ruler.to[1] - ruler.from[1]) / 100;
   function rule(place) {

@@ -10,6 +10,7 @@ import { createQuestion } from "./question.js";
 import { createPlayed } from "./run.js";
 import { createSeen } from "./seen.js";
 import { element } from "./shared.js";
+import { number, tr, trn } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const PATIENCE_MS = 120; // after a change, before the old number gives way to "computing"
@@ -44,12 +45,12 @@ const map = createMap(find("plan"), {
   poling: (isOn) => {
     find("pole").setAttribute("aria-pressed", isOn);
     if (isOn) find("own-poles").open = true;
-    find("ruler-text").textContent = isOn ? "Press where a pole is to stand; drag a square one to move it; Escape ends it." : "";
+    find("ruler-text").textContent = isOn ? tr("Press where a pole is to stand; drag a square one to move it; Escape ends it.") : "";
   },
-  measured: (metres) => { find("ruler-text").textContent = `${metres.toFixed(2)} m`; },
+  measured: (metres) => { find("ruler-text").textContent = `${number(metres, 2)} m`; },
   measuring: (isOn) => {
     find("ruler").setAttribute("aria-pressed", isOn);
-    find("ruler-text").textContent = isOn ? "Press on two places, or drag from one to the other; Escape ends it." : "";
+    find("ruler-text").textContent = isOn ? tr("Press on two places, or drag from one to the other; Escape ends it.") : "";
   },
 });
 const onHandles = {
@@ -64,7 +65,7 @@ const onHandles = {
   giveUp, snapped, refused,
 };
 const compass = createCompass(find("compass-holder"), onHandles), sideView = createSideView(find("side-holder"), onHandles);
-const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => { markPlayed(); seen.changed(); }, onFrame: () => seen.changed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? "avoided"); } });
+const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => { markPlayed(); seen.changed(); }, onFrame: () => seen.changed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? tr("avoided")); } });
 const seen = createSeen({ scene: () => scene, unitNow: () => state?.units.find((unit) => unit.id === selected), runNow: () => (played.run() ? { run: played.run(), frame: played.frame() } : null) });
 const question = createQuestion({ send: (message) => line.send(message) });
 const comparison = compareVariants({ map, state: () => state, cases: () => scene.cases });
@@ -90,7 +91,7 @@ function connected(isOpen) {
   isConnected = isOpen;
   const banner = find("connection");
   banner.hidden = isOpen;
-  banner.textContent = isOpen ? "" : "The connection to place-rsus plan is lost; trying again. What you do now is not saved.";
+  banner.textContent = isOpen ? "" : tr("The connection to place-rsus plan is lost; trying again. What you do now is not saved.");
   find("main").inert = !isOpen;
   if (!isOpen) { numbers = null; live.clear(); showNumbers(); }
   else seen.again();
@@ -99,7 +100,7 @@ function connected(isOpen) {
 // What was asked for is not answered: no number is taken for that of what is shown.
 function silent(seconds) {
   find("silence").hidden = !seconds;
-  find("silence").textContent = seconds ? `place-rsus plan has not answered for ${Math.floor(seconds)} s: plan and numbers are old.` : "";
+  find("silence").textContent = seconds ? tr("place-rsus plan has not answered for {n} s: plan and numbers are old.", { n: Math.floor(seconds) }) : "";
   if (seconds) find("apr").classList.add("old");
   else showNumbers();
 }
@@ -127,9 +128,9 @@ function readScene(message) {
   const site_ = find("site").value;
   fixedSites = scene.sites;
   shownPoles = "[]";
-  find("scene-name").textContent = `at ${scene.title}, ${scene.runs.length} runs`;
+  find("scene-name").textContent = trn("at {scene}, {n} run", "at {scene}, {n} runs", scene.runs.length, { scene: scene.title });
   find("scene-name").title = scene.name;
-  document.title = `Plan at ${scene.title} - place-rsus`;
+  document.title = `${tr("Plan at {scene}", { scene: scene.title })} - place-rsus`;
   map.showScene(scene);
   map.showShares(null);
   if (isOther) { selected = undefined; mounting = null; locked.clear(); }
@@ -149,7 +150,7 @@ function readScene(message) {
 // Poles of one's own come with the state: they are undone as all else is.
 let fixedSites = [], shownPoles = "[]", awaitsPole = false;
 function fillSites() {
-  const sites = scene.sites.map((site) => [site.id, `${site.id} (${site.isOwn ? "your own " : ""}${site.kind})`, site.isForbidden]);
+  const sites = scene.sites.map((site) => [site.id, site.isOwn ? tr("{id} (your own {kind})", site) : `${site.id} (${site.kind})`, site.isForbidden]);
   for (const id of ["site", "why-site", "unit-site"]) options(find(id), sites, scene.sites.some((site) => site.id === find(id).value) ? find(id).value : undefined);
 }
 
@@ -179,7 +180,7 @@ function removePole() {
 const typedPole = () => {
   const place = ["pole-east", "pole-north"].map((id) => 100 * find(id).valueAsNumber);
   if (place.every(Number.isFinite)) return place;
-  notice("Type both numbers, east and north of the origin in metres.");
+  notice(tr("Type both numbers, east and north of the origin in metres."));
   return null;
 };
 find("pole").addEventListener("click", () => map.pole(!map.isPoling()));
@@ -233,14 +234,14 @@ function readNumbers(message) {
 }
 
 // What each number means, one hover away.
-const OF_PART = () => `Share of the runs of this row that is avoided, with the same weights. ${question.meaning()}`;
+const OF_PART = () => `${tr("Share of the runs of this row that is avoided, with the same weights.")} ${question.meaning()}`;
 function tellMeanings() {
   const meaning = question.meaning();
-  find("apr").title = `APR, the share of the runs that all mounted sensors together avoid. ${meaning}`;
-  find("beside").title = `Shares of the same runs with the same weights. ${meaning} The worst unit is the one whose failure leaves least.`;
-  find("source").title = "By the detection table: rays to points of each road user, at once. By the evaluator: every frame rendered, as place-rsus evaluate does it.";
+  find("apr").title = `${tr("APR, the share of the runs that all mounted sensors together avoid.")} ${meaning}`;
+  find("beside").title = tr("Shares of the same runs with the same weights. {meaning} The worst unit is the one whose failure leaves least.", { meaning });
+  find("source").title = tr("By the detection table: rays to points of each road user, at once. By the evaluator: every frame rendered, as place-rsus evaluate does it.");
   for (const id of ["by-case", "by-approach", "by-road-user"]) find(id).title = OF_PART();
-  find("lost-text").title = "Numbers of runs, not their weights: each run counts once here.";
+  find("lost-text").title = tr("Numbers of runs, not their weights: each run counts once here.");
   showUnits();
 }
 
@@ -251,19 +252,19 @@ function showNumbers() {
   const [output, source] = [find("apr"), find("source")];
   output.classList.remove("old");
   const isKnown = isCurrent() && numbers.source !== "none";
-  output.textContent = isKnown ? numbers.apr : isCurrent() ? "No sensor yet" : "computing \u2026";
+  output.textContent = isKnown ? numbers.apr : isCurrent() ? tr("No sensor yet") : tr("computing \u2026");
   source.className = `badge ${isKnown ? numbers.source : ""}`;
-  source.textContent = !isCurrent() ? "computing" : {
-    table: "by the detection table; the evaluator follows",
-    evaluator: "by the evaluator, as place-rsus evaluate",
-    none: "nothing is mounted",
+  source.textContent = !isCurrent() ? tr("computing") : {
+    table: tr("by the detection table; the evaluator follows"),
+    evaluator: tr("by the evaluator, as place-rsus evaluate"),
+    none: tr("nothing is mounted"),
   }[numbers.source];
   find("main").setAttribute("aria-busy", String(!isCurrent()));
   output.dataset.revision = isKnown ? numbers.revision : "";
   const isExact = isKnown && numbers.source === "evaluator";
   // While it waits it keeps its lines: what is dragged below does not move away from the pointer.
   find("beside").classList.toggle("waiting", !isExact);
-  if (isExact || !state?.units.length) find("beside").textContent = isExact ? `Together with the car's own sensors ${numbers.withVut}; by the car's own sensors alone ${numbers.vut}.${numbers.oneFails ? ` If the worst unit fails, ${numbers.oneFails} are left.` : ""}` : "";
+  if (isExact || !state?.units.length) find("beside").textContent = isExact ? [tr("Together with the car's own sensors {withVut}; by the car's own sensors alone {vut}.", numbers), ...(numbers.oneFails ? [tr("If the worst unit fails, {oneFails} are left.", numbers)] : [])].join(" ") : "";
   fillShares("by-case", isKnown ? numbers.byCase : null);
   fillShares("by-approach", isKnown ? numbers.byApproach : null);
   fillShares("by-road-user", isKnown ? numbers.byRoadUser : null);
@@ -278,7 +279,7 @@ function showNumbers() {
 // ---------- private areas
 
 function sharesOf(seen, isOne) {
-  return seen.map((item) => `${isOne ? "" : `${item.unit} `}${item.share}${item.isTooMuch ? " (more than is allowed)" : ""}`).join(", ");
+  return seen.map((item) => `${isOne ? "" : `${item.unit} `}${item.isTooMuch ? tr("{share} (more than is allowed)", item) : item.share}`).join(", ");
 }
 
 function showPrivate() {
@@ -287,11 +288,11 @@ function showPrivate() {
   const n = scene.private.length;
   find("private").hidden = find("private-key").hidden = !n;
   if (!n) return;
-  find("private-text").textContent = areas === null ? "" : areas.length ? "" : `No camera has ${n === 1 ? "the private area" : `any of the ${n} private areas`} in its picture.`;
+  find("private-text").textContent = areas === null ? "" : areas.length ? "" : trn("No camera has the private area in its picture.", "No camera has any of the {n} private areas in its picture.", n);
   find("private-list").replaceChildren(...(areas || []).map((item) => element("li", { text: `${item.area}: ${sharesOf(item.seen)}` })));
   const of = (areas || []).map((item) => [item.area, item.seen.filter((one) => one.unit === selected)]).filter(([, seen]) => seen.length);
   find("unit-private").hidden = !current() || areas === null;
-  find("unit-private").textContent = of.length ? `Private areas in its picture: ${of.map(([area, seen]) => `${area} ${sharesOf(seen, true)}`).join("; ")}.` : "No private area in its picture.";
+  find("unit-private").textContent = of.length ? tr("Private areas in its picture: {areas}.", { areas: of.map(([area, seen]) => `${area} ${sharesOf(seen, true)}`).join("; ") }) : tr("No private area in its picture.");
   showSeen(of.length > 0);
 }
 
@@ -327,8 +328,8 @@ function fillShares(id, shares) {
 
 function showCost() {
   const cost = state.cost;
-  find("cost").textContent = cost ? `Costs ${cost.all}: sensors ${cost.sensors}, poles ${cost.sites}.` : "";
-  find("cost").title = cost ? ["Each mounted sensor, and each pole that carries any, once.", ...cost.assumed].join(" ") : "";
+  find("cost").textContent = cost ? tr("Costs {all}: sensors {sensors}, poles {sites}.", cost) : "";
+  find("cost").title = cost ? [tr("Each mounted sensor, and each pole that carries any, once."), ...cost.assumed].join(" ") : "";
 }
 
 // ---------- mounted sensors
@@ -350,9 +351,9 @@ function showUnits() {
     if (focused) list.querySelector(`[data-chip="${CSS.escape(focused)}"]`)?.focus();
   }
   state.units.forEach(({ id, title }, index) => {
-    const [button, text] = [list.children[index].firstChild, `${id}${alone[id] ? ` ${alone[id]}` : ""}${locked.has(id) ? ", locked" : ""}`];
+    const button = list.children[index].firstChild, unit = `${id}${alone[id] ? ` ${alone[id]}` : ""}`, text = locked.has(id) ? tr("{unit}, locked", { unit }) : unit;
     if (button.textContent !== text) button.textContent = text;
-    button.title = `${title}${alone[id] ? `; ${alone[id]}: what it avoids alone. ${question.meaning()}` : ""}`;
+    button.title = alone[id] ? `${tr("{unit}; {share}: what it avoids alone.", { unit: title, share: alone[id] })} ${question.meaning()}` : title;
     button.setAttribute("aria-pressed", id === selected);
   });
   fillUnit();
@@ -366,7 +367,8 @@ function fillUnit() {
   find("unit").hidden = !unit;
   if (!unit) return;
   const reach = map.viewOf(unit.id)?.reachM;
-  find("unit-text").textContent = `${unit.title}${unit.site ? `, at ${unit.site}` : ""}; its detector reaches ${reach ? reach.toFixed(0) : "\u2026"} m`;
+  const told = { unit: unit.title, site: unit.site, reach: reach ? number(reach, 0) : "\u2026" };
+  find("unit-text").textContent = unit.site ? tr("{unit}, at {site}; its detector reaches {reach} m", told) : tr("{unit}; its detector reaches {reach} m", told);
   for (const [id, field] of Object.entries(FIELDS)) {
     const value = Number(field.of(unit).toFixed(field.digits));
     for (const input of [find(id), find(`${id}-slide`)]) {
@@ -378,10 +380,10 @@ function fillUnit() {
   }
   compass.show(unit);
   sideView.show(unit, reach);
-  find("bearing").textContent = `bearing ${bearingOf(unit.yawDeg).toFixed(1)}\u00b0`;
+  find("bearing").textContent = tr("bearing {angle}\u00b0", { angle: number(bearingOf(unit.yawDeg), 1) });
   for (const field of find("unit").querySelectorAll("input:not(#snap), select, #remove")) field.disabled = unit.isLocked;
   find("lock").setAttribute("aria-pressed", unit.isLocked);
-  find("lock").textContent = unit.isLocked ? "Unlock" : "Lock";
+  find("lock").textContent = unit.isLocked ? tr("Unlock") : tr("Lock");
   find("fov-row").hidden = !unit.fovRange;
   find("unit-site").value = unit.site;
   find("unit-sensor").value = unit.sensor;
@@ -485,7 +487,7 @@ function snapped(yaw) {
 const locked = new Set();
 
 function refused(id) {
-  if (locked.has(id)) notice(`${id} is locked: unlock it first (L).`);
+  if (locked.has(id)) notice(tr("{unit} is locked: unlock it first (L).", { unit: id }));
   return locked.has(id);
 }
 
@@ -512,11 +514,11 @@ function copy() {
   if (!unit) return;
   copied = { sensor: unit.sensor, yaw_deg: unit.yawDeg, pitch_deg: unit.pitchDeg, height_m: unit.heightM, ...(unit.fovRange ? { fov_deg: unit.fovDeg } : {}) };
   find("paste-unit").disabled = false;
-  notice(`${unit.id} is copied; Ctrl+V hangs the copy on the pole that is chosen.`);
+  notice(tr("{unit} is copied; Ctrl+V hangs the copy on the pole that is chosen.", { unit: unit.id }));
 }
 
 function paste() {
-  if (!copied) { notice("Nothing is copied yet: choose a sensor and press Ctrl+C."); return; }
+  if (!copied) { notice(tr("Nothing is copied yet: choose a sensor and press Ctrl+C.")); return; }
   add({ site: find("site").value, ...copied });
 }
 
@@ -531,7 +533,7 @@ function showSiteText() {
   const site = scene?.sites.find((item) => item.id === find("site").value);
   if (!site) return;
   const n = state ? state.units.filter((unit) => unit.site === site.id).length : 0;
-  find("site-text").textContent = `${site.kind}, ${site.low} to ${site.high} m; ${n} of ${site.capacity} units are mounted there.`;
+  find("site-text").textContent = tr("{kind}, {low} to {high} m; {n} of {all} units are mounted there.", { kind: site.kind, low: number(site.low), high: number(site.high), n, all: site.capacity });
   find("hang").disabled = site.isForbidden || n >= site.capacity;
   find("move-pole").disabled = find("remove-pole").disabled = !site.isOwn;
   if (site.isOwn) ["east", "north"].forEach((name, axis) => { find(`pole-${name}`).value = (site.place[axis] / 100).toFixed(2); });
@@ -560,7 +562,10 @@ function showLost() {
   const lost = isKnown ? numbers.lost.filter(([, , counts]) => counts) : [];
   const words = find("lost-filter").value.toLowerCase().split(/[\s,]+/).filter(Boolean);
   const shown = lost.filter(([index, outcome]) => words.every((word) => `${scene.runs[index].title} ${outcome}`.toLowerCase().includes(word)));
-  lostText = !isKnown ? "" : lost.length === 0 ? "None: every run is avoided." : `${lost.length} of ${scene.runs.length}${words.length ? `, ${shown.length} of them as asked for` : ""}${shown.length > MOST_LOST ? `; the first ${MOST_LOST}` : ""}. Choose one to see it on the plan, and why.`;
+  const counts = { n: lost.length, all: scene.runs.length, shown: shown.length, most: MOST_LOST };
+  const said = [words.length ? tr("{n} of {all}, {shown} of them as asked for.", counts) : tr("{n} of {all}.", counts)];
+  if (shown.length > MOST_LOST) said.push(tr("Here are the first {most}.", counts));
+  lostText = !isKnown ? "" : lost.length === 0 ? tr("None: every run is avoided.") : [...said, tr("Choose one to see it on the plan, and why.")].join(" ");
   find("lost-text").textContent = lostText;
   list.replaceChildren(...shown.slice(0, MOST_LOST).map(([index, outcome]) => {
     const item = element("li", {});
@@ -579,7 +584,7 @@ let asked = ""; // the run and the layout that the plan waits for
 
 async function play(index) {
   const run = scene.runs[index], wanted = asked = `${run.id} ${state.revision}`;
-  if (played.run() !== run.id) find("lost-text").textContent = `${run.title} is being looked up \u2026`;
+  if (played.run() !== run.id) find("lost-text").textContent = tr("{run} is being looked up \u2026", { run: run.title });
   try {
     const message = await ask("explain", { run: run.id });
     if (asked !== wanted) return;
@@ -617,18 +622,17 @@ document.querySelectorAll("[data-ask]").forEach((button) => button.addEventListe
 find("cancel").addEventListener("click", () => line.send({ do: "cancel" }));
 
 function readDoing(message) {
-  const text = message.stage ? `${message.who}: ${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}` : "";
-  if (message.who === "setting") question.doing(message.stage && `${message.stage}${message.total ? `, ${message.done} of ${message.total}` : ""}`);
+  const text = message.stage && message.total ? tr("{stage}, {done} of {total}", message) : message.stage;
+  if (message.who === "setting") question.doing(text);
   else if (message.who === "scene") dialogs.junctions.doing(message);
   else if (message.who === "optimiser") {
-    find("doing").textContent = text;
+    find("doing").textContent = text && tr("optimiser: {stage}", { stage: text });
     find("cancel").hidden = !text;
     document.querySelectorAll("[data-ask]").forEach((button) => { button.disabled = Boolean(text); });
   } else if (message.who === "rays") {
-    if (text) notice("Rays are being prepared; the first time on a machine that takes a minute.");
-    else notice("");
+    notice(text && tr("Rays are being prepared; the first time on a machine that takes a minute."));
   } else if (isCurrent() && numbers.source === "table") {
-    find("source").textContent = `by the detection table; the evaluator ${text ? "is at work" : "follows"}`;
+    find("source").textContent = text ? tr("by the detection table; the evaluator is at work") : tr("by the detection table; the evaluator follows");
   }
 }
 
@@ -640,13 +644,13 @@ function readProposals(message) {
     const item = element("li", {});
     element("h3", { text: each.title }, item);
     element("p", { text: each.words }, item);
-    element("p", { text: each.source === "evaluator" ? `By the evaluator: APR ${each.apr}.` : each.problem || "By the evaluator: computing \u2026" }, item);
+    element("p", { text: each.source === "evaluator" ? tr("By the evaluator: APR {apr}.", each) : each.problem || tr("By the evaluator: computing \u2026") }, item);
     const row = element("div", { class: "row" }, item);
     const add = (text, act) => { const made = element("button", { type: "button", text, "aria-label": `${text}: ${each.title}` }, row); made.addEventListener("click", act); return made; };
-    add("Show on the plan", () => { offered = offered === each.number ? null : each.number; readProposals({ proposals }); }).setAttribute("aria-pressed", offered === each.number);
-    add("Take it over", () => line.send({ do: "take", number: each.number }));
-    add("As a variant", () => line.send({ do: "take", number: each.number, as_variant: true }));
-    add("Drop", () => line.send({ do: "drop", number: each.number }));
+    add(tr("Show on the plan"), () => { offered = offered === each.number ? null : each.number; readProposals({ proposals }); }).setAttribute("aria-pressed", offered === each.number);
+    add(tr("Take it over"), () => line.send({ do: "take", number: each.number }));
+    add(tr("As a variant"), () => line.send({ do: "take", number: each.number, as_variant: true }));
+    add(tr("Drop"), () => line.send({ do: "drop", number: each.number }));
     return item;
   }));
 }
@@ -659,8 +663,8 @@ function readVariants(message) {
   const table = find("variants");
   table.tHead.replaceChildren();
   const head = element("tr", {}, table.tHead);
-  const meanings = ["", "mounted sensors", "sensors and poles, once", `share of the runs that is avoided. ${question.meaning()}`, "what is left of it when the unit fails that leaves least"];
-  ["", "units", "cost", "APR", "one fails", ...cases].forEach((text, column) => element("th", { scope: "col", text, title: meanings[column] ?? `${scene.cases[text] ?? ""}: ${OF_PART()}` }, head));
+  const meanings = ["", tr("mounted sensors"), tr("sensors and poles, once"), `${tr("share of the runs that is avoided.")} ${question.meaning()}`, tr("what is left of it when the unit fails that leaves least")];
+  ["", tr("units"), tr("cost"), "APR", tr("one fails"), ...cases].forEach((text, column) => element("th", { scope: "col", text, title: meanings[column] ?? `${scene.cases[text] ?? ""}: ${OF_PART()}` }, head));
   const [body] = table.tBodies;
   const focused = document.activeElement?.dataset?.variant;
   body.replaceChildren();
@@ -669,7 +673,7 @@ function readVariants(message) {
     const name = element("th", { scope: "row" }, line_);
     const button = element("button", { type: "button", text: row.name, "data-variant": index, "aria-current": index === state?.current }, name);
     button.addEventListener("click", () => line.send({ do: "select-variant", index }));
-    const apr = { none: row.units ? row.problem || "computing \u2026" : "", table: `${row.apr} (table)`, evaluator: row.apr }[row.source];
+    const apr = { none: row.units ? row.problem || tr("computing \u2026") : "", table: tr("{apr} (table)", row), evaluator: row.apr }[row.source];
     [row.units, row.cost, apr, row.oneFails, ...cases.map((name_) => row.byCase[name_] ?? "")].forEach((text, column) => element("td", { text, title: meanings[column + 1] ?? OF_PART() }, line_));
   });
   if (focused !== undefined) body.querySelector(`[data-variant="${focused}"]`)?.focus();
@@ -681,7 +685,7 @@ find("variant-name").addEventListener("change", (event) => {
   const plain = (name) => name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, " ").trim();
   const like = state.variants.find((one, index) => index !== state.current && plain(one.name) === plain(event.target.value));
   if (!like) { line.send({ do: "rename-variant", name: event.target.value }); return; }
-  notice(`"${event.target.value}" reads like "${like.name}": take a name that nobody mistakes for it.`);
+  notice(tr("\"{name}\" reads like \"{other}\": take a name that nobody mistakes for it.", { name: event.target.value, other: like.name }));
   event.target.value = state.variants[state.current].name;
 });
 
@@ -697,7 +701,7 @@ find("coverage").addEventListener("change", (event) => {
   line.send({ do: "coverage", is_shown: event.target.checked });
   if (!event.target.checked) { coverage = null; map.showCoverage(null); }
   find("coverage-key").hidden = !event.target.checked;
-  find("coverage-key").textContent = "computing \u2026";
+  find("coverage-key").textContent = tr("computing \u2026");
 });
 
 // Until new numbers come, what is drawn stays, and the legend says that it is old.
@@ -705,7 +709,7 @@ function showDanger() {
   const isShown = find("danger").checked, isKnown = isCurrent() && numbers.source !== "none";
   find("danger-key").hidden = !isShown;
   find("danger-key").classList.toggle("old", !isKnown);
-  if (isShown && !isKnown && isCurrent()) { find("danger-key").textContent = "Nothing is mounted: every run is lost."; map.showDanger(scene.runs.map(({ ends, weight }) => [...ends, weight])); return; }
+  if (isShown && !isKnown && isCurrent()) { find("danger-key").textContent = tr("Nothing is mounted: every run is lost."); map.showDanger(scene.runs.map(({ ends, weight }) => [...ends, weight])); return; }
   if (isShown && !isKnown) return;
   const points = isShown ? numbers.lost.map(([index]) => [...scene.runs[index].ends, scene.runs[index].weight]).filter(([, , weight]) => weight > 0) : [];
   map.showDanger(points);
@@ -719,7 +723,7 @@ function readCoverage(message) {
   map.showCoverage(coverage);
   find("coverage-key").hidden = false;
   const codes = [...scene.bands.keys(), 254, 255];
-  find("coverage-key").replaceChildren("Of the road, by pixels per metre: ", ...Object.entries(coverage.shares).map(([name, share], index) => {
+  find("coverage-key").replaceChildren(`${tr("Of the road, by pixels per metre:")} `, ...Object.entries(coverage.shares).map(([name, share], index) => {
     const item = element("span", { class: "key" });
     const swatch = element("svg", { width: 12, height: 12, "aria-hidden": "true" }, item);
     element("rect", { width: 12, height: 12, fill: bandColour(codes[index]), stroke: "#333" }, swatch);

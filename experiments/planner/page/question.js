@@ -1,9 +1,11 @@
 // What is driven, and how it is seen and weighed: controls whose change has the runs laid anew.
 
 import { element } from "./shared.js";
+import { tr } from "./words.js";
 
 const find = (id) => document.getElementById(id);
-const CARS = { blind: "act on the units' messages alone", see: "look with their own sensors, too" };
+const CARS = { blind: tr("act on the units' messages alone"), see: tr("look with their own sensors, too") };
+const WEATHERS = { day: tr("day"), night: tr("night"), rain: tr("rain"), fog: tr("fog") };
 
 export function createQuestion({ send }) {
   let told = null;
@@ -18,7 +20,7 @@ export function createQuestion({ send }) {
     told = message;
     const { now, choices } = told;
     fill("ask-detector", choices.detector, now.detector);
-    fill("ask-weights", choices.weights, now.weights, (word) => word || `default (${told.defaultWeights})`);
+    fill("ask-weights", choices.weights, now.weights, (word) => word || tr("default ({weights})", { weights: told.defaultWeights }));
     fill("ask-cars", choices.cars, now.cars, (word) => CARS[word] ?? word);
     find("ask-cases-known").replaceChildren(...choices.cases.map((value) => element("option", { value })));
     find("ask-cases").value = now.cases;
@@ -28,14 +30,14 @@ export function createQuestion({ send }) {
       find("ask-weather").append(...choices.weather.map((word) => {
         const label = element("label", {});
         const box = element("input", { type: "checkbox", value: word }, label);
-        label.append(` ${word}`);
+        label.append(` ${WEATHERS[word] ?? word}`);
         box.addEventListener("change", () => ask("weather", weathers().join(",")));
         return label;
       }));
     }
     boxes().forEach((box) => { box.checked = on.includes(box.value); });
     find("question-command").textContent = told.command;
-    find("question-now").textContent = `cases ${now.cases}; ${now.weather}; detector ${now.detector}`;
+    find("question-now").textContent = tr("cases {cases}; {weather}; detector {detector}", { ...now, weather: on.map((word) => WEATHERS[word] ?? word).join(", ") });
   }
 
   const boxes = () => [...find("ask-weather").querySelectorAll("input")];
@@ -51,7 +53,7 @@ export function createQuestion({ send }) {
     read,
     refused() { if (told) read(told); }, // what was asked for cannot be: the controls say what is so
     doing(text) {
-      find("question-doing").textContent = text ? `The runs are laid anew (${text}); until then all is as before.` : "";
+      find("question-doing").textContent = text ? tr("The runs are laid anew ({step}); until then all is as before.", { step: text }) : "";
       find("question-form").setAttribute("aria-busy", String(Boolean(text)));
     },
     meaning: () => told?.meaning ?? "",

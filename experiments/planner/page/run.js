@@ -1,6 +1,7 @@
 // A run on the plan: where car and road user are at a time, who sees whom when, and why it is lost.
 
-import { bodyCorners, element, points, seconds, stretches, unpackBits, wedgeCorners } from "./shared.js";
+import { bodyCorners, element, inWords, points, say, seconds, stretches, unpackBits, wedgeCorners } from "./shared.js";
+import { tr, trn } from "./words.js";
 
 const THIN = { "vector-effect": "non-scaling-stroke" };
 const CAR_COLOUR = "#333", ROAD_USER_COLOUR = "#F0E442", SEES_COLOUR = "#000";
@@ -19,7 +20,7 @@ export function createRunDrawing({ ground, marks, at, put }) {
   const user = element("polygon", { fill: ROAD_USER_COLOUR, class: "played-user", ...outlined }, moving);
   const lines = element("g", {}, marks);
   const last = element("path", { d: "M-7 -7L7 7M-7 7L7 -7", stroke: "#000", "stroke-width": 3 }, marks);
-  element("title", { text: "middle of the car at the last moment to brake" }, last);
+  element("title", { text: tr("middle of the car at the last moment to brake") }, last);
   const ring = element("circle", { r: 11, fill: "none", stroke: ROAD_USER_COLOUR, "stroke-width": 3 }, marks);
   const edge = element("circle", { r: 13, fill: "none", stroke: "#000", "stroke-width": 1.2 }, marks);
 
@@ -59,7 +60,7 @@ export function createRunDrawing({ ground, marks, at, put }) {
         element("path", { d: way(run.road), fill: "none", stroke: "#000", "stroke-width": 1.8, "stroke-dasharray": "4 3", ...THIN }, still);
         run.parked.forEach((body) => {
           const box = element("polygon", { points: points(body.corners), fill: "url(#parked-fill)", stroke: "#666", ...THIN }, still);
-          element("title", { text: `parked: ${body.name}` }, box);
+          element("title", { text: tr("parked: {name}", { name: say(body.name) }) }, box);
         });
         [frame, seeing] = [0, []];
       }
@@ -75,7 +76,7 @@ export function partiesOf(message) {
   const { record, parties } = message;
   const rows = unpackBits(record.bits, parties.length, record.time.length);
   return parties.map((party, index) => ({
-    ...party, name: party.kind === "vut" ? "the car" : party.name, detected: rows[index], confirmed: record.confirmed[index], onset: record.onset[index], isAvoided: record.avoided[index],
+    ...party, name: party.kind === "vut" ? tr("the car") : party.name, detected: rows[index], confirmed: record.confirmed[index], onset: record.onset[index], isAvoided: record.avoided[index],
   }));
 }
 
@@ -86,15 +87,16 @@ function countOf(party) {
 }
 
 // What one party does in a run.
-export function sayParty(party, record) {
-  const n = countOf(party), of = `${n} of ${record.time.length} frames`;
-  if (!n) return "never sees the road user";
-  const seen = `sees the road user in ${of} (${stretches(party.detected).map(([first, end]) => (first === end ? seconds(record.time[first]) : `${seconds(record.time[first])} to ${seconds(record.time[end])}`)).join(", ")} s)`;
-  if (party.confirmed === null) return `${seen}, never often enough in a row to confirm it`;
-  const confirmed = `${seen}, confirms it at ${seconds(party.confirmed)} s`;
-  if (party.isAvoided) return `${confirmed}, in time`;
-  const lateMs = late(party, record);
-  return lateMs === null ? `${confirmed}, and loses it again before the last moment` : `${confirmed}, ${seconds(lateMs)} s too late`;
+export function sayParty(party, record, who = party.name) {
+  const lateMs = late(party, record), seen = {
+    who, n: countOf(party), all: record.time.length, when: inWords(party.detected, record.time),
+    confirmed: seconds(party.confirmed), late: seconds(lateMs),
+  };
+  if (!seen.n) return tr("{who} never sees the road user", seen);
+  if (party.confirmed === null) return tr("{who} sees the road user in {n} of {all} frames ({when} s), never often enough in a row to confirm it", seen);
+  if (party.isAvoided) return tr("{who} sees the road user in {n} of {all} frames ({when} s), confirms it at {confirmed} s, in time", seen);
+  if (lateMs === null) return tr("{who} sees the road user in {n} of {all} frames ({when} s), confirms it at {confirmed} s, and loses it again before the last moment", seen);
+  return tr("{who} sees the road user in {n} of {all} frames ({when} s), confirms it at {confirmed} s, {late} s too late", seen);
 }
 
 // Why a run is lost, in a sentence, by the unit that came nearest: least late, or most often seeing.
@@ -103,20 +105,22 @@ export function sayWhy(message, isLost, idOf) {
   const units = partiesOf(message).filter((party) => party.kind === "unit");
   if (!isLost) {
     const first = units.filter((party) => party.isAvoided).sort((a, b) => a.confirmed - b.confirmed)[0];
-    return first ? `Avoided now: ${first.name} ${sayParty(first, record)}.` : "Avoided now.";
+    return first ? tr("Avoided now: {what}.", { what: sayParty(first, record) }) : tr("Avoided now.");
   }
-  if (!inTime) return "Lost whatever is mounted: no frame comes early enough to brake for.";
+  if (!inTime) return tr("Lost whatever is mounted: no frame comes early enough to brake for.");
   const reasonsOf = (party) => explained.find((one) => one.unit === idOf(party.name))?.reasons ?? [];
   const rank = (party) => {
-    if (!countOf(party)) return 1e7 + (reasonsOf(party).find((why) => why.words === "out of view")?.frames ?? 0); // it looks elsewhere
+    if (!countOf(party)) return 1e7 + (reasonsOf(party).find((why) => why.cause === "out of view")?.frames ?? 0); // it looks elsewhere
     const lateMs = late(party, record);
     return party.confirmed !== null && lateMs !== null && lateMs > 0 ? lateMs : party.confirmed !== null ? 1e6 : 1e7 - countOf(party);
   };
   const nearest = [...units].sort((a, b) => rank(a) - rank(b))[0];
-  const reasons = reasonsOf(nearest);
-  const missed = (who) => (reasons.length ? `f the ${inTime} frames that come in time, ${who} misses ${reasons.map((why) => `${why.frames} (${why.words})`).join(", ")}.` : "");
-  if (!countOf(nearest)) return `No unit sees the road user${reasons.length ? `: o${missed(nearest.name)}` : "."}`;
-  return `${nearest.name} comes nearest: it ${sayParty(nearest, record)}.${reasons.length ? ` O${missed("it")}` : ""}`;
+  const reasons = reasonsOf(nearest).map((why) => `${why.frames} (${why.words})`).join(", ");
+  const missed = { n: inTime, unit: nearest.name, reasons };
+  if (!countOf(nearest)) return reasons ? tr("No unit sees the road user: of the {n} frames that come in time, {unit} misses {reasons}.", missed) : tr("No unit sees the road user.");
+  const said = [tr("{unit} comes nearest: {what}.", { unit: nearest.name, what: sayParty(nearest, record, tr("it")) })];
+  if (reasons) said.push(tr("Of the {n} frames that come in time, it misses {reasons}.", missed));
+  return said.join(" ");
 }
 
 // ---------- the strip below the plan
@@ -154,8 +158,8 @@ export function createPlayed({ map, unitsNow, onClose, onWhy, onFrame }) {
     const half = (x(1) - x(0)) / 2, frameOf = (ms) => (ms - record.time[0]) / (record.time[n - 1] - record.time[0]) * (n - 1);
     markers = [];
     shown.forEach((party) => {
-      const row = element("svg", { width: widthPx, height: ROW_PX, role: "img", "aria-label": `${party.name} ${sayParty(party, record)}` }, holder);
-      element("title", { text: `${party.name} ${sayParty(party, record)}` }, row);
+      const row = element("svg", { width: widthPx, height: ROW_PX, role: "img", "aria-label": sayParty(party, record) }, holder);
+      element("title", { text: sayParty(party, record) }, row);
       element("text", { text: party.name, x: 0, y: 13, "font-size": 12 }, row);
       element("rect", { x: x(0) - half, y: 3, width: x(n - 1) - x(0) + 2 * half, height: ROW_PX - 6, fill: "#f1f1f1" }, row);
       stretches(party.detected).forEach(([first, end]) => element("rect", { x: x(first) - half, y: 3, width: x(end) - x(first) + 2 * half, height: ROW_PX - 6, fill: party.kind === "vut" ? CAR_COLOUR : unitsNow().find((unit) => unit.name === party.name)?.colour ?? "#555" }, row));
@@ -174,16 +178,17 @@ export function createPlayed({ map, unitsNow, onClose, onWhy, onFrame }) {
     markers.place(frame);
     onFrame();
     const ms = record.time[frame];
-    const when = `${seconds(ms, 1)} s`;
     const isOver = record.last !== null && ms > record.last;
-    find("played-time").textContent = `${when}${isOver ? ", too late to brake" : ""}: ${seeing.length ? `${seeing.map((party) => party.name).join(", ")} see${seeing.length === 1 ? "s" : ""} the road user` : "nobody sees the road user"}`;
+    const names = seeing.map((party) => party.name).join(", "), time = seconds(ms, 1);
+    const what = names ? trn("{names} sees the road user", "{names} see the road user", seeing.length, { names }) : tr("nobody sees the road user");
+    find("played-time").textContent = isOver ? tr("{time} s, too late to brake: {what}", { time, what }) : tr("{time} s: {what}", { time, what });
     slider.setAttribute("aria-valuetext", find("played-time").textContent);
   }
 
   function stop() {
     clearInterval(timer);
     timer = 0;
-    find("played-play").textContent = "Play";
+    find("played-play").textContent = tr("Play");
   }
 
   function close() {
@@ -201,7 +206,7 @@ export function createPlayed({ map, unitsNow, onClose, onWhy, onFrame }) {
     if (timer) { stop(); return; }
     const { time } = message.record, last = Number(slider.max);
     if (slider.valueAsNumber >= last) slider.value = 0;
-    find("played-play").textContent = "Pause";
+    find("played-play").textContent = tr("Pause");
     showFrame();
     timer = setInterval(() => {
       slider.value = slider.valueAsNumber + 1;

@@ -2,6 +2,7 @@
 
 import { ask } from "./line.js";
 import { element, seconds } from "./shared.js";
+import { tr } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const COARSE_PX = 320, FINE_PX = 640, STANDS_MS = 300, AGAIN_MS = 200, QUICK_MS = 150;
@@ -20,11 +21,11 @@ export function createSeen({ unitNow, runNow, scene }) {
     if (!unit || !holder.open) return;
     const isCamera = unit.kind === "camera";
     frame.hidden = !isCamera;
-    if (!isCamera) { shown = { key: "", width: 0 }; say("A LiDAR takes no picture."); return; }
+    if (!isCamera) { shown = { key: "", width: 0 }; say(tr("A LiDAR takes no picture.")); return; }
     const key = keyOf(unit, runNow());
     if (key !== wanted) { wanted = key; changedAt = performance.now(); }
     if (key !== shown.key) holder.setAttribute("aria-busy", "true");
-    if (key !== shown.key && !image.src) say("It is being drawn \u2026");
+    if (key !== shown.key && !image.src) say(tr("It is being drawn \u2026"));
     next();
   }
 
@@ -52,7 +53,7 @@ export function createSeen({ unitNow, runNow, scene }) {
       if (unitNow()?.id === unit.id) show(unit, found, key === wanted, { key, width });
     } catch (error) {
       pauseMs = AGAIN_MS; // another page was first, the unit is gone, or the line is lost
-      if (unitNow()?.id === unit.id && error.message !== "it was stopped") { say(error.message); shown = { key, width: FINE_PX }; }
+      if (unitNow()?.id === unit.id && error.message !== tr("it was stopped")) { say(error.message); shown = { key, width: FINE_PX }; }
     } finally {
       isBusy = false;
     }
@@ -65,9 +66,12 @@ export function createSeen({ unitNow, runNow, scene }) {
     image.src = `data:image/jpeg;base64,${found.image}`;
     const run = scene().runs.find((one) => one.id === found.run);
     if (!run) return; // of a question that is none any longer
-    const what = `${run.title}, ${found.timeS === 0 ? "at the impact" : `${seconds(Math.abs(1000 * found.timeS), 1)} s before the impact`}`;
-    image.alt = `What ${unit.id} sees: ${what}`;
-    say(`${what}${runNow() ? "" : ", the road user nearest to where it looks; choose a run to see another"}.${found.box ? "" : " The road user is not in the picture."}`);
+    const told = { run: run.title, time: seconds(Math.abs(1000 * found.timeS), 1) };
+    const what = found.timeS === 0 ? tr("{run}, at the impact", told) : tr("{run}, {time} s before the impact", told);
+    image.alt = tr("What {unit} sees: {what}", { unit: unit.id, what });
+    const said = [runNow() ? `${what}.` : tr("{what}, the road user nearest to where it looks; choose a run to see another.", { what })];
+    if (!found.box) said.push(tr("The road user is not in the picture."));
+    say(said.join(" "));
     image.title = scene().cases[run.title.split(" ")[0]] ?? "";
     frame.style.aspectRatio = `${width} / ${height}`;
     holder.setAttribute("aria-busy", String(!isNewest));

@@ -12,8 +12,10 @@ export const tr = say;
 // As tr, in the form for one or for many; "{n}" is the number itself.
 export const trn = (one, many, n, values) => say(n === 1 ? one : many, { n, ...values });
 
-// A number with so many digits behind the page's decimal sign.
-export function number(value, digits = 0) {
-  const style = { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false };
+// A number with so many digits behind the page's decimal sign; without any, as many as it needs.
+export function number(value, digits) {
+  const style = { minimumFractionDigits: digits ?? 0, maximumFractionDigits: digits ?? 6, useGrouping: false };
   return new Intl.NumberFormat(LANGUAGE, style).format(value);
 }
+
+export const bytes = (value) => value.toLocaleString(LANGUAGE);
