@@ -21,6 +21,7 @@ from ..progress import Interrupted, StageProgress, tell
 if TYPE_CHECKING:
     from geometry.scene import Scene
 
+    from .numbers import TileServer
     from .plan import Plan
     from .session import MapFile
 
@@ -50,13 +51,16 @@ def plan(
     save: Path | None,
     host: str,
     i_know: bool,
+    tiles: str,
+    tiles_attribution: str,
     question: Question,
     quiet: bool,
     compute: Compute,
 ) -> None:
     """Plan by hand in the browser: mount sensors, drag them, see at once who is saved.
 
-    The page is served from this computer, to this computer alone, and loads nothing from elsewhere.
+    The page is served from this computer, to this computer alone, and loads nothing from
+    elsewhere but the tiles of a server that --tiles names.
     Numbers of a drag are by the detection table; the evaluator's follow, the same as `evaluate`
     gives. The optimiser proposes what to do next. It ends when the page is closed, or by Ctrl-C.
     """
@@ -65,6 +69,7 @@ def plan(
             f"--host: got {host}; expected --i-know beside it: others could change the plan"
         )
     asked = question
+    tile_server = _tile_server(tiles, tiles_attribution)
     question = begin(progress, question, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
     from geometry.errors import InputError
@@ -82,14 +87,16 @@ def plan(
         check_target(save)
     if 0.0 < read_cars(question.cars) < 1.0:
         raise InputError("--cars", question.cars, "blind or see: the page tells each run once")
-    scene = load_scene(question.scene)
+    scene, map_file = load_scene(question.scene), _map_file(asked)
     begun = _begun_plan(layout_names, save, scene)
     progress("setting", 0, 0)
     setting = with_sight(build_setting(question, scene, compute=compute), compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
         server = RunningServer(
-            lambda: Session(work, setting, begun=begun, save=save, map_file=_map_file(asked)),
+            lambda: Session(
+                work, setting, begun=begun, save=save, map_file=map_file, tiles=tile_server
+            ),
             host=host,
             port=port,
             keeps_open=keep_open,
@@ -120,6 +127,14 @@ def plan(
             tell(f"place-rsus: {problem}", err=True)
         saved = [] if server.session is None else server.session.saved_files()
         tell(tr(ended[bool(saved)], files=tr(" and ").join(saved)))
+
+
+def _tile_server(template: str, attribution: str) -> "TileServer | None":
+    if not template:
+        return None
+    from .numbers import read_tile_server
+
+    return read_tile_server(template, attribution)
 
 
 def _map_file(question: Question) -> "MapFile | None":

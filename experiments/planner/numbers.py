@@ -394,14 +394,12 @@ class TileServer(NamedTuple):
     origin: str  # the only one that the page may ask, such as "https://HOST"
 
 
-def read_tile_server(template: str, attribution: str) -> TileServer | None:
-    """The server of ``--tiles``; None: none is named. InputError: it is no such address."""
-    if not template:
-        return None
+def read_tile_server(template: str, attribution: str) -> TileServer:
+    """The server of ``--tiles``, by default its own name as attribution; or InputError."""
     found = _TEMPLATE.fullmatch(template)
     names = sorted(re.findall(r"\{(.*?)\}", template))
     if found is None or names != ["x", "y", "z"] or int(found["port"] or 0) > _HIGHEST_PORT:
-        raise InputError("--tiles", template, "https://HOST/{z}/{x}/{y}.png, or http")
+        raise InputError("--tiles", template, "an address such as https://HOST/{z}/{x}/{y}.png")
     return TileServer(template, attribution or found["host"], found["origin"])
 
 

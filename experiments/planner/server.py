@@ -202,7 +202,9 @@ class Pages:
         return answer
 
     async def _page(self, request: Request) -> Response:
-        return Response(page_html(), media_type="text/html")
+        tiles = self._session.tiles
+        policy = _STRICT.replace(_IMAGES, f"{_IMAGES} {tiles.origin}") if tiles else _STRICT
+        return Response(page_html(), media_type="text/html", headers={_POLICY: policy})
 
     async def _file(self, request: Request) -> Response:
         found = page_files().get(request.path_params["name"])

@@ -31,6 +31,7 @@ from ..parts.camera_views import live_picture
 from ..parts.player import svg_path, unit_records
 from . import plan
 from .numbers import (
+    TileServer,
     centimetres,
     change_question,
     cost_record,
@@ -42,6 +43,7 @@ from .numbers import (
     scene_record,
     state_record,
     table_numbers,
+    tile_frame,
 )
 from .plan import Background, History, Plan, PlanState, Variant
 from .tasks import Cancelled, DiedError, TaskError, Work, Worker
@@ -234,10 +236,12 @@ class Session:
         save: Path | None = None,
         make_worker: Callable[[Work], Worker] = Worker,
         map_file: MapFile | None = None,
+        tiles: TileServer | None = None,
     ) -> None:
         streets = street_names(setting.scene).values() if map_file else ()
         title = " / ".join(dict.fromkeys(streets))
         self.workspace = Workspace(work, setting, title=title, save=save)
+        self.tiles = tiles
         self.map_file = map_file  # that the scene is of, or that was sent last
         self._make_worker = make_worker
         self.workspace.background = begun.background if begun else None
@@ -346,9 +350,14 @@ class Session:
     def _scene_message(self) -> dict[str, Any]:
         models, ground = [*self._models.values()], self.workspace.ground
         record = scene_record(self.setting, models=models, chosen=self._chosen, ground=ground)
+        tiles = None
+        if self.tiles is not None:
+            given = {"template": self.tiles.template, "attribution": self.tiles.attribution}
+            tiles = {**given, "frame": tile_frame(self.setting.scene)}
         return {
             "type": "scene",
             **record,
+            "tiles": tiles,
             "title": self.workspace.title,
             "isKept": self.workspace.save is not None,
             "map": "" if self.map_file is None else self.map_file.name,

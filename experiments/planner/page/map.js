@@ -100,14 +100,14 @@ export function createMap(holder, on) {
   addPatterns(svg);
   addHatching(svg);
   const ground = element("g", { "stroke-linejoin": "round" }, svg);
-  const layers = Object.fromEntries(["still", "image", "coverage", "private", "ways", "views", "danger", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
+  const layers = Object.fromEntries(["still", "tiles", "image", "coverage", "private", "ways", "views", "danger", "chosen", "seen", "offered", "run"].map((name) => [name, element("g", {}, ground)]));
   layers.danger.setAttribute("pointer-events", "none");
   const marks = element("g", {}, svg);
   const marked = Object.fromEntries(["arms", "names", "other", "run", "sites", "units", "aim", "drag", "ruler", "scale"].map((name) => [name, element("g", {}, marks)]));
   marked.scale.setAttribute("font-size", 11);
   let scene = null, units = [], selected = null, chosenSite = null;
   let middle = [0, 0], half = 5000, width = 600, height = 400, perCm = 0.05, origin = [0, 0];
-  let drawn = new Map(), placed = [], others = [], handle = null, pickPoint = null, views = new Map(), ruler = null, isPoling = false;
+  let drawn = new Map(), placed = [], others = [], handle = null, pickPoint = null, views = new Map(), ruler = null, isPoling = false, laidOut = () => {};
   const at = ([x, y]) => [origin[0] + x * perCm, origin[1] - y * perCm];
   const put = (mark, place) => { const [x, y] = at(place); mark.setAttribute("transform", `translate(${x.toFixed(1)} ${y.toFixed(1)})`); };
   const placeOf = ([x, y]) => {
@@ -128,6 +128,7 @@ export function createMap(holder, on) {
     drawRuler();
     run.layOut();
     drawScale(marked.scale, width, height, perCm);
+    laidOut();
   }
 
   function zoomBy(factor, point = middle) {
@@ -563,5 +564,8 @@ export function createMap(holder, on) {
     whole,
     pick(then) { pickPoint = then; },
     viewOf: (id) => views.get(id),
+    layer: (name) => layers[name],
+    watch(then) { laidOut = then; }, // told when the window has changed
+    window: () => ({ west: -origin[0] / perCm, east: (width - origin[0]) / perCm, south: (origin[1] - height) / perCm, north: origin[1] / perCm, perCm }),
   };
 }

@@ -10,6 +10,7 @@ import { createQuestion } from "./question.js";
 import { createPlayed } from "./run.js";
 import { createSeen } from "./seen.js";
 import { element } from "./shared.js";
+import { createTiles } from "./tiles.js";
 import { number, tr, trn } from "./words.js";
 
 const find = (id) => document.getElementById(id);
@@ -64,6 +65,7 @@ const onHandles = {
   }[name]()), `${name} ${key}`),
   giveUp, snapped, refused,
 };
+const tiles = createTiles({ map, notice });
 const compass = createCompass(find("compass-holder"), onHandles), sideView = createSideView(find("side-holder"), onHandles);
 const played = createPlayed({ map, unitsNow: () => unitsNow(), onClose: () => { markPlayed(); seen.changed(); }, onFrame: () => seen.changed(), onWhy: () => { const index = playedIndex(); dialogs.showRun(scene.runs[index], outcomeOf(index) ?? tr("avoided")); } });
 const seen = createSeen({ scene: () => scene, unitNow: () => state?.units.find((unit) => unit.id === selected), runNow: () => (played.run() ? { run: played.run(), frame: played.frame() } : null) });
@@ -145,6 +147,7 @@ function readScene(message) {
   chooseSite(isOther || !scene.sites.some((site) => site.id === site_) ? find("site").value : site_);
   seen.again();
   dialogs.junctions.readScene(scene);
+  tiles.readScene(scene.tiles);
 }
 
 // Poles of one's own come with the state: they are undone as all else is.
