@@ -122,7 +122,8 @@ function openJunctionMap(root, onChoose) {
   }
   function filter() {
     const wanted = part(".map-find").value.toLowerCase().split(/[\s/]+/).filter(Boolean);
-    const found = rows.map((row) => wanted.every((word) => row.textContent.toLowerCase().includes(word)));
+    const known = rows.map((row) => `${row.firstChild.textContent} ${row.dataset.id}`.toLowerCase());
+    const found = known.map((text) => wanted.every((word) => text.includes(word)));
     rows.forEach((row, index) => { row.parentElement.hidden = !found[index]; circles[index].classList.toggle("other", !found[index]); });
     const places = rows.flatMap((row, index) => (found[index] ? [placeOf(index)] : []));
     part(".map-count").textContent = `${places.length} / ${rows.length}`;

@@ -17,8 +17,8 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
 
   function tell() {
     const now = performance.now(), past = (now - begun) / 1000, { name, done, total } = step;
-    const values = { step: name, n: done, all: total, seconds: number(past) };
-    const stepPast = (now - step.begun) / 1000, left = number(stepPast / done * (total - done));
+    const values = { step: name, n: done, all: total, seconds: number(past, 0) };
+    const stepPast = (now - step.begun) / 1000, left = number(stepPast / done * (total - done), 0);
     find("map-doing").textContent = !name ? tr("Beginning: {seconds} s so far.", values)
       : !total ? tr("{step}: {seconds} s so far.", values)
       : done && stepPast > LEAST_S ? tr("{step}, {n} of {all}: {seconds} s so far; this step takes about {left} s more.", { ...values, left })

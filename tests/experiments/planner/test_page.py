@@ -1,17 +1,24 @@
 """The planner's page in a browser: by mouse, by keyboard, and when the line breaks."""
 
+import io
 import json
 import re
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from browser_pages import ENGINES, start_browser
+from city_maps import write_city
+from osm_text import OsmText
+from PIL import Image
 from plan_sessions import few_poses, start_server  # noqa: F401
+from pyproj import Transformer
 from shapely import box
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
@@ -20,7 +27,10 @@ from experiments.export.json import to_json_text
 from experiments.figures.axes import describe_run
 from experiments.parts.camera_views import draw_view
 from experiments.parts.result import build_evaluation_record
+from experiments.planner.numbers import read_tile_server
 from experiments.planner.plan import Variant
+from experiments.planner.session import MapFile
+from experiments.planner.tasks import Tasks
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
 from geometry.poses import Pose
@@ -75,19 +85,31 @@ def serve(tmp_path, small_setting, few_poses):  # noqa: F811
 
 
 @contextmanager
-def opened(browser, server, *, width=1280, height=900, may_complain=False, before=None, **options):
-    """The page; it must neither complain nor ask for anything from elsewhere."""
+def opened(
+    browser,
+    server,
+    *,
+    width=1280,
+    height=900,
+    may_complain=False,
+    before=None,
+    foreign=(),
+    **options,
+):
+    """The page; it must neither complain nor ask for anything from elsewhere but `foreign`."""
     context = browser.new_context(viewport={"width": width, "height": height}, **options)
     page = context.new_page()
     page.set_default_timeout(PATIENCE_MS)
-    complaints = []
+    complaints, asked = [], []
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     home = urlsplit(server.address).netloc
     page.on(
         "request",
         lambda request: (
-            None if urlsplit(request.url).netloc in (home, "") else complaints.append(request.url)
+            None
+            if urlsplit(request.url).netloc in (home, "", *foreign)
+            else asked.append(request.url)
         ),
     )
     if before is not None:
@@ -96,6 +118,7 @@ def opened(browser, server, *, width=1280, height=900, may_complain=False, befor
     page.wait_for_selector("[data-site]")
     yield page
     context.close()
+    assert asked == []
     assert may_complain or complaints == []
 
 
@@ -271,8 +294,6 @@ def test_private_areas_are_drawn_and_told_for_the_chosen_camera(browser, serve, 
 
 
 def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_path):
-    from PIL import Image
-
     Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         page.locator("#background").click()
@@ -307,8 +328,6 @@ def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_pa
 
 
 def test_an_image_with_its_world_file_lies_at_its_place_and_fades(browser, serve, tmp_path):
-    from PIL import Image
-
     pytest.importorskip("rasterio", reason="place-rsus[terrain] is not installed")
     scene = load_study_scene()
     east, north = scene.outline_m.mean(axis=0)
@@ -1335,31 +1354,34 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
     ends_cm = np.array([run.vru_position_m[-1] for run in small_setting.runs])[is_lost] * 100.0
     weight = axis.weight[is_lost] / axis.weight.sum()
     assert 0 < len(weight) < axis.n_runs
-    least = [0.1, 0.05, 0.02, 0.01, 0.005, 0.0]
+    least = np.array([0.1, 0.05, 0.02, 0.01, 0.005, 0.0])
+    west, south = np.floor(ends_cm.min(axis=0) / 50.0).astype(int) * 50 - 250
+    east, north = ends_cm.max(axis=0).astype(int) + 250
+    places = np.stack(np.meshgrid(range(west + 25, east, 50), range(south + 25, north, 50)), -1)
+    away_cm = np.hypot(*np.moveaxis(places[:, :, None] - np.rint(ends_cm), -1, 0))
+    expected = (away_cm < 200.0) @ weight
+    # On the edge of a disc, or between two bands, either is right.
+    is_edge = (np.abs(away_cm - 200.0) < 1e-6).any(axis=-1)
+    is_close = (np.abs(expected[..., None] - least) <= 1e-6).any(axis=-1)
     with opened(browser, serve(units)) as page:
         told(page)
         assert page.locator("#danger-key").is_hidden()
         page.locator("#danger").check()
         bands = page.locator("#plan [data-band]")
         page.locator("#danger-key").filter(has_text=f"{len(weight)}, with").wait_for()
-        drawn = {}
-        for path in bands.all():
-            band = int(path.get_attribute("data-band"))
-            for x, y in re.findall(r"M(-?\d+) (-?\d+)h50v50h-50Z", path.get_attribute("d")):
-                drawn[int(x) + 25, int(y) + 25] = band
-        assert drawn
-        west, south = np.floor(ends_cm.min(axis=0) / 50.0).astype(int) * 50 - 250
-        east, north = ends_cm.max(axis=0) + 250.0
-        for x in range(west + 25, int(east), 50):
-            for y in range(south + 25, int(north), 50):
-                away_cm = np.hypot(*(np.rint(ends_cm) - (x, y)).T)
-                if (abs(away_cm - 200.0) < 1e-6).any():
-                    continue  # on the edge of a disc: either is right
-                expected = weight[away_cm < 200.0].sum()
-                band = drawn.get((x, y))
-                assert (band is None) == (expected == 0.0)
-                if band is not None and min(abs(expected - np.array(least))) > 1e-6:
-                    assert band == next(n for n, one in enumerate(least) if expected > one)
+        drawn = np.full(expected.shape, -1)
+        paths = bands.evaluate_all(
+            "all => all.map(one => [one.dataset.band, one.getAttribute('d')])"
+        )
+        for band, d in paths:
+            corners = np.array(re.findall(r"M(-?\d+) (-?\d+)h50v50h-50Z", d), dtype=int)
+            column, row = (corners - (west, south)).T // 50
+            drawn[row, column] = int(band)
+        assert (drawn >= 0).any()
+        np.testing.assert_array_equal((drawn >= 0)[~is_edge], (expected > 0.0)[~is_edge])
+        is_sure = (drawn >= 0) & ~is_edge & ~is_close
+        band = (expected[..., None] > least).argmax(axis=-1)
+        np.testing.assert_array_equal(drawn[is_sure], band[is_sure])
         fills = page.locator("#danger-key rect").evaluate_all(
             "all => all.map(one => one.getAttribute('fill'))"
         )
@@ -1368,3 +1390,199 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
         assert (np.diff(grey) > 10.0).all()  # told apart in grey: the darker the more
         page.locator("#danger").uncheck()
         expect(bands).to_have_count(0)
+
+
+# ---------- another junction
+
+
+@pytest.fixture(scope="module")
+def streets(tmp_path_factory):
+    """Three junctions along a street, and one that cars can only leave."""
+    path = write_city(tmp_path_factory.mktemp("city"))
+    away = OsmText()
+    away.n_parts = 1000
+    start = away.node(250.0, 400.0)
+    for place in ((340.0, 400.0), (160.0, 400.0), (250.0, 490.0)):
+        away.road([start, place], name="Far Street", oneway="yes")
+    text = path.read_text().replace("</osm>\n", "\n".join([*away.parts, "</osm>\n"]))
+    path.write_text(text)
+    return path
+
+
+def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
+    browser, serve, streets
+):
+    def view(page):
+        box = page.get_attribute("#map-choice .street-map", "viewBox")
+        return [float(word) for word in box.split()]
+
+    named = MapFile(path=streets, name="tiny.osm")
+    with opened(browser, serve(map_file=named)) as page:
+        page.locator("#another-junction").click()
+        page.locator("#map-choice .junction-chooser").wait_for()
+        assert page.locator("#map-text").inner_text() == "tiny.osm has 4 junctions."
+        shown = page.locator("#map-choice text:not([display=none])").all_text_contents()
+        assert {"Main Street", "A Lane", "B Lane", "C Lane"} <= set(shown)
+        grey = page.locator("#map-choice circle.unusable")
+        expect(grey).to_have_count(1)
+        grey.click()
+        status = page.locator("#map-choice .map-count")
+        assert status.inner_text().startswith("No car can drive into it")
+        assert page.locator("#map-choice circle.chosen:not(.unusable)").count() == 1
+        whole = view(page)
+        middle_ = middle(page.locator("#map-choice .street-map"))
+        page.mouse.move(*middle_)
+        page.mouse.wheel(0, -300)
+        page.wait_for_function(
+            "width => document.querySelector('.street-map').viewBox.baseVal.width < width",
+            arg=0.9 * whole[2],
+        )
+        assert view(page)[0] + view(page)[2] / 2 == pytest.approx(whole[2] / 2, abs=1.0)
+        page.locator("#map-choice .street-map").focus()
+        before = view(page)
+        page.keyboard.press("ArrowRight")
+        assert view(page)[0] > before[0]
+        page.keyboard.press("0")
+        assert view(page) == whole
+        page.locator(".map-find").focus()  # all by keyboard from here on
+        page.keyboard.type("lane main c")
+        assert status.inner_text() == "1 / 4"
+        page.keyboard.press("Enter")  # to the row, then choose it
+        page.keyboard.press("Enter")
+        row = page.locator("#map-choice li button[aria-pressed=true]")
+        assert row.inner_text().split("\n")[0] == "C Lane / Main Street"
+        assert page.locator("#map-choice circle.chosen").count() == 1
+        page.locator("#map-take").press("Enter")
+        page.locator("#map-dialog").wait_for(state="hidden")
+        assert page.locator("#scene-name").inner_text().startswith("at C Lane / Main Street,")
+        page.locator("#another-junction").click()
+        page.locator("#map-choice .junction-chooser").wait_for()
+        assert "Undo leads back" not in page.locator("#map-text").inner_text()  # nothing is mounted
+
+
+def test_reading_a_map_tells_how_far_it_is_and_is_stopped(browser, serve, streets, monkeypatch):
+    def slow(self, *given, **options):
+        for done in range(300):
+            self._progress("read buildings", done, 300)
+            time.sleep(0.1)
+
+    monkeypatch.setattr(Tasks, "import_junction", slow)
+    named = MapFile(path=streets, name="tiny.osm")
+    with opened(browser, serve(map_file=named), may_complain=True) as page:  # of a request stopped
+        page.locator("#another-junction").click()
+        page.locator("#map-take:enabled").click()
+        doing = page.locator("#map-doing")
+        said = r"read buildings, \d+ of 300: \d+ s so far; this step takes about \d+ s more\."
+        expect(doing).to_have_text(re.compile(said), timeout=PATIENCE_MS)
+        assert 0 < page.locator("#map-bar").evaluate("bar => bar.position") < 1
+        before = page.locator("#scene-name").inner_text()
+        page.locator("#map-stop").click()
+        page.locator("#map-dialog").wait_for(state="hidden")
+        assert page.locator("#scene-name").inner_text() == before
+        page.locator("#another-junction").click()  # it is there again, without being read
+        page.locator("#map-take:enabled").wait_for()
+
+
+# ---------- tiles of a server
+
+
+@pytest.fixture
+def tile_server():
+    """A server of tiles: each has a colour of its own; what was asked for is remembered."""
+    asked = []
+
+    class Answers(BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+            _, x, y = map(int, self.path.removeprefix("/aerial/").removesuffix(".png").split("/"))
+            if self.server.is_down:
+                self.send_error(404)
+                return
+            file = io.BytesIO()
+            Image.new("RGB", (256, 256), colour_of(x, y)).save(file, "PNG")
+            self.send_response(200)
+            self.send_header("content-type", "image/png")
+            self.end_headers()
+            self.wfile.write(file.getvalue())
+
+        def log_message(self, *words):
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Answers)
+    server.is_down, server.asked = False, asked
+    Thread(target=server.serve_forever, daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+def colour_of(x, y):
+    return 60 + 90 * (x % 2), 60 + 90 * (y % 2), 200
+
+
+def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
+    browser, serve, tile_server, tmp_path
+):
+    host = f"127.0.0.1:{tile_server.server_port}"
+    template = f"http://{host}/aerial/{{z}}/{{x}}/{{y}}.png"
+    scene = load_study_scene()
+    tiles = read_tile_server(template, "(c) the test's own")
+    server = serve(tiles=tiles)
+    to_mercator = Transformer.from_crs(scene.crs, "EPSG:3857", always_xy=True)
+    span_m = 2.0 * np.pi * 6378137.0
+
+    def corners_m(key):
+        z, x, y = map(int, key.split("/"))
+        east = span_m * (np.array([x, x + 1, x]) / 2**z - 0.5)
+        north = span_m * (0.5 - np.array([y, y, y + 1]) / 2**z)
+        return np.column_stack(to_mercator.transform(east, north, direction="INVERSE"))
+
+    with opened(browser, server, foreign=(host,), may_complain=True) as page:
+        page.wait_for_function(
+            "() => { const all = [...document.querySelectorAll('[data-tile]')];"
+            " return all.length && all.every(one => 'loaded' in one.dataset); }"
+        )
+        assert page.locator("#attribution").inner_text() == "(c) the test's own"
+        drawn = page.locator("[data-tile]").evaluate_all(
+            "all => all.map(one => [one.dataset.tile, one.getAttribute('transform')])"
+        )
+        assert len(drawn) >= 4
+        for key, transform in drawn:
+            words = transform.removeprefix("matrix(").removesuffix(")").split()
+            a, b, c, d, e, f = map(float, words)
+            places_m = np.array([[e, f], [e + a, f + b], [e + c, f + d]]) / 100.0
+            away_m = np.abs(places_m - corners_m(key)).max()
+            assert away_m < 0.5
+        # What is seen at a place of the plan has the colour of the tile that holds it.
+        page.locator("#tiles-opacity").fill("100")
+        page.evaluate(
+            "document.querySelectorAll('#plan svg > g > g:not(:has([data-tile]))')"
+            ".forEach(one => { one.style.display = 'none'; })"
+        )
+        picture = Image.open(io.BytesIO(page.locator("#plan").screenshot())).convert("RGB")
+        window = page.locator("#plan svg > g").first.get_attribute("transform")
+        per_cm, _, _, _, east_px, north_px = map(
+            float, window.removeprefix("matrix(").removesuffix(")").split()
+        )
+        n_checked = 0
+        for px, py in np.random.default_rng(3).integers(60, 400, (40, 2)).tolist():
+            place_m = np.array([px - 1 - east_px, north_px - (py - 1)]) / per_cm / 100.0
+            merc = np.array(to_mercator.transform(*place_m))
+            z = int(drawn[0][0].split("/")[0])
+            column, row = np.array([merc[0] / span_m + 0.5, 0.5 - merc[1] / span_m]) * 2**z
+            if min(abs(column - round(column)), abs(row - round(row))) < 0.03:
+                continue  # on an edge
+            found = np.array(picture.getpixel((px, py)), dtype=int)
+            assert np.abs(found - colour_of(int(column), int(row))).max() <= 3
+            n_checked += 1
+        assert n_checked > 10
+        # Tiles that do not come are told once.
+        tile_server.is_down = True
+        page.locator("#farther").click(click_count=3)
+        expect(page.locator("#notice")).to_contain_text(
+            f"Some tiles of {host} do not come", timeout=PATIENCE_MS
+        )
+        page.locator("#tiles").uncheck()
+        expect(page.locator("[data-tile]")).to_have_count(0)
+        assert page.locator("#attribution").is_hidden()
+    assert tile_server.asked
