@@ -107,6 +107,8 @@ def plan(out: Path) -> None:
                 page = _open(browser, address, size_px)
                 page.locator("#lost button").first.click()
                 page.wait_for_selector("#played")
+                page.evaluate("() => { scrollTo(0, 0); panel.scrollTo(0, 0); }")
+                page.wait_for_timeout(400)
                 _save(page, out / f"{name}-de.png")
                 page.close()
         garden = Path(folder) / "garden.geojson"
