@@ -2,7 +2,8 @@
 
 A sentence stands in the code in English, whole, with names in braces for what is put in: it is the
 key under which catalogues (``languages/de/*.po``, gettext's format) have its translation. Keys of
-JSON, names of files, the help of commands and errors are English always.
+JSON, names of files, the help of commands and their errors are English always; what the planner's
+page is refused is not.
 """
 
 import re

@@ -22,6 +22,7 @@ from placement.layout import load_carlancap_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
+from ..language import speaking
 from ..parts.section import with_palette
 from ..planner.plan import Plan, Variant
 from ..planner.session import Session
@@ -29,6 +30,7 @@ from ..planner.tasks import Work
 
 _PATIENCE_MS = 300_000
 _SIZES_PX = {"desktop": (1440, 900), "tablet": (820, 1180)}
+_GERMAN_SIZES_PX = {"desktop": (1280, 800), "phone": (390, 844)}
 _REPORT_SIZES_PX = {"desktop": (1280, 1600), "phone": (360, 1400)}
 _REPORT_PARTS = (
     "Where to mount",
@@ -98,6 +100,16 @@ def plan(out: Path) -> None:
                 _save(page, out / f"{name}.png")
                 if name == "desktop":
                     _photograph_dialogs(page, out / name)
+                page.close()
+        german = build_setting(question)
+        with speaking("de"), _serve(german, question, two, Path(folder)) as address:
+            for name, size_px in _GERMAN_SIZES_PX.items():
+                page = _open(browser, address, size_px)
+                page.locator("#lost button").first.click()
+                page.wait_for_selector("#played")
+                page.evaluate("() => { scrollTo(0, 0); panel.scrollTo(0, 0); }")
+                page.wait_for_timeout(400)
+                _save(page, out / f"{name}-de.png")
                 page.close()
         garden = Path(folder) / "garden.geojson"
         garden.write_text(_garden(load_study_scene()), encoding="utf-8")

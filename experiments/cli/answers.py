@@ -34,7 +34,7 @@ from ..parts.comparison import HIGHEST
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
-from ..results.numbers import first_of, number, percent, shortened
+from ..results.numbers import first_of, layout_words, number, percent, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
 from .terminal import basis, more_reasons
 
@@ -388,7 +388,7 @@ def _summary_table(
 
     def row_of(name: str, n_units: int, judged: EvaluationRecord) -> list[str | None]:
         shares = percent(judged.judged.all), percent(judged.apr_without_worst_unit)
-        return [said(name), str(n_units), *shares, study.get(name)]
+        return [layout_words(name), str(n_units), *shares, study.get(name)]
 
     rows = [
         row_of(result.name, len(result.layout), evaluation),

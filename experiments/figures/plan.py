@@ -28,7 +28,7 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..language import mark, said, tr
-from ..results.numbers import shortened
+from ..results.numbers import layout_words, shortened
 from . import labels
 from .axes import BLUE, UNIT_COLOURS, VERMILION, WIDTH_IN, Style, literal, new_axes, show_square
 
@@ -47,7 +47,7 @@ ASSUMED_STYLE: Style = SITE_STYLE | {"marker": "D", "markeredgecolor": VERMILION
 """Of sites that the map does not have, or not there."""
 _LINE_STYLES = ("-", "--", "-.", ":")
 _LEGEND_ROW_IN = 0.17
-_MAX_NAME = 18  # letters that the legend has room for
+_MAX_NAME, _MAX_OTHER_NAME = 24, 40  # letters that the legend has room for
 _PATHS: dict[str, tuple[str, Any, float]] = {  # name, dashes, width
     "vut": (mark("car under test (VUT)"), "-", 1.3),
     "pedestrian": (mark("pedestrian, to the collision point"), (0, (1.2, 1.2)), 1.8),
@@ -319,14 +319,16 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     what = mark("{layout}: camera, and the ground it looks at")
     if not few:
         what = mark("{layout}: cameras at a place, and what they look at")
-    own = shortened(layout.name, _MAX_NAME)
+    own = shortened(layout_words(layout.name), _MAX_NAME)
     rings = [is_ring(unit.sensor) for unit in layout.units]
     units = [] if all(rings) else [line(label=literal(tr(what, layout=own)), **_FOUND, **camera)]
     if any(rings):
         label = literal(tr("{layout}: LiDAR that scans all round", layout=own))
         units.append(line(label=label, markersize=8.0, **_FOUND, **_ROUND_MARKER))
     for name in dict.fromkeys(other.name for other in others):
-        label = literal(tr("{layout}: camera", layout=shortened(name, _MAX_NAME)))
+        label = literal(
+            tr("{layout}: camera", layout=shortened(layout_words(name), _MAX_OTHER_NAME))
+        )
         units.append(line(label=label, **_OTHER, **camera))
     shown = {instance.class_name for instance in setting.scene.instances} - {"traffic light"}
     things = [

@@ -10,7 +10,7 @@ from placement.setting import Setting
 from scenarios.weights import weight_share
 
 from ..language import mark, say, tr, trn
-from ..results.numbers import capital, joined, percent
+from ..results.numbers import capital, joined, percent, points
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors, is_weighted
 from .alternatives import doubt_sentences, recommended_sentences
@@ -87,6 +87,7 @@ def _best(result: PlacementResult) -> str:
         "left": percent(result.evaluation.apr_without_worst_unit),
         "most": percent(other.judged.all),
         "others_left": percent(other.apr_without_worst_unit),
+        "given_up": points(highest.given_up),
     }
     if highest.stages[0].gap == 0.0:
         return say("answer.most_of_any", **values)

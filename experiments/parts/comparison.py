@@ -20,7 +20,7 @@ from placement.evaluation import (
 from scenarios.aeb import AebRule
 
 from ..language import localized, mark, said, say, tr
-from ..results.numbers import NOTHING, count_runs, number, or_nan, percent
+from ..results.numbers import NOTHING, count_runs, layout_words, number, or_nan, percent
 from ..results.record import (
     EvaluationRecord,
     UnitRecord,
@@ -140,7 +140,7 @@ def side_by_side_table(
         first, last = of_verdict(item.headline, headline_apr(item))
         money = localized(f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}")
         failed = percent(apr_one_failed(item, rule))
-        rows.append([said(name), str(len(item.layout.units)), money, *first, failed, *last])
+        rows.append([layout_words(name), str(len(item.layout.units)), money, *first, failed, *last])
     first, last = of_verdict(subject.vut, apr(subject.vut, axis))
     rows.append([tr("VUT alone"), NOTHING, NOTHING, *first, NOTHING, *last])
     random = None if baselines is None else baselines.random

@@ -19,7 +19,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
 from ..figures.plan import draw_scene
-from ..language import said, say, tr, trn
+from ..language import mark, said, say, tr, trn
 from ..results.numbers import joined, percent
 from ..results.record import says
 from ..results.tables import RunGroup, groups_by
@@ -93,13 +93,16 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
     n_left = dangers.not_avoided
     if not n_left:
         if is_of_blind:
-            return [tr("No run is left: all {n} are avoided by cars that do not see.", n=n_runs)]
-        return [tr("No run is left: all {n} are avoided.", n=n_runs)]
+            none = mark(
+                "No simulated encounter (run) is left: all {n} are avoided by cars that do not see."
+            )
+            return [tr(none, n=n_runs)]
+        return [tr("No simulated encounter (run) is left: all {n} are avoided.", n=n_runs)]
     where = _most_left(dangers.by_case, _in_case, tr("in other cases"))
     if dangers.by_position:
         places = _most_left(dangers.by_position, position_words, tr("elsewhere"))
         where = tr("{cases}. By place: {places}", cases=where, places=places)
-    all_runs = trn("{n} run", "{n} runs", n_runs)
+    all_runs = trn("{n} simulated encounter (run)", "{n} simulated encounters (runs)", n_runs)
     if is_of_blind:
         said = say("dangers.not_avoided_by_blind", n_left, runs=all_runs, where=where)
     else:

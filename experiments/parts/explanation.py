@@ -39,7 +39,7 @@ _CAUSES = {
     "out of view": mark("out of view"),
     "cut off": mark("cut off by the edge of the view"),
     "too dark": mark("too little contrast in light and weather"),
-    "too far": mark("too small or too thin at that distance"),
+    "too far": mark("image of the road user too small, or too little of it seen"),
     "otherwise": mark("not detected on the table"),
 }
 _DEEDS = {  # of a unit by its name, and of one that has been named

@@ -130,12 +130,11 @@ def _proof(result: Result) -> Card:
         "among {n:,} possible mountings (by a simpler model, for planning)", n=result.candidates
     )
     if is_proven(result):
-        words = tr(_BEST[result.goal], tried=tried)
-        if result.highest is not None:
-            words = say(
-                "first_screen.keeps_most", points=points(result.highest.given_up), tried=tried
-            )
-        return Card(tr("Proof"), tr("proven best"), words)
+        if result.highest is None:
+            return Card(tr("Proof"), tr("proven best"), tr(_BEST[result.goal], tried=tried))
+        given_up = points(result.highest.given_up)
+        words = say("first_screen.keeps_most", points=given_up, tried=tried)
+        return Card(tr("Proof"), tr("proven"), words)
     if result.bound is None:
         return Card(tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried))
     words = say("first_screen.not_proven", tried=tried)

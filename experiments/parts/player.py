@@ -22,6 +22,7 @@ from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
 from ..figures.plan import CLASS_STYLES
 from ..figures.views import GroundViews
 from ..language import mark, said, tr
+from ..results.numbers import layout_words
 from ..results.tables import margin_s, parties
 
 DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
@@ -119,7 +120,7 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
             for key in parties(subject)
         ),
         *(
-            {"name": tr("{layout}: all RSUs", layout=name), "kind": "other"}
+            {"name": tr("{layout}: all RSUs", layout=layout_words(name)), "kind": "other"}
             for name in [*evaluations][1:]
         ),
     ]

@@ -3,7 +3,9 @@
 import math
 from collections.abc import Sequence
 
-from ..language import localized, tr, trn
+from placement.question import BASELINE_NAME
+
+from ..language import localized, said, tr, trn
 
 NOTHING = "\N{EN DASH}"
 """Stands where there is no number."""
@@ -114,6 +116,22 @@ def first_of(words: Sequence[str], most: int) -> str:
     listed = ", ".join(words[:most])
     n_left = len(words) - most
     return tr("{listed} and {n} more", listed=listed, n=n_left) if n_left > 0 else listed
+
+
+def layout_words(name: str) -> str:
+    """A layout's name for people, with the name of its file behind it where that is a code.
+
+    Examples
+    --------
+    >>> layout_words("best-3"), layout_words("mine")
+    ('the 3 found (best-3)', 'mine')
+    """
+    if name == BASELINE_NAME:
+        return tr("the study's 12 cameras ({name})", name=name)
+    count = name.removeprefix("best-")
+    if count != name and count.isdecimal():
+        return trn("the one found ({name})", "the {n} found ({name})", int(count), name=name)
+    return said(name)
 
 
 def shortened(text: str, width: int) -> str:

@@ -13,6 +13,7 @@ import pytest
 from babel.messages.extract import extract_from_file
 from babel.messages.pofile import read_po
 from kept_backdrops import kept_backdrop
+from made_up_language import Bracketed, left_over
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
 from partial_pages import blank_png
@@ -34,9 +35,8 @@ from experiments.language import (
 )
 from experiments.parts import latency as latency_part
 from experiments.parts import section, sheet
-from experiments.planner.server import page_files, page_messages
+from experiments.planner.server import page_messages
 from experiments.report.page import page_environment
-from geometry.catalogue import load_cameras, load_lidars
 from geometry.files import load_data
 from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES
@@ -142,40 +142,6 @@ def test_another_catalogue_can_be_spoken_for_a_block():
 def test_an_unknown_language_has_no_catalogue():
     with pytest.raises(FileNotFoundError):
         set_language("xx")
-
-
-class Bracketed(Messages):
-    """A language made up: English in brackets, but for what is put in."""
-
-    def find(self, message):
-        return re.sub(r"(\{[^}]*\})", r"⟧\1⟦", f"⟦{message}⟧").replace("⟦⟧", "")
-
-    def find_plural(self, one, many, count):
-        return self.find(one if count == 1 else many)
-
-
-ALLOWED = {"APR", "AEB", "EUR", "Euro", "NCAP", "VUT", "RSU", "RSUs", "IoU", "HiGHS", "CarlaNCAP"}
-ALLOWED |= {"m", "cm", "s", "ms", "px", "km", "h", "Hz", "N", "x", "prices.toml", "cost_eur"}
-ALLOWED |= {"place-rsus", "python", "cvxpy", "highspy", "numpy", "scipy", "trimesh", "embree"}
-ALLOWED |= {"rays", *DETECTOR_NAMES, *load_cases(), *load_cameras(), *load_lidars()}
-ALLOWED |= {"carla", "ncap-rgb", "study"}  # a name cut in two, and that of a latency budget
-ALLOWED |= {thing.id for thing in load_study_scene().instances}
-ALLOWED |= {site.id for site in load_study_scene().sites}
-
-
-def left_over(text):
-    """Words of a text that no message said; ids, codes and numbers with units are none."""
-    before = None
-    while before != text:
-        before, text = text, re.sub(r"⟦[^⟦⟧]*⟧", " ", text)
-    tokens = [re.sub(r"^\W+|\W+$", "", token) for token in text.split()]
-    return [
-        token
-        for token in tokens
-        if re.search(r"[^\W\d_]", token)
-        and not re.search(r"[\d/_\\@]|\.(csv|json|html|png)$", token)
-        and token not in ALLOWED
-    ]
 
 
 class Said(HTMLParser):

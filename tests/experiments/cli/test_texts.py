@@ -320,7 +320,7 @@ def test_in_short_every_answer_fits_on_a_screen(n_cases):
         assert len(lines) <= 40
         assert max(map(len, lines)) <= 100
         assert " of the simulated collisions" in f"{lines[0]} {lines[1]}"
-        assert "No run is left: all 240 are avoided." in lines
+        assert "No simulated encounter (run) is left: all 240 are avoided." in lines
         assert lines[-1] == "--verbose prints why, APR by case, and all else."
         assert f"Written to {OUT}: report.html and more." in lines
         assert "VUT alone" in text

@@ -94,7 +94,9 @@ def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
     assert len(open_marks) == 12
     assert not {"RSU2", "RSU11"} & {text.get_text() for text in axes.texts}
     legend = axes.get_legend()
-    assert "carlancap-12: camera" in [text.get_text() for text in legend.get_texts()]
+    assert "the study's 12 cameras (carlancap-12): camera" in [
+        text.get_text() for text in legend.get_texts()
+    ]
 
 
 def test_plan_is_in_metres_north_up_around_the_junction(setting):

@@ -118,7 +118,7 @@ def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
     assert rows[1][3] == "c, at the same mount, 0.50 s to spare"
     assert rows[2][1:] == [
         "confirmed too late, by 0.12 s",
-        "for a: too small or too thin at that distance in 28 of 30 frames",
+        "for a: image of the road user too small, or too little of it seen in 28 of 30 frames",
         "\N{EN DASH}",
     ]
     assert rows[3][2] == "the road user is there too late for any confirmation in time"
@@ -186,7 +186,7 @@ def test_a_terminal_shows_it_in_80_columns():
     for expected in (
         "Why these units, on the detection table:",
         "r5, r6: never seen; for a hidden by wall-ne-1; would be saved by c",
-        "r7: confirmed too late; for a too small",
+        "r7: confirmed too late; for a image of",
         "and 5 more in summary.json",
     ):
         assert expected in words

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from browser_pages import ENGINES, start_browser
 from city_maps import write_city
+from made_up_language import Bracketed, left_over
 from osm_text import OsmText
 from PIL import Image
 from plan_sessions import few_poses, start_server  # noqa: F401
@@ -25,6 +26,7 @@ pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
 from experiments.export.json import to_json_text
 from experiments.figures.axes import describe_run
+from experiments.language import speaking
 from experiments.parts.camera_views import draw_view
 from experiments.parts.result import build_evaluation_record
 from experiments.planner.numbers import read_tile_server
@@ -40,10 +42,13 @@ from placement.compute import Compute
 from placement.evaluation import apr, run_outcomes
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, load_carlancap_layout, load_layout
+from scenarios.cases import load_case_sets
+from scenarios.weights import WEIGHT_WORDS
 
 pytestmark = pytest.mark.system
 
 PATIENCE_MS = 120_000
+CROSSING = Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm"
 
 
 def expect(locator):
@@ -412,7 +417,7 @@ def test_a_lost_run_is_told_and_played(browser, serve):
 
 
 def test_a_map_is_dropped_and_a_junction_of_it_chosen(browser, serve):
-    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    text = CROSSING.read_text()
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         drop(page, "crossing.osm", text)
         page.locator("#map-choice .junction-chooser").wait_for()
@@ -510,7 +515,7 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
     )
     units = load_carlancap_layout().units[7:8]
-    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    text = CROSSING.read_text()
     with opened(browser, serve(units, asked={"no_look": str(garden)})) as page:
         told(page)
         axe = library.Axe()
@@ -725,7 +730,7 @@ def test_a_server_that_does_not_answer_makes_numbers_old(browser, serve):
 
 
 def test_another_scene_is_asked_for_and_undo_leads_back(browser, serve):
-    text = (Path(__file__).parents[3] / "docs" / "maps" / "crossing.osm").read_text()
+    text = CROSSING.read_text()
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         drop(page, "crossing.osm", text)
         page.locator("#map-choice .junction-chooser").wait_for()
@@ -1586,3 +1591,89 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
         expect(page.locator("[data-tile]")).to_have_count(0)
         assert page.locator("#attribution").is_hidden()
     assert tile_server.asked
+
+
+# ---------- in another language
+
+SAID = """() => {
+    const found = [], walk = document.createTreeWalker(document.documentElement, 4);
+    while (walk.nextNode()) {
+        const { parentElement, data } = walk.currentNode;
+        if (!parentElement.closest("script, style, code, noscript")) found.push(data);
+    }
+    for (const name of ["title", "aria-label", "placeholder", "alt", "aria-valuetext"]) {
+        document.querySelectorAll(`[${name}]`).forEach((one) => found.push(one.getAttribute(name)));
+    }
+    return [...new Set(found)]; }"""
+KEYS = {*"lnop"}
+NAMES = {"mine", "other", "garden", "crossing.osm", "Mill", "Street", "Station", "Road", *KEYS}
+NAMES |= {*load_case_sets(), *WEIGHT_WORDS}
+
+
+def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting, tmp_path):
+    """The page speaks a language made up: all that it says at any of these moments is in it."""
+    scene = small_setting.scene
+    units = load_carlancap_layout().units[6:8]
+    texts = {}
+
+    def look(page, moment):
+        for text in page.evaluate(SAID):
+            texts.setdefault(text, moment)
+
+    with speaking("de", Bracketed()):
+        server = serve(units, asked={"no_look": str(garden)})
+        with opened(browser, server, may_complain=True) as page:
+            assert page.locator("html").get_attribute("lang") == "de"
+            told(page)
+            look(page, "first screen")
+            page.locator("#lost button").first.click()
+            page.locator("#played").wait_for()
+            look(page, "lost run")
+            page.locator("#played-why").click()
+            page.locator("#run-why li").first.wait_for()
+            look(page, "its reasons")
+            page.locator("#picture-show").click()
+            expect(page.locator("#picture")).to_be_visible(timeout=PATIENCE_MS)
+            look(page, "its picture")
+            page.keyboard.press("Escape")
+            page.locator("#copy-variant").click()
+            write(page.locator("#variant-name"), "other")
+            page.locator("#variant-name").press("Enter")
+            page.locator("#compare").select_option("mine")
+            for name, by in (("yaw", 40), ("pitch", 5), ("height", -1)):
+                write(page.locator(f"#{name}"), f"{round(number(page, f'#{name}') + by)}")
+                page.locator(f"#{name}").press("Enter")
+            page.locator("#site").select_option("corner-sw")
+            page.locator("#hang").click()
+            for box in ("#coverage", "#danger"):
+                page.locator(box).check()
+            told(page)
+            page.locator("#compare-points tbody tr").first.wait_for()
+            page.locator("#coverage-key svg").first.wait_for()
+            look(page, "variants, density and dangers")
+            page.locator('[data-ask="next"]').click()
+            page.locator("#proposals p").get_by_text("%").first.wait_for()
+            look(page, "a proposal")
+            page.locator("#pole").click()
+            page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
+            page.locator("#notice:not([hidden])").wait_for()
+            look(page, "a refusal")
+            assert any(
+                "⟦pole⟧" in text and "⟦a place on the carriageway⟧" in text for text in texts
+            )
+            page.keyboard.press("Escape")
+            page.locator("#lock").click()
+            page.keyboard.press("Delete")
+            page.locator("#lock").click()
+            page.keyboard.press("Control+c")
+            look(page, "locks and copies")
+            drop(page, "crossing.osm", CROSSING.read_text())
+            page.locator("#map-dialog").wait_for()
+            look(page, "a map")
+            page.keyboard.press("Escape")
+            server.stop()
+            page.locator("#connection:not([hidden])").wait_for()
+            look(page, "no connection")
+    assert len(texts) > 300
+    words = {text: set(left_over(text)) - NAMES for text in texts}
+    assert [(texts[text], text) for text in texts if words[text]] == []

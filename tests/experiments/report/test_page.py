@@ -329,9 +329,10 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
         command=COMMAND,
     )
     words = html.unescape(_first_screen(page))
-    counted = int(found.rsu_all.is_avoided.sum()) / 104
-    assert words.count("shares on this page are by weight") == 1
-    assert f"Counted one by one that is {100.0 * counted:.1f} %" in words
+    n_avoided = int(found.rsu_all.is_avoided.sum())
+    assert words.count("as all shares on this page do") == 1
+    said = f"{n_avoided} of 104 are prevented, {100.0 * n_avoided / 104:.1f} %"
+    assert f"Counted one by one, {said}" in words
     assert "no other choice" not in words
     assert "Proof 99.0 % is the most that any choice could prevent" in words
 
