@@ -10,7 +10,7 @@ const LEAST_S = 1; // of a step, before its time left is told
 const STOPPED = 409;
 
 export function createJunctions({ notice, scene, hasUnits, send }) {
-  let chooser = null, chosen = null, isBusy = false, last = null, told = "";
+  let chooser = null, chosen = null, isBusy = false, last = null;
   let begun = 0, step = { name: "", begun: 0, done: 0, total: 0 }, timer = 0;
 
   // ---------- how far it is
@@ -140,10 +140,8 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
   // The map that the scene is of, if it was named, and which junction of it was taken.
   function readScene({ map, assumed, title }) {
     find("another-junction").hidden = !map;
-    find("another-junction").title = [title, ...assumed].join(": ");
-    if (!assumed.length || !map || told === title) return;
-    told = title;
-    notice(tr("Planning at {junction}. {assumed}.", { junction: title, assumed: assumed[0] }));
+    find("junction-note").hidden = !map || !assumed.length;
+    find("junction-note").textContent = tr("{junction} in {map}: {assumed}.", { junction: title, map, assumed: assumed[0] });
   }
 
   return { read, doing, readScene };
