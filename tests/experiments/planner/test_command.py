@@ -117,3 +117,10 @@ def test_the_last_change_is_saved_when_it_ends(run, tmp_path, monkeypatch):
     assert code == 0
     assert out.endswith(f"; the plan is in {path}.\n")
     assert json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"
+
+
+def test_tiles_of_no_server_are_refused_before_anything_is_read(run, tmp_path):
+    gone = str(tmp_path / "gone.osm")
+    code, _, err = run("plan", "--no-open", "--scene", gone, "--tiles", "https://tiles.example")
+    assert (code, err.count("\n")) == (2, 1)
+    assert err.startswith("place-rsus: --tiles: got 'https://tiles.example'; expected an address")

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pyproj import Transformer
 
-from experiments.planner.numbers import layout_text, plan_text
+from experiments.planner.numbers import layout_text, plan_text, read_tile_server, tile_frame
 from experiments.planner.plan import (
     MAX_STEPS,
     MAX_UNITS,
@@ -370,3 +371,74 @@ def test_files_have_own_poles_and_every_command_reads_what_hangs_there(tmp_path)
     broken = layout_text(state, SCENE).replace('"x_m"', '"x"', 3)
     with pytest.raises(InputError):
         read_plan(broken.encode(), "file.json")
+
+
+# ---------- tiles of a server
+
+
+@pytest.mark.parametrize(
+    "crs",
+    [
+        SCENE.crs,
+        "EPSG:25832",  # UTM, whose north is not that of the map
+        "+proj=tmerc +lat_0=-33.9 +lon_0=151.2 +k=1 +datum=WGS84 +units=m +no_defs",
+    ],
+)
+def test_tiles_and_places_of_the_plan_lead_to_each_other_as_by_pyproj(crs):
+    shift_m = np.array([691_000.0, 5_335_000.0]) if crs.startswith("EPSG") else np.zeros(2)
+    scene = replace(SCENE, crs=crs, outline_m=SCENE.outline_m + shift_m)
+    frame = tile_frame(scene)
+    away_m = np.random.default_rng(1).uniform(-1400.0, 1400.0, (200, 2))
+    places_m = scene.outline_m.mean(axis=0) + away_m
+    to_mercator = Transformer.from_crs(crs, "EPSG:3857", always_xy=True)
+    whole_m = 2.0 * np.pi * 6378137.0
+    east, north = np.array(to_mercator.transform(*places_m.T)) / whole_m
+    tiles = (np.column_stack([east + 0.5, 0.5 - north]) - frame["middle"]) / frame["size"]
+    plan = (100.0 * places_m - frame["centre"]) / frame["reach"]
+
+    def fitted(given, fit):
+        u, v = given.T
+        powers = [1 + 0 * u, u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3]
+        return np.stack(powers, 1) @ np.array(fit)
+
+    np.testing.assert_allclose(fitted(tiles, frame["toPlan"]), plan, atol=1e-3 / 1500.0)
+    np.testing.assert_allclose(fitted(plan, frame["toTiles"]), tiles, atol=1e-3 / 1500.0)
+
+
+def test_a_scene_of_no_known_place_has_no_tiles():
+    assert tile_frame(replace(SCENE, crs="")) is None
+
+
+@pytest.mark.parametrize(
+    ("template", "origin"),
+    [
+        ("https://tiles.example/{z}/{x}/{y}.png", "https://tiles.example"),
+        ("http://127.0.0.1:8080/a/{z}/{y}/{x}?key=1", "http://127.0.0.1:8080"),
+    ],
+)
+def test_the_page_may_ask_the_named_server_alone(template, origin):
+    server = read_tile_server(template, "")
+    assert server.origin == origin
+    assert server.attribution == origin.split("/")[2].split(":")[0]
+
+
+@pytest.mark.parametrize(
+    "template",
+    [
+        "tiles.example/{z}/{x}/{y}.png",
+        "ftp://tiles.example/{z}/{x}/{y}.png",
+        "https://tiles.example/{z}/{x}.png",
+        "https://tiles.example/{z}/{x}/{y}/{y}.png",
+        "https://{s}.tiles.example/{z}/{x}/{y}.png",
+        "https://tiles.example/{s}/{z}/{x}/{y}.png",
+        "https://tiles.example:99999/{z}/{x}/{y}.png",
+        "https://me@tiles.example/{z}/{x}/{y}.png",
+        "https://tiles.example; script-src *;/{z}/{x}/{y}.png",
+        "https://tiles.example *.evil/{z}/{x}/{y}.png",
+        "https://tiles.example/{z}/{x}/{y}.png\n",
+        "https:///{z}/{x}/{y}.png",
+    ],
+)
+def test_an_address_that_is_none_of_tiles_is_refused(template):
+    with pytest.raises(InputError, match=r"--tiles: got .*; expected an address such as https://"):
+        read_tile_server(template, "")

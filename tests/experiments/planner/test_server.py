@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from osm_text import OsmText, crossing
 from PIL import Image
 from plan_sessions import InThread, few_poses, small_session, small_work  # noqa: F401
 from shapely import box
@@ -30,9 +31,10 @@ from experiments.jobs.placement import run_evaluation
 from experiments.parts.camera_views import draw_view
 from experiments.parts.units import build_private_ground_record
 from experiments.planner import server
+from experiments.planner.numbers import read_tile_server
 from experiments.planner.plan import Variant
 from experiments.planner.server import build_app
-from experiments.planner.session import Workspace
+from experiments.planner.session import MapFile, Workspace
 from experiments.planner.tasks import Cancelled, DiedError
 from experiments.progress import StageProgress
 from experiments.results.numbers import percent
@@ -913,3 +915,36 @@ def test_the_plan_is_kept_in_a_file_when_it_rests(open_client, join, tmp_path):
     line.state()
     line.numbers("evaluator")
     assert json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"
+
+
+def test_junctions_of_the_named_map_are_offered_and_its_file_is_left_alone(
+    open_client, join, tmp_path
+):
+    osm = OsmText()
+    crossing(osm, bearings=[(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)])
+    osm.parts = [part.replace("Street 1", "&lt;img src=x&gt;") for part in osm.parts]
+    path = osm.write(tmp_path, "own.osm")
+    client = open_client(map_file=MapFile(path=path, name="own.osm", options={"keeps_left": True}))
+    line = join(client)
+    assert line.last["scene"]["map"] == "own.osm"
+    told = client.get(f"/{TOKEN}/junctions").json()
+    (junction,) = told["junctions"]
+    assert "&lt;img src=x&gt;" in told["chooser"]
+    assert "<img" not in told["chooser"]
+    response = client.post(f"/{TOKEN}/import", content=junction["id"].encode(), headers=ORIGIN)
+    assert response.status_code == 200, response.text
+    scene = line.until(lambda message: message["type"] == "scene" and message["map"])
+    assert scene["title"] == junction["name"]
+    content = (MAPS / "crossing.osm").read_bytes()
+    headers = ORIGIN | {"x-file-name": "crossing.osm"}
+    assert client.post(f"/{TOKEN}/open", content=content, headers=headers).status_code == 200
+    assert path.exists()
+
+
+def test_the_page_asks_its_own_server_and_that_of_tiles_alone(open_client):
+    client = open_client(tiles=read_tile_server("https://tiles.example/{z}/{x}/{y}.png", ""))
+    policy = client.get(f"/{TOKEN}/").headers["content-security-policy"]
+    assert "img-src 'self' data: blob: https://tiles.example;" in policy
+    assert policy.count("http") == 1
+    other = client.get(f"/{TOKEN}/files/page.js").headers["content-security-policy"]
+    assert "http" not in other
