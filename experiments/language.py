@@ -146,12 +146,9 @@ def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
 
     Each message is a pair of its form for one, empty where it has no other, and that for many.
     """
-    found, spoken = {}, _Current.messages
-    for one, many in messages:
-        if one:
-            found[one] = spoken.find_plural(one, many, 1)
-        found[many] = spoken.find_plural(one, many, 2) if one else spoken.find(many)
-    return found
+    find, plural = _Current.messages.find, _Current.messages.find_plural
+    ones = {one: plural(one, many, 1) for one, many in messages if one}
+    return ones | {many: plural(one, many, 2) if one else find(many) for one, many in messages}
 
 
 def mark(message: str) -> str:

@@ -115,9 +115,7 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
     n_left = len(alone) - len(shown)
     more = tr("and {n} more units, none of a higher APR by itself: in apr.csv", n=n_left)
     if out is None:
-        more = tr(
-            "and {n} more units, none of a higher APR by itself: in apr.csv with --out", n=n_left
-        )
+        more = say("terminal.more_units", n=n_left)
     units, n_units = [unit for unit in result.layout if unit.id in shown], len(result.layout)
     is_long = len(units) > _MAX_SHORT_UNITS
     return [

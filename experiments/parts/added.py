@@ -141,9 +141,7 @@ def section(record: Added | None) -> Section | None:
     if record is None:
         return None
     of_units = Table(
-        caption=tr(
-            "One unit after the other next to a car that sees, the one first that adds most"
-        ),
+        caption=say("added.one_after_the_other"),
         columns=[tr("unit"), tr("APR with it"), tr("adds (points)")],
         rows=[[unit.unit, percent(unit.apr), _points(unit.gain)] for unit in record.units],
         numeric=(1, 2),

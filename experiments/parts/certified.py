@@ -169,9 +169,7 @@ def words(result: CertifiedResult) -> list[str]:
 def table(result: CertifiedResult) -> Table:
     """A row per layout of the pool."""
     return Table(
-        caption=tr(
-            "Layouts found, in {n} worlds that choose among them", n=len(result.apr_by_world)
-        ),
+        caption=say("certified.layouts_found", n=len(result.apr_by_world)),
         columns=[tr("layout"), tr("APR"), tr("from"), tr("to")],
         rows=[
             [said(one.name), *map(percent, (one.mean, one.low, one.high))] for one in result.pool

@@ -19,7 +19,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
 from ..figures.plan import draw_scene
-from ..language import mark, said, say, tr, trn
+from ..language import said, say, tr, trn
 from ..results.numbers import joined, percent
 from ..results.record import says
 from ..results.tables import RunGroup, groups_by
@@ -93,10 +93,7 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
     n_left = dangers.not_avoided
     if not n_left:
         if is_of_blind:
-            none = mark(
-                "No simulated encounter (run) is left: all {n} are avoided by cars that do not see."
-            )
-            return [tr(none, n=n_runs)]
+            return [say("dangers.none_left_by_blind", n=n_runs)]
         return [tr("No simulated encounter (run) is left: all {n} are avoided.", n=n_runs)]
     where = _most_left(dangers.by_case, _in_case, tr("in other cases"))
     if dangers.by_position:
@@ -165,9 +162,7 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
             drawn[0],
             narrow=drawn[1] if len(drawn) > 1 else None,
             title=tr("Where it is still dangerous with {name}", name=name),
-            caption=tr(
-                "Places with runs that are not avoided: {n} of {all}.", n=n_left, all=len(places)
-            ),
+            caption=say("dangers.places", n=n_left, all=len(places)),
             alt=say("dangers.alt", n=n_left, all=len(places)),
         )
         pictures.append(picture)

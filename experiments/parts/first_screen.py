@@ -126,9 +126,7 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
 def _proof(result: Result) -> Card:
     if not isinstance(result, PlacementResult):
         return Card(tr("Proof"), NOTHING, tr("this layout was given, and not searched for"))
-    tried = tr(
-        "among {n:,} possible mountings (by a simpler model, for planning)", n=result.candidates
-    )
+    tried = say("first_screen.tried", n=result.candidates)
     if is_proven(result):
         if result.highest is None:
             return Card(tr("Proof"), tr("proven best"), tr(_BEST[result.goal], tried=tried))

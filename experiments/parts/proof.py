@@ -60,21 +60,15 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     is_proven = most.gap == 0.0 and kept.gap == 0.0
     begin = tr("Proven on the detection table:") if is_proven else tr("Found in the time given:")
     if most.gap == 0.0:
-        first = tr(
-            "no choice among {n} candidate poses has a higher {measure} than {most}", **values
-        )
+        first = say("proof.none_higher", **values)
     else:
         first = say("proof.highest_open", **values)
     if result.failing == "site" and kept.gap == 0.0:
-        then = tr(
-            "of those with at most {given_up} less, none keeps more when a pole fails", **values
-        )
+        then = say("proof.kept_pole", **values)
     elif result.failing == "site":
         then = say("proof.kept_open_pole", **values)
     elif kept.gap == 0.0:
-        then = tr(
-            "of those with at most {given_up} less, none keeps more when a unit fails", **values
-        )
+        then = say("proof.kept_unit", **values)
     else:
         then = say("proof.kept_open_unit", **values)
     return f"{begin} {first}; {then}"
@@ -152,9 +146,7 @@ def _stage_row(stage: StageRecord) -> list[str]:
 def agreement_section(result: PlacementResult) -> Section:
     """How far detection table and evaluator differ."""
     share = result.surrogate_disagreement
-    both = tr(
-        "They disagree on {share} of the runs whether this layout avoids it.", share=percent(share)
-    )
+    both = say("proof.disagree", share=percent(share))
     if share == 0.0:
         both = tr("For this layout both say the same of every run.")
     text = say("proof.two_models", both=both)

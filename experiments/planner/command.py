@@ -15,7 +15,7 @@ from placement.question import Question, map_options
 
 from ..cli import options
 from ..cli.running import begin
-from ..language import mark, tr
+from ..language import say, tr
 from ..progress import Interrupted, StageProgress, tell
 
 if TYPE_CHECKING:
@@ -104,29 +104,24 @@ def plan(
         server.start()
         progress.stop()
         try:
-            how = mark("It ends when the page is closed, or Ctrl-C.")
-            how = mark("Ctrl-C ends it.") if keep_open else how
-            tell(tr("The page is at {address}", address=server.address) + f"\n{tr(how)}")
+            ends = tr("Ctrl-C ends it.") if keep_open else say("plan.ends_closed")
+            tell(tr("The page is at {address}", address=server.address) + f"\n{ends}")
             if host != _LOCAL:
-                warning = mark("--host {host}: whoever has this address can change the plan.")
-                tell(tr(warning, host=host), err=True)
+                tell(say("plan.not_alone", host=host), err=True)
             if opens:
                 webbrowser.open(_redirect(server.address, Path(folder)))
             server.wait()
-            ended = (
-                mark("The page was closed: ended."),
-                mark("The page was closed: ended; the plan is in {files}."),
-            )
+            ended = "plan.closed", "plan.closed_saved"
         except Interrupted as interrupted:
             if interrupted.signum != signal.SIGINT:
                 raise
-            ended = mark("Ended."), mark("Ended; the plan is in {files}.")
+            ended = "plan.ended", "plan.ended_saved"
         finally:
             problem = server.stop()
         if problem:
             tell(f"place-rsus: {problem}", err=True)
         saved = [] if server.session is None else server.session.saved_files()
-        tell(tr(ended[bool(saved)], files=tr(" and ").join(saved)))
+        tell(say(ended[bool(saved)], files=tr(" and ").join(saved)))
 
 
 def _tile_server(template: str, attribution: str) -> "TileServer | None":

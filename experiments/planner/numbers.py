@@ -31,7 +31,7 @@ from scenarios.weights import WEIGHT_WORDS, default_weights
 from ..cli.options import JUDGED, option_of
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
-from ..language import mark, said, tr
+from ..language import said, say, tr
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
@@ -163,8 +163,9 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
     """What the page lets choose of a question, and how the numbers are made again elsewhere."""
     names = msgspec.structs.fields(ChangeQuestion)
     weights = question.weights or default_weights(question.cases)
-    known = _MEANINGS.get(weights)
-    meaning = tr(known) if known else tr("Runs count by the weights of {name}.", name=weights)
+    meaning = tr("Runs count by the weights of {name}.", name=weights)
+    if weights in WEIGHT_WORDS:
+        meaning = say(f"meanings.{weights}")
     if question.score != AVOIDED:
         meaning += " " + tr("A run that is not avoided counts by the speed that is left.")
     return {
@@ -174,16 +175,6 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
         "meaning": meaning,
         "command": evaluate_command(question),
     }
-
-
-_MEANINGS = {
-    "case": mark(
-        "Mean over cases, in each over approaches, positions and runs; not over all runs."
-    ),
-    "run": mark("Share of all runs: each counts the same, so cases with more runs count more."),
-    "fhwa-crash-types": mark("Cases count by how often cars hit people so, not by their runs."),
-    "euroncap-rating-2026": mark("Cases count by Euro NCAP's points, not by their runs."),
-}
 
 
 def evaluate_command(question: Question) -> str:

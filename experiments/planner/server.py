@@ -346,7 +346,7 @@ class Pages:
             if isinstance(error, TaskError):
                 raise TaskError(str(error).replace(str(path), name)) from None
             raise
-        if before is not None and self._session.work.scratch in before.path.parents:
+        if before is not None and before.path.parent.parent == self._session.work.scratch:
             _remove(before.path)  # one at a time is stored
         return _to_choose_from(file)
 

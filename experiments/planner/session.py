@@ -26,7 +26,7 @@ from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..language import said, tr
+from ..language import said, say, tr
 from ..parts.camera_views import live_picture
 from ..parts.player import svg_path, unit_records
 from . import plan
@@ -158,9 +158,8 @@ def build_workspace(
         return Workspace(work, setting, title=title, save=save), ""
     except InputError as error:
         work = replace(work, question=replace(work.question, no_look="", no_look_share=None))
-        return Workspace(work, setting, title=title, save=save), tr(
-            "without private areas: {reason}", reason=said(str(error))
-        )
+        notice = say("plan.without_private", reason=said(str(error)))
+        return Workspace(work, setting, title=title, save=save), notice
 
 
 def free_path(path: Path) -> Path:
@@ -831,5 +830,4 @@ class Session:
         self._go_to(self.history.went_on(state).of_newest(_MAX_WORKSPACES), exact)
         if save is not None:
             self._saves.append(save)
-            where = {"scene": before.title, "file": before.save, "new": save}
-            self._notice(tr("The plan at {scene} is in {file}; this one: {new}.", **where))
+            self._notice(say("plan.plan_at", scene=before.title, file=before.save, new=save))

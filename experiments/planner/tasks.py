@@ -36,7 +36,7 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.confirmation import is_in_time
 
-from ..language import language, localized, mark, said, set_language, tr
+from ..language import language, localized, mark, said, say, set_language, tr
 from ..parts.explanation import cause
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
@@ -236,11 +236,10 @@ class Tasks:
             advice = adviser.cheapest(units)
             return [_answer(tr("The cheapest that keeps this"), advice, costs=_IN_ALL)]
         one_more, instead = adviser.why_not(units, site)
+        best = tr("The best {n} with {site}", n=len(units), site=site)
         return [
             _answer(tr("One more unit at {site}", site=site), one_more, costs=_MORE),
-            _answer(
-                tr("The best {n} with {site}", n=len(units), site=site), instead, costs=_IN_ALL
-            ),
+            _answer(best, instead, costs=_IN_ALL),
         ]
 
     def _advise(self) -> Adviser:
@@ -360,9 +359,7 @@ def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
     gained = ", ".join(filter(None, [share, price]))
     return {
         "title": title,
-        "words": tr(
-            "On the detection table: {gained}; {proof}.", gained=gained, proof=_proof(advice)
-        ),
+        "words": say("plan.answer", gained=gained, proof=_proof(advice)),
         "apr": percent(after.apr),
         "bound": percent(advice.bound),
         "isProven": advice.is_proven,
@@ -378,20 +375,10 @@ def _proof(advice: Advice) -> str:
         return tr("proven: nothing of its kind is better")
     first = None if advice.certificate is None else advice.certificate.stages[0]
     if first is not None and first.name == "cost_eur":
-        proven = mark(
-            "proven: none costs less; of those with the same price not all were compared in time"
-        )
-        open_ = mark(
-            "not proven in the time given: nothing for less than {bound} is possible there"
-        )
-        bound = euros(first.bound)
+        known = say("plan.cheapest"), say("plan.cheapest_open", bound=euros(first.bound))
     else:
-        proven = mark(
-            "proven: no APR is higher; of those with the same APR not all were compared in time"
-        )
-        open_ = mark("not proven in the time given: no APR above {bound} is possible there")
-        bound = percent(advice.bound)
-    return tr(proven) if advice.is_proven else tr(open_, bound=bound)
+        known = say("plan.highest"), say("plan.highest_open", bound=percent(advice.bound))
+    return known[0] if advice.is_proven else known[1]
 
 
 OnProgress = Callable[[str, int, int], None]
@@ -454,9 +441,7 @@ class Worker:
             self.stop()
             if was_stopped:
                 raise Cancelled
-            raise DiedError(
-                tr("the process that did it ({name}) was ended from outside", name=method)
-            )
+            raise DiedError(say("plan.died", name=method))
         raise TaskError(*value)
 
     def stop(self) -> None:
@@ -476,9 +461,8 @@ class Worker:
         if self._process is None or self._connection is None or not self._process.is_alive():
             context = multiprocessing.get_context("spawn")
             ours, theirs = context.Pipe()
-            self._process = context.Process(
-                target=_serve, args=(theirs, self._work, language()), daemon=False
-            )
+            given = theirs, self._work, language()
+            self._process = context.Process(target=_serve, args=given, daemon=False)
             self._process.start()
             theirs.close()
             self._connection = ours

@@ -1,5 +1,6 @@
 """Every message of an answer has a German translation, with the same names in braces."""
 
+import ast
 import json
 import re
 import string
@@ -35,7 +36,7 @@ from experiments.language import (
 )
 from experiments.parts import latency as latency_part
 from experiments.parts import section, sheet
-from experiments.planner.server import page_messages
+from experiments.planner.server import page_html, page_messages
 from experiments.report.page import page_environment
 from geometry.files import load_data
 from geometry.frames import to_geographic
@@ -156,7 +157,9 @@ class Said(HTMLParser):
         if tag not in ("meta", "img", "br", "hr", "link", "input", "source"):
             self.open.append((tag, dict(attributes).get("id")))
         self.texts += [
-            value for name, value in attributes if name in ("alt", "title", "aria-label")
+            value
+            for name, value in attributes
+            if name in ("alt", "title", "aria-label", "placeholder")
         ]
 
     def handle_endtag(self, tag):
@@ -349,3 +352,53 @@ def test_words_of_scripts_are_in_the_page():
     assert set(asked) <= set(words)
     with speaking("en"):
         assert not page_environment().get_template("words.html.j2").render().strip()
+
+
+def test_no_word_of_the_planners_page_is_left_over():
+    with speaking("de", Bracketed()):
+        page = page_html()
+    assert '<html lang="de">' in page
+    keys = {*"lnop"}
+    assert not {text: words for text, words in visible_words(page).items() if set(words) - keys}
+
+
+def test_scripts_of_the_planners_page_say_literals_and_nothing_else():
+    """Each call of tr and trn is collected; no other literal has two words of a sentence."""
+    scripts = [path.read_text() for path in sorted((ROOT / "planner" / "page").glob("*.js"))]
+    code = re.sub(r"^ *//.*|(?<=[;{},]) // .*", "", "\n".join(scripts), flags=re.MULTILINE)
+    literal = r'"(?:[^"\\\n]|\\.)*"'
+    left = re.sub(rf"\btr(n\({literal}, {literal}|\({literal})", "", code)
+    assert not re.findall(r"\btrn?\(.*", left)
+    assert len(page_messages()) > 200
+    phrases = [one for one in re.findall(literal, left) if re.search(r"[A-Za-z]{2} [a-z]{2}", one)]
+    assert set(phrases) <= {'"unit aim"', '"out of view"'}
+
+
+def words_of(node):
+    """A text in code, with 1 in place of each value; None: it is none."""
+    if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Unquoted":
+        node = node.args[0]
+    if isinstance(node, ast.JoinedStr):
+        parts = (getattr(part, "value", None) for part in node.values)
+        return "".join(part if isinstance(part, str) else "1" for part in parts)
+    text = getattr(node, "value", None)
+    return text if isinstance(text, str) else None
+
+
+def test_what_the_planner_refuses_is_known():
+    texts = set()
+    for path in sorted((ROOT / "planner").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError":
+                texts |= {*map(words_of, node.args)}
+            elif isinstance(node, ast.Assign):
+                named = getattr(node.targets[0], "id", "") in ("expected", "got")
+                texts |= {words_of(node.value)} if named else set()
+    texts -= {None}
+    options = {"--port", "--cars", "a free port", "blind or see: the page tells each run once"}
+    assert options < texts  # of the command line, in English
+    texts -= {*options, "0 to 1"}  # numbers of variants, which the page gives
+    with speaking("de", Bracketed()):
+        left = {text: {*left_over(said(text))} - {"json"} for text in texts}
+    assert len(left) > 60
+    assert not {text: words for text, words in left.items() if words}

@@ -52,7 +52,8 @@ def test_an_answer_begins_with_what_is_not_avoided(frame_axis):
     ]
     axis = replace(frame_axis, positions=("0", "-15", "+30"))
     assert danger_sentences(axis, [True, True, False]) == [
-        "1 of 3 runs is not avoided: in B 1 of 1. By place: 30 m beyond the crosswalk ahead 1 of 1."
+        "1 of 3 simulated encounters (runs) is not avoided: in B 1 of 1. "
+        "By place: 30 m beyond the crosswalk ahead 1 of 1."
     ]
     assert danger_sentences(axis, [True] * 3) == [
         "No simulated encounter (run) is left: all 3 are avoided."

@@ -1624,7 +1624,7 @@ def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting,
         server = serve(units, asked={"no_look": str(garden)})
         with opened(browser, server, may_complain=True) as page:
             assert page.locator("html").get_attribute("lang") == "de"
-            told(page)
+            assert re.fullmatch(r"\d+,\d %", told(page))
             look(page, "first screen")
             page.locator("#lost button").first.click()
             page.locator("#played").wait_for()
@@ -1648,7 +1648,11 @@ def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting,
             for box in ("#coverage", "#danger"):
                 page.locator(box).check()
             told(page)
-            page.locator("#compare-points tbody tr").first.wait_for()
+            row = page.locator("#compare-points tbody tr").first
+            row.wait_for()
+            cells = row.locator("td").all_inner_texts()
+            here, there, by = (re.sub(r"[^\d,]", "", text).replace(",", ".") for text in cells)
+            assert float(by) == pytest.approx(abs(float(here) - float(there)), abs=0.051)
             page.locator("#coverage-key svg").first.wait_for()
             look(page, "variants, density and dangers")
             page.locator('[data-ask="next"]').click()
