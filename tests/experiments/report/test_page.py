@@ -11,8 +11,8 @@ import pytest
 from msgspec.structs import replace as replace_fields
 from partial_pages import blank_pictures, build_result
 
+from experiments.jobs.evaluation import build_comparison_result
 from experiments.parts.dangers import build_dangers
-from experiments.parts.result import build_comparison_result
 from experiments.report.page import build_report, write_report
 from experiments.results.numbers import percent
 from experiments.results.record import StageRecord, build_evaluation_record
