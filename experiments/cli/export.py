@@ -20,7 +20,7 @@ class _ExportCommand(click.Command):
     """Adds the formats to its help: their modules are loaded only if somebody asks for it."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        from ..export.formats import load_format
+        from ..export import load_format
 
         formats = [(name, load_format(name)) for name in FORMAT_NAMES]
         lines = [
@@ -120,8 +120,8 @@ def export(
     progress.start(quiet=quiet)
     from placement.compute import Compute
 
+    from ..export import load_format
     from ..export.calibration import lidar_ids
-    from ..export.formats import load_format
     from ..export.watched import export_layout
 
     chosen = load_format(format_name)

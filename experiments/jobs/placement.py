@@ -38,9 +38,9 @@ from placement.verification.certificates import build_certificate, save_certific
 from placement.verification.instances import build_mounts
 from placement.wishes import assumed_prices
 
-from ..export.csv import to_csv
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
+from ..export.table import to_csv
 from ..parts import alternatives, bill_of_materials
 from ..parts.baselines import build_baselines, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
