@@ -32,36 +32,6 @@ _AS_THEY_ARE = (
 _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
-_TIED = mark(
-    "As planned, greedy choice's layout is as good as the one found. In {n} sampled worlds it "
-    "prevents {points:.2f} points more (95 %: {low:.2f} to {high:.2f}): so it is the answer."
-)
-_SURPASSED = mark(
-    "Greedy choice's layout is the answer, not the one found, which is better in the {chosen} "
-    "worlds to choose in: in {n} fresh ones greedy choice's prevents {points:.2f} points more "
-    "(95 %: {low:.2f} to {high:.2f})."
-)
-_ENOUGH = {
-    "same": mark(
-        "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the same layout"
-    ),
-    "no better": mark(
-        "{taken} worlds to choose in are enough (--samples {taken}): in {others} fresh ones "
-        "the layout of {tried} prevents {low:+.2f} to {high:+.2f} points more (95 %)"
-    ),
-    "time": mark(
-        "The layout was chosen in {taken} worlds (--samples {taken}), the last ones that there was "
-        "time for: with a longer --time-limit more are tried"
-    ),
-    "memory": mark(
-        "The layout was chosen in {taken} worlds (--samples {taken}): twice as many do not fit "
-        "into the memory of this machine"
-    ),
-    "most": mark(
-        "The layout was chosen in {taken} worlds (--samples {taken}), and was still getting "
-        "better: more are not tried"
-    ),
-}
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -222,7 +192,7 @@ def growth_sentences(growth: Growth | None) -> list[str]:
         "low": _points(last.low),
         "high": _points(last.high),
     }
-    return [tr(_ENOUGH[growth.stopped], **values)]
+    return [say(f"worlds_chosen_in.{growth.stopped}", **values)]
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -318,7 +288,8 @@ def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | No
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
     values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
-    return [tr(_TIED if chosen_in is None else _SURPASSED, **values)]
+    key = "tied" if chosen_in is None else "surpassed"
+    return [say(f"sampled_worlds.{key}", **values)]
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
