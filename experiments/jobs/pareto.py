@@ -11,7 +11,8 @@ from msgspec.structs import replace as replace_fields
 from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.optimiser import PlacementValue
-from placement.optimiser.front import FrontPoint, StageChoice, cost_front, pareto_front
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import FrontPoint, StageChoice, pareto_front
 from placement.pipeline import assemble
 from placement.question import Question
 from placement.wishes import assumed_prices, load_prices

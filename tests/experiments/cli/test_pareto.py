@@ -22,7 +22,8 @@ from experiments.jobs.pareto import FrontResult, front_table
 from experiments.parts.front import describe_front, plot_front
 from experiments.results.drives import build_drives_record
 from placement.layout import layout_from_records
-from placement.optimiser.front import cost_front, pareto_front, tightened
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import pareto_front, tightened
 
 HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas", "rich")
 

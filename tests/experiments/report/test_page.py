@@ -251,7 +251,7 @@ def test_placement_page_opens_with_the_answer(placement_page, evaluations):
     n_avoided = int(found.rsu_all.is_avoided.sum())
     assert 0 < n_avoided < 104  # else this test is worth little
     in_full = words[words.index("The answer in full") :]
-    assert f"{104 - n_avoided} of 104 runs are not avoided" in in_full
+    assert f"of the simulated collisions: {n_avoided} of 104" in words
     proven = "Proven on the detection table: no choice among 4032 candidate poses has a higher APR."
     assert proven in in_full
 
@@ -563,7 +563,8 @@ def test_unequal_weights_are_told_by_case_and_run(setting, layout):
     page, evaluation = page_of(weighted, layout)
     words = Page(page).words
     assert "is the share of the runs, by weight, in which the car brakes" in words
-    assert f"(APR by weight {percent(apr(evaluation.rsu_all, weighted.axis))})" in words
+    share = percent(apr(evaluation.rsu_all, weighted.axis))
+    assert f"prevents {share} of the simulated collisions" in words
     lightest = percent(weight[weight > 0.0].min())
     assert f"from {lightest} to {percent(weight.max())} of the whole each." in words
     assert f"{int((~is_counted).sum())} runs of weight 0 are driven, but not counted." in words
