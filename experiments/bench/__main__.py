@@ -1,8 +1,6 @@
 """Speed of the main job and of its parts, measured in one run: ``python -m experiments.bench``.
 
-Times depend on the machine and its load; the ratio to HiGHS depends on them little, because both
-sides are measured in turn. Each part runs in a process of its own, and is ended when its time is
-up.
+Each part runs in a process of its own, and is ended when its time is up.
 """
 
 import json
@@ -22,17 +20,14 @@ from typing import Any
 
 import click
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
 
-from geometry.arrays import BoolArray, FloatArray
 from geometry.raycast import caster_name
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, load_carlancap_layout
-from placement.optimiser import Effort, PlacementProblem, presolve, run_margins_s, solve_placement
-from placement.optimiser.problem import Fusion
+from placement.optimiser import Effort, PlacementProblem, presolve, solve_placement
 from placement.question import Question
 from placement.setting import Setting, build_setting
 from placement.visibility.build import build_detection_table
@@ -50,21 +45,14 @@ _TRACK_MEMORIES_S = (np.inf, 1.0)
 _BUDGET_TIME_S = 20.0
 
 
-def seconds_of(*works: Callable[[], object], repeats: int = _REPEATS) -> FloatArray:
-    """Seconds (n_works, n_repeats) of works in turn, after a run of each that does not count."""
-    seconds = np.zeros((len(works), repeats + 1))
-    for repeat in range(repeats + 1):
-        for row, work in enumerate(works):
-            began_s = time.perf_counter()
-            work()
-            seconds[row, repeat] = time.perf_counter() - began_s
-    return seconds[:, 1:]
-
-
-def ratio(ours: Callable[[], object], theirs: Callable[[], object], **options: int) -> float:
-    """Median of the ratios of their seconds, pair by pair."""
-    ours_s, theirs_s = seconds_of(ours, theirs, **options)
-    return float(np.median(ours_s / theirs_s))
+def seconds_of(work: Callable[[], object]) -> float:
+    """Median of the seconds of some repeats, after a first one that does not count."""
+    seconds = []
+    for _ in range(_REPEATS + 1):
+        began_s = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - began_s)
+    return statistics.median(seconds[1:])
 
 
 @cache
@@ -83,7 +71,7 @@ def measure_table() -> Figures:
     setting, candidates = _setting(), _candidates()
     positions = list(dict.fromkeys(tuple(c.pose.position_m) for c in candidates))[::_EVERY_MOUNT]
     some = [c for c in candidates if tuple(c.pose.position_m) in set(positions)]
-    seconds = float(np.median(seconds_of(lambda: _table(setting, some, Compute()))))
+    seconds = seconds_of(lambda: _table(setting, some, Compute()))
     per_second = len(some) * setting.axis.n_frames / seconds
     return {"table: million verdicts per second (before 3.4; at least 30)": per_second / 1e6}
 
@@ -101,15 +89,15 @@ def measure_evaluation() -> Figures:
     layout, compute = Layout(name="bench", units=units), Compute(workers=_WORKERS)
     seconds = seconds_of(lambda: evaluate_layout(layout, setting, compute=compute))
     name = f"evaluator: {len(setting.runs)} runs, {len(units)} cameras and VUT"
-    return {f"{name}: seconds (at most 5)": float(np.median(seconds))}
+    return {f"{name}: seconds (at most 5)": seconds}
 
 
-def _problem(budget: int, fusion: Fusion = "any") -> PlacementProblem:
+def _problem(budget: int) -> PlacementProblem:
     """The question of so many units, on a table that is built for it."""
     setting, candidates = _setting(), _candidates()
     table = _table(setting, candidates, Compute(workers=_WORKERS))
     wishes = Wishes(budget_units=budget)
-    return build_problem(setting, candidates, table, wishes=wishes, fusion=fusion)
+    return build_problem(setting, candidates, table, wishes=wishes)
 
 
 def measure_optimiser(budget: int) -> Figures:
@@ -142,43 +130,6 @@ def measure_budgets(problem: PlacementProblem, *, units: Sequence[int] = (2, 3, 
     return figures
 
 
-def measure_single(budget: int) -> Figures:
-    """All stages where each unit confirms alone, against maximal covering by HiGHS alone."""
-    single = _problem(budget, fusion="single")
-    # A[c, r]: pose c avoids run r by itself.
-    poses = range(single.table.n_poses)
-    covers = np.stack([np.isfinite(run_margins_s(single, [pose])) for pose in poses])
-    best: dict[str, float] = {}
-
-    def ours() -> None:
-        best["ours"] = solve_placement(single).certificate.stages[0].objective
-
-    def direct() -> None:
-        best["HiGHS"] = _solve_mclp(covers, single)
-
-    found = ratio(ours, direct, repeats=1)  # HiGHS takes minutes
-    if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
-        raise RuntimeError(f"optima differ: {best}")
-    return {"optimiser: all stages, single / bare HiGHS, APR only": found}
-
-
-def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
-    """Maximal covering by SciPy's HiGHS without any presolve of ours; returns the APR."""
-    n_poses, n_runs = covers.shape
-    weight = problem.table.axis.weight
-    chosen = np.concatenate([np.ones(n_poses), np.zeros(n_runs)])
-    cover = np.hstack([-covers.T.astype(float), np.eye(n_runs)])
-    most = LinearConstraint(chosen, ub=float(problem.limits.max_units))
-    result = milp(
-        -np.concatenate([np.zeros(n_poses), weight]),
-        integrality=chosen,
-        bounds=Bounds(0.0, 1.0),
-        constraints=[most, LinearConstraint(cover, ub=0.0)],
-    )
-    solution: Any = result.x
-    return float(solution[n_poses:] @ weight)
-
-
 def measure_command(budget: int) -> Figures:
     """The main job cold and warm, its memory, and the start-up."""
     with tempfile.TemporaryDirectory() as folder:
@@ -209,7 +160,6 @@ PARTS: dict[str, Callable[[int], Figures]] = {
     "table": lambda _: measure_table(),
     "evaluator": lambda _: measure_evaluation(),
     "optimiser": measure_optimiser,
-    "single": measure_single,
 }
 """Functions of the budget of units that measure, by name."""
 
