@@ -541,8 +541,8 @@ def test_what_is_not_driven_is_told_with_its_reason(setting, layout, evaluation_
     page, _ = page_of(replace(setting, refusals=refusals), layout)
     words = Page(page).words
     assert (
-        "Not driven CBNA from the north and west at 20, 25 km/h: no lane <here>. "
-        "CBNA from the west at 30 km/h: too short. CBLA from the south at 50 km/h: too short."
+        "4 runs: no lane <here> (CBNA from the north and west). "
+        "2 runs: too short (CBNA from the west; CBLA from the south)."
     ) in words
     assert "Not driven" not in Page(evaluation_page).words
 
