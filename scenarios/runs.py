@@ -24,8 +24,14 @@ from .paths import MPS_PER_KMH
 from .positions import AT_ZERO, Position, is_bound, positions_of, read_position, spread_speeds
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
-from .staging import CannotCarryError, NoRoadError, Staging, is_vehicle, mirror_staging
-from .trajectories import load_trajectory_rules
+from .staging import (
+    CannotCarryError,
+    NoRoadError,
+    Staging,
+    is_vehicle,
+    load_way_rules,
+    mirror_staging,
+)
 
 WEATHERS = tuple(load_weathers())
 _GRID_TOLERANCE = 1.0e-6  # of a frame
@@ -489,7 +495,7 @@ class _Drive:
 
     def _stage_recorded(self, case: Case, recorded: RecordedEncounter, speed_kmh: float) -> Staging:
         _, away_m = nearest_arm(recorded, build_junction(self.scene))
-        if away_m > load_trajectory_rules().encounters.max_away_m:
+        if away_m > load_way_rules().max_recorded_away_m:
             raise NoRoadError(f"it was recorded {away_m:.0f} m from the junction's lanes")
         encounter = recorded.encounter(
             vut=self.vut,

@@ -34,7 +34,6 @@ class EncounterRules(Struct, frozen=True, kw_only=True):
     min_known_s: float
     max_known_s: float
     way_step_m: float
-    max_away_m: float
 
 
 class TrajectoryRules(Struct, frozen=True, kw_only=True):

@@ -16,8 +16,7 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
 
     Libraries are loaded before.
     """
-    from experiments.export import FORMAT_NAMES
-    from experiments.export.formats import load_format
+    from experiments.export import FORMAT_NAMES, load_format
     from experiments.export.mcap import mcap_of_run
     from experiments.export.watched import find_run
 

@@ -8,29 +8,14 @@ from typing import Any
 
 import click
 
+from geometry.files import load_data
+
 from ..progress import tell
 from . import options
 from .running import cache_folder
 from .terminal import WIDTH, sentences
 
 _EXIT_FAILED = 1
-# Import name of what an extra brings; extra; what is not there without it.
-_EXTRAS = (
-    ("requests", "online", "scene import --bbox: fetching OpenStreetMap"),
-    ("scenariogeneration", "openscenario", "scenarios export: OpenSCENARIO files"),
-    ("onnxruntime", "perception", "--detector cnn, FILE.onnx: networks on rendered pictures"),
-    ("starlette", "plan", "plan: the planner's page in the browser"),
-    ("euroncap-rating-2026", "rating", "--weights euroncap-rating-2026: Euro NCAP's points"),
-    ("pxr", "usd", "export --format usd: stages for Omniverse and Isaac"),
-    ("asn1tools", "v2x", "export --format cpm-uper: messages as bytes"),
-    ("ezdxf", "dxf", "export --format dxf: drawings"),
-    ("foxglove", "mcap", "export --format mcap: recordings for Foxglove"),
-    ("libsumo", "traffic", "--traffic sumo: vehicles that drive by in sampled worlds"),
-)
-_LIBRARIES = (
-    *("numpy", "scipy", "cvxpy", "highspy", "osqp", "trimesh", "embreex", "pandas", "matplotlib"),
-    *("geopandas", "osmium", "laspy", "pyproj"),
-)
 
 
 def examine(cache_folder: Path) -> dict[str, Any]:
@@ -40,7 +25,8 @@ def examine(cache_folder: Path) -> dict[str, Any]:
     """
     from geometry.raycast import caster_name, open3d_problem
 
-    libraries = {name: _version(name) for name in _LIBRARIES}
+    known = load_data("experiments", "installed.toml")
+    libraries = {name: _version(name) for name in known["libraries"]}
     cache = _examine_cache(cache_folder)
     return {
         "version": _version("place-rsus"),
@@ -49,10 +35,7 @@ def examine(cache_folder: Path) -> dict[str, Any]:
         "processors": os.cpu_count(),
         "rays": {"by": caster_name(), "problem": open3d_problem()},
         "libraries": libraries,
-        "extras": [
-            {"package": package, "extra": extra, "version": _version(package), "without": without}
-            for package, extra, without in _EXTRAS
-        ],
+        "extras": [{**extra, "version": _version(extra["package"])} for extra in known["extras"]],
         "milp_solvers": ["HIGHS"] if libraries["highspy"] else [],
         "cache": cache,
         "is_well": all(libraries.values()) and cache["is_writable"],

@@ -35,9 +35,9 @@ def evaluate(
         return
     job = job.begin()
     layout = job.layout(layout_names)
-    from ..jobs import placement
+    from ..jobs import evaluation
 
-    result = placement.run_evaluation(
+    result = evaluation.run_evaluation(
         job.question, layout=layout, out=out, command=command_line(), **job.means
     )
     from .answers import evaluation_parts
@@ -65,9 +65,9 @@ def compare(
 
     found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
     job = job.begin()
-    from ..jobs import placement
+    from ..jobs import evaluation
 
-    result = placement.run_comparison(
+    result = evaluation.run_comparison(
         job.question, layouts=found, out=out, command=command_line(), **job.means
     )
     from .answers import comparison_parts

@@ -16,11 +16,17 @@ if TYPE_CHECKING:
     from ..parts.sheet import SheetResult
 
 
+_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml, cpm and vam need a scene
+that lies somewhere on earth.
+
+"""
+
+
 class _ExportCommand(click.Command):
     """Adds the formats to its help: their modules are loaded only if somebody asks for it."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        from ..export.formats import load_format
+        from ..export import load_format
 
         formats = [(name, load_format(name)) for name in FORMAT_NAMES]
         lines = [
@@ -35,69 +41,12 @@ class _ExportCommand(click.Command):
 
 @click.command(
     cls=_ExportCommand,
-    epilog="""opencv and ros leave LiDARs out; geojson, gpkg, kml, cpm and vam need a scene
-that lies somewhere on earth.
-
-\b
-Examples:
-  place-rsus export --layout carlancap-12 --format carla
-  place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
-  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
-  place-rsus export --calibration tsai.xml --format ros
-  place-rsus export --run CPNC-50/east/40 --layout a.json \\
-      --format cpm-uper --out cpm.bin
-  place-rsus export --run CPNC-50/east/40 --format vam-uper --out vam.bin""",
+    epilog=_NOTE + options.EXAMPLES["export"],
 )
 @options.layout_option
-@options.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or Tsai.",
-)
-@options.option(
-    "--size",
-    nargs=2,
-    type=click.IntRange(min=1),
-    metavar="WIDTH HEIGHT",
-    expected="two numbers of pixels, at least 1",
-    needs="calibration",
-    help="With --calibration: of pictures, where the file does not tell.",
-)
-@options.option(
-    "--format",
-    "format_name",
-    required=True,
-    metavar="FORMAT",
-    type=click.Choice(FORMAT_NAMES),
-    help="One of those below.",
-)
+@options.from_table("export", format_name={"type": FORMAT_NAMES})
 @options.scene_option
-@options.option(
-    "--run",
-    "run_id",
-    default="",
-    metavar="RUN",
-    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40; "
-    "carla-run: that is driven; vam, vam-uper: whose road user sends, without --layout.",
-)
-@options.option(
-    "--release", metavar="V", help="cpm, vam and their bytes: of the dictionary, 2.1.1 or 2.4.1."
-)
-@options.option(
-    "--vam-rate",
-    type=float,
-    metavar="HZ",
-    help="vam, vam-uper: messages per second, 0.2 to 10; default: by the rules of ETSI TS 103 "
-    "300-3.",
-)
-@options.option(
-    "--views", is_flag=True, help="geojson, gpkg, kml: what each camera sees, as polygons."
-)
-@options.option(
-    "--pictures", is_flag=True, needs="run_id", help="mcap: what each camera sees, frame by frame."
-)
-@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.from_table("export-run")
 @options.quiet_option
 @click.pass_obj
 def export(
@@ -120,8 +69,8 @@ def export(
     progress.start(quiet=quiet)
     from placement.compute import Compute
 
+    from ..export import load_format
     from ..export.calibration import lidar_ids
-    from ..export.formats import load_format
     from ..export.watched import export_layout
 
     chosen = load_format(format_name)
@@ -171,15 +120,9 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
 # ---------- for whoever mounts the units
 
 
-@click.command(
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
-  place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json""",
-)
+@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["sheet"])
 @options.layout_option
-@options.option("--out", type=click.Path(path_type=Path), required=True, help="PDF file to write.")
+@options.from_table("sheet")
 @options.asking(*options.JUDGED, has_cache=False)
 def sheet(job: Job, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.

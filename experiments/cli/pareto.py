@@ -14,7 +14,7 @@ from .running import Job, command_line
 from .terminal import answer_text, basis, driven_lines
 
 if TYPE_CHECKING:
-    from ..parts.front import FrontResult
+    from ..jobs.pareto import FrontResult
     from ..parts.retrofit import RetrofitResult
 
 
@@ -45,7 +45,7 @@ def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
     accidents prevented (APR), and the highest that is left when any one unit fails.
     """
     job = job.begin()
-    from ..parts.front import run_pareto
+    from ..jobs.pareto import run_pareto
 
     summary = run_pareto(job.question, out=out, command=command_line(), **asked, **job.means)
     job.print(summary, lambda: front_text(summary, out))

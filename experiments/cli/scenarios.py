@@ -197,27 +197,12 @@ def _span(values: Sequence[float], form: str) -> str:
     return low if low == high else f"{low} to {high}" if form != "g" else f"{low}-{high}"
 
 
-@click.group(
-    epilog="""\b
-Examples:
-  place-rsus scenarios list                     every case, on every approach
-  place-rsus scenarios list --cases study --json
-  place-rsus scenarios show CPNCO-50 --approach east --speed 40
-  place-rsus scenarios show CPTAfs-50 --approach north --speed 20 --out a.gif
-  place-rsus scenarios export CBNA --approach west --speed 60 --out a.xosc"""
-)
+@click.group(epilog=options.EXAMPLES["scenarios"])
 def scenarios() -> None:
     """What is driven at the junction: list it, look at it, export it."""
 
 
-@scenarios.command(
-    "list",
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west
-  place-rsus scenarios list --cases CPNA --along-arms 0,20,40""",
-)
+@scenarios.command("list", cls=options.SectionedCommand, epilog=options.EXAMPLES["scenarios-list"])
 @options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
 @options.json_option
 @options.quiet_option
@@ -256,20 +241,9 @@ def _driven_once() -> list[str]:
     return [*sentences(text, hanging=2), ""]
 
 
-@scenarios.command(
-    epilog="""\b
-Examples:
-  place-rsus scenarios show CPNCO-50 --approach east --speed 40
-  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif
-  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.mcap"""
-)
+@scenarios.command(epilog=options.EXAMPLES["scenarios-show"])
 @options.one_run_options()
-@options.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Film strip (.png, .svg, .pdf), animation (.gif), or MCAP for Foxglove (.mcap); "
-    "default: a .png in results/scenarios.",
-)
+@options.from_table("scenarios-show")
 @options.quiet_option
 @click.pass_obj
 def show(
@@ -295,35 +269,9 @@ def show(
     tell(f"Written to {path}.")
 
 
-@scenarios.command(
-    "import",
-    epilog="""\b
-Examples:
-  place-rsus scenarios import fcd.xml --out near.toml
-  place-rsus scenarios import ped.csv veh.csv --rate 23.98 --out near.toml
-  place-rsus scenarios import a.csv --columns x=east,y=north --out near.toml
-  place-rsus --scene junction --cases near.toml --budget 3""",
-)
+@scenarios.command("import", epilog=options.EXAMPLES["scenarios-import"])
 @click.argument("paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path))
-@options.option(
-    "--ttc", "ttc_s", type=float, metavar="S", help="Longest time to collision; default: 2."
-)
-@options.option(
-    "--within", "within_m", type=float, metavar="M", help="Also pairs that come so near."
-)
-@options.option(
-    "--rate", "rate_hz", type=float, metavar="HZ", help="Of CSV files that count frames."
-)
-@options.option(
-    "--columns", default="", metavar="WHAT=NAME,..", help="Of CSV files: id=..,time=..,x=.."
-)
-@options.option(
-    "--class", "class_name", default="", metavar="CLASS", help="Of CSV files without classes."
-)
-@options.option(
-    "--name", default="", help="What names of cases begin with; default: the first FILE's."
-)
-@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.from_table("scenarios-import")
 def take_recordings(
     *,
     paths: tuple[Path, ...],
@@ -372,13 +320,9 @@ def take_recordings(
     write_result(out, cases_text(found, name=name or paths[0].stem, source=source))
 
 
-@scenarios.command(
-    epilog="""\b
-Examples:
-  place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
-)
+@scenarios.command(epilog=options.EXAMPLES["scenarios-export"])
 @options.one_run_options()
-@options.option("--out", type=click.Path(path_type=Path), help="File to write; else stdout.")
+@options.from_table("scenarios-export")
 @click.pass_obj
 def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file.
@@ -398,18 +342,10 @@ def export(progress: StageProgress, *, question: Question, position: str, out: P
 
 
 @scenarios.command(
-    "check-esmini",
-    cls=options.SectionedCommand,
-    epilog="""\b
-Examples:
-  place-rsus scenarios check-esmini --cases study
-  place-rsus scenarios check-esmini --cases all --esmini ~/esmini/bin/esmini""",
+    "check-esmini", cls=options.SectionedCommand, epilog=options.EXAMPLES["check-esmini"]
 )
 @options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "study"})
-@options.option(
-    "--esmini", "program", default="", metavar="PROGRAM", help="Default: esmini on the path."
-)
-@options.option("--out", type=click.Path(path_type=Path), help="Page of all runs to write (.md).")
+@options.from_table("check-esmini")
 @options.json_option
 @options.quiet_option
 @click.pass_obj

@@ -12,8 +12,8 @@ from geometry.terrain import terrain_of
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
+from . import ExportFormat
 from .calibration import refuse_lenses
-from .formats import ExportFormat
 from .json import to_json_text
 from .places import metric_points
 

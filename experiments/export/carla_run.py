@@ -24,9 +24,9 @@ from placement.recordings.files import load_format
 from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import Run
 
+from . import ExportFormat
 from .calibration import calibrations, refuse_lenses
 from .carla import camera_attributes, carla_points
-from .formats import ExportFormat
 
 _TABLE = "carla.toml"
 _PLACE = "SCENARIO: dict[str, Any] = {}"

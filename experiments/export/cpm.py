@@ -21,7 +21,7 @@ from placement.detectors import load_detector
 from placement.layout import Layout
 from scenarios.runs import Run
 
-from .formats import ExportFormat
+from . import ExportFormat
 from .json import to_json_text
 from .places import longitude_latitude, require_crs
 from .watched import WatchedRun

@@ -11,7 +11,7 @@ from geometry.errors import MissingExtraError
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .formats import ExportFormat
+from . import ExportFormat
 from .places import find_views, metric_points, moved
 
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}

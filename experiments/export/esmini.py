@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +17,7 @@ from geometry.scene import Scene
 from placement.compute import DEFAULT_COMPUTE, Compute
 from scenarios.runs import Run
 
-from ..results.tables import markdown_table
+from ..results.tables import page_of
 from .opendrive import to_opendrive
 from .openscenario import VRU, VUT, to_openscenario
 
@@ -134,16 +135,11 @@ def describe(driven: Sequence[Driven], command: str) -> str:
         )
         for off, ids in groups.items()
     ]
-    heads = ("touch after our impact (s)", *(f"from {arm}" for arm in arms), "which")
-    lines = [
-        "# Driven in esmini",
-        "",
-        summarise(driven),
-        "",
-        f"`{command}` wrote this page. esmini goes in steps of {1000.0 * STEP_S:g} ms, so a touch",
-        "comes up to a step late, and drives straight between the places in the file, which has",
-        "more of them where a body turns. Contacts are its own.",
-        "",
-        *markdown_table(heads, rows),
-    ]
-    return "\n".join(lines) + "\n"
+    return page_of(
+        files(__package__) / "esmini.md.j2",
+        summary=summarise(driven),
+        command=command,
+        step_ms=1000.0 * STEP_S,
+        heads=("touch after our impact (s)", *(f"from {arm}" for arm in arms), "which"),
+        rows=rows,
+    )

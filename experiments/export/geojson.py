@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .formats import ExportFormat
+from . import ExportFormat
 from .json import to_json_text
 from .places import (
     View,

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .formats import ExportFormat
+from . import ExportFormat
 from .places import (
     find_views,
     longitude_latitude,

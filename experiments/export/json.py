@@ -8,7 +8,7 @@ from geometry.scene import Scene
 from placement.layout import SCHEMA, Layout, layout_records
 
 from ..results.record import to_plain
-from .formats import ExportFormat
+from . import ExportFormat
 
 
 def to_json_text(document: object) -> str:

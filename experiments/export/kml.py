@@ -8,7 +8,7 @@ from geometry.frames import to_carla_yaw
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from .formats import ExportFormat
+from . import ExportFormat
 from .places import (
     View,
     find_views,

@@ -23,8 +23,8 @@ from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
+from . import ExportFormat
 from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
-from .formats import ExportFormat
 from .watched import WatchedRun
 
 WORLD = "map"  # frame, as REP 105 calls it

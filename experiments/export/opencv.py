@@ -11,8 +11,8 @@ from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from placement.layout import Layout
 
+from . import ExportFormat
 from .calibration import calibrations, comments, lens_coefficients, plain
-from .formats import ExportFormat
 
 
 def to_opencv(layout: Layout, scene: Scene | None = None) -> str:

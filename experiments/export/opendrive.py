@@ -22,7 +22,7 @@ from geometry.terrain import on_ground, terrain_of
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from .formats import ExportFormat
+from . import ExportFormat
 
 _TYPES = {
     "driving": "driving",

@@ -10,8 +10,8 @@ from geometry.sensors import CameraModel, to_calibrated
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
+from . import ExportFormat
 from .calibration import lens_coefficients, plain, sensor_quaternion
-from .formats import ExportFormat
 from .json import to_json_text
 
 SCHEMA_VERSION = "1.0.0"

@@ -11,8 +11,8 @@ from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from placement.layout import Layout
 
+from . import ExportFormat
 from .calibration import calibrations, comments, lens_coefficients, plain, quaternion
-from .formats import ExportFormat
 
 WORLD_FRAME = "map"
 """REP 105's name of a world-fixed frame: x east, y north, z up."""

@@ -12,9 +12,8 @@ from geometry.scene import Scene
 from placement.layout import Layout
 from scenarios.runs import Run
 
-from . import vam
+from . import ExportFormat, vam
 from .cpm import RELEASES, build_stations
-from .formats import ExportFormat
 from .watched import WatchedRun
 
 _MESSAGE = "CollectivePerceptionMessage"

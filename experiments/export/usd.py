@@ -12,8 +12,8 @@ from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from placement.layout import Layout
 
+from . import ExportFormat
 from .calibration import refuse_lenses
-from .formats import ExportFormat
 
 _APERTURE_MM = 36.0  # only its ratio to the focal length counts
 _FAR_M = 1000.0

@@ -11,6 +11,7 @@ from geometry.scene import Scene
 from geometry.terrain import on_ground, terrain_of
 from scenarios.runs import Run
 
+from . import ExportFormat
 from .cpm import (
     HEADING_UNKNOWN,
     PER_DEGREE,
@@ -20,7 +21,6 @@ from .cpm import (
     altitude_cm_at,
     count_up,
 )
-from .formats import ExportFormat
 from .json import to_json_text
 from .places import longitude_latitude, require_crs
 

@@ -21,7 +21,7 @@ from scenarios.aeb import AebRule, load_aeb_rule
 from scenarios.positions import AT_ZERO
 from scenarios.runs import WEATHERS, Run, build_frame_axis
 
-from .formats import load_format
+from . import load_format
 
 _RUN_ID = (
     "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night or, away "

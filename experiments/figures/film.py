@@ -14,17 +14,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
 from geometry.actors import Actor
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import FloatArray
 from geometry.errors import InputError
 from geometry.files import read_bytes, write_atomically
 from geometry.footprints import footprint_corners
-from geometry.poses import Pose, body_rotation, to_world
-from geometry.raycast import RayCaster, build_caster
+from geometry.poses import Pose, to_world
 from geometry.scene import Scene
 from geometry.terrain import on_ground
 from placement.compute import Progress, silent
-from placement.evaluator import load_vut_camera
-from placement.imaging.mesh import build_static_mesh
+from placement.evaluator import build_surroundings, load_vut_camera, perceive_frames
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
@@ -40,9 +38,6 @@ _ROWS, _COLUMNS = 2, 3
 _SHOWN_S = 4.0  # a strip begins so long before the last moment to brake, or when the VRU sets off
 _MARGIN_M = 6.0
 _LEAST_SIZE_M = 24.0
-_LOOKS_UP = np.linspace(0.08, 0.97, 10)  # parts of the VRU that are looked for, of its height
-_LOOKS_ASIDE = (-0.35, 0.0, 0.35)  # of its width and length
-_END_M = 0.02
 _FAR_M = 500.0
 _VUT: Style = {"facecolor": BLUE, "edgecolor": "black"}
 _VRU: Style = {"facecolor": VERMILION, "edgecolor": "black", "hatch": "xxxx"}
@@ -154,13 +149,11 @@ class _Stage:
         self.middle_m, self.half_size_m = _window(run, frames)
         last_s, motion = run.last_brake_time_s, run.encounter.vut_motion
         self.brake_m = motion.path.at(motion.distance_m(last_s))[0] if np.isfinite(last_s) else None
-        self.origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-        still = build_static_mesh(scene, run.obstruction)
-        vertices = still.vertices_m - self.origin
-        self.caster: RayCaster = build_caster(vertices, still.triangles, library="embree")
         vut_camera = load_vut_camera()
         self.camera = vut_camera.camera
         self.lens = vut_camera.pose_on(run.encounter.vut).position_m
+        seen = perceive_frames(build_surroundings(scene, (run,)), vut_camera)
+        self.share = np.broadcast_to(seen.visible_share * seen.inside_share, len(run.time_s))
 
     def draw(self, axes: Axes, frame: int) -> None:
         """Everything at one instant."""
@@ -192,31 +185,14 @@ class _Stage:
         run, yaw_deg = self.run, float(self.run.vut_yaw_deg[frame])
         pose = _pose(run, run.vut_position_m[frame], yaw_deg)
         (eye,) = np.asarray(to_world(self.lens[None], pose))
-        free = self._in_sight(eye, frame)
+        share = float(self.share[frame])
         half_deg = 0.5 * self.camera.horizontal_fov_deg
         sides = np.radians([yaw_deg + half_deg, yaw_deg - half_deg])
         edges = eye[:2] + _FAR_M * np.stack([np.cos(sides), np.sin(sides)], axis=1)
         axes.add_patch(Polygon([eye[:2], *edges], facecolor=SKY, alpha=0.18, zorder=2.4))
-        style = _FREE_STYLE if free.any() else _BLOCKED_STYLE
+        style = _FREE_STYLE if share > 0.0 else _BLOCKED_STYLE
         axes.plot(*np.stack([eye[:2], run.vru_position_m[frame]]).T, zorder=6.9, **style)
-        return float(free.mean())
-
-    def _in_sight(self, eye: FloatArray, frame: int) -> BoolArray:
-        """Mask of points of the VRU that are in the level image, with a free line to them."""
-        run, vru, camera = self.run, self.run.encounter.vru, self.camera
-        size_m = (vru.length_m, vru.width_m, vru.height_m)
-        looks = np.stack(np.meshgrid(_LOOKS_UP, _LOOKS_ASIDE, _LOOKS_ASIDE, indexing="ij"), axis=-1)
-        points = looks.reshape(-1, 3)[:, [1, 2, 0]] * size_m
-        pose = _pose(run, run.vru_position_m[frame], run.vru_yaw_deg[frame])
-        vectors = to_world(points, pose) - eye
-        vectors *= 1.0 - _END_M / np.linalg.norm(vectors, axis=1, keepdims=True)
-        origins = np.repeat((eye - self.origin)[None], len(vectors), axis=0)
-        is_free = ~self.caster.is_blocked(origins.astype(np.float32), vectors.astype(np.float32))
-        ahead, left, up = (vectors @ body_rotation(float(run.vut_yaw_deg[frame]))).T
-        is_free &= ahead > 0.0
-        is_free &= np.abs(left) * camera.focal_length_px <= 0.5 * camera.width_px * ahead
-        is_free &= np.abs(up) * camera.focal_length_px <= 0.5 * camera.height_px * ahead
-        return is_free
+        return share
 
     def _point_at_vut(self, axes: Axes, frame: int) -> None:
         """An arrow at the edge where the VUT is outside of the window."""

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, count
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,8 +21,7 @@ from placement.certify import Grown, Growth, grow
 from placement.compute import Compute, silent
 from placement.evaluation import Evaluation, headline_apr
 from placement.evaluator import evaluate_layouts, with_sight
-from placement.ground import PrivateGround, load_private_ground
-from placement.layout import Layout, check_layout, find_baseline, layout_records
+from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
@@ -34,35 +32,29 @@ from placement.sampling.out_of_sample import (
     FreshWorlds,
     judge_layouts,
     look_at_fresh_worlds,
-    out_of_sample_layouts,
 )
-from placement.sampling.uncertainty import load_drawn
 from placement.setting import Setting, build_setting
 from placement.verification.certificates import build_certificate, save_certificate
 from placement.verification.instances import build_mounts
 from placement.wishes import assumed_prices
 
-from ..export.csv import to_csv
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
+from ..export.table import to_csv
 from ..parts import alternatives, bill_of_materials
-from ..parts.baselines import build_baselines, compare_layout, compare_placement
+from ..parts.baselines import build_baselines, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import build_explained_record, build_refinement_record
 from ..parts.front import FrontRecord, describe_front
 from ..parts.result import (
-    ComparisonResult,
-    EvaluationResult,
     PlacementResult,
     Result,
-    build_comparison_result,
-    build_evaluation_result,
     build_placement_result,
 )
 from ..parts.sampled_worlds import SampledRecord, build_sampled_record
 from ..parts.study_cases import StudyCases, on_study_cases
-from ..parts.units import PrivateGroundRecord, build_plans, build_private_ground_record
+from ..parts.units import build_plans, build_private_ground_record
 from ..progress import WRITING, StageProgress
 from ..report.page import begin_tasks, write_report
 from ..results import folders
@@ -79,11 +71,11 @@ MIN_FRESH_WORLDS = 60
 _LARGE_RUNS = 100
 """With fewer, it takes longer to start a second process than to answer and draw."""
 _WORLDS_TOGETHER = 10
-_R = TypeVar("_R", bound=Result)
+R = TypeVar("R", bound=Result)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Job:
+class Job:
     """Values that all steps of a job need."""
 
     question: Question
@@ -95,7 +87,7 @@ class _Job:
 
 
 @contextmanager
-def _begin_job(
+def begin_job(
     question: Question,
     scene: Scene,
     *,
@@ -104,7 +96,7 @@ def _begin_job(
     progress: StageProgress,
     side: SideProcess | None = None,
     out: Path | None,
-) -> Iterator[_Job]:
+) -> Iterator[Job]:
     """Make the setting, if not known; begin a second process unless `side` has one, if it pays."""
     if setting is None:
         _check_out(out, progress)
@@ -116,7 +108,7 @@ def _begin_job(
     with side_process(out is not None and is_large and begun is None, **READY) as new:
         chosen = begun or new
         chosen.share(setting)
-        yield _Job(
+        yield Job(
             question=question,
             scene=scene,
             setting=setting,
@@ -160,7 +152,7 @@ def run_placement(
     grown = grow(question, scene=scene, compute=compute) if question.samples == AUTO else None
     question = replace(question, samples=grown.growth.taken) if grown else question
     plan = grown.assembly if grown else assemble(question, scene=scene, compute=compute)
-    job_of = partial(_begin_job, setting=plan.setting, compute=compute, progress=progress)
+    job_of = partial(begin_job, setting=plan.setting, compute=compute, progress=progress)
     with job_of(question, scene, side=side, out=out) as job:
         found = _find(job, plan, grown)
         placement, layout, setting = found.placement, found.placement.layout, job.setting
@@ -179,12 +171,12 @@ def run_placement(
             found.on_grid, question, plan, compute=compute, progress=progress
         )
         evaluations, leading = _evaluate(job, found, layouts)
-        study_cases = _on_study_cases(job, evaluations)  # while the other process goes on
+        study_cases = judge_study_cases(job, evaluations)  # while the other process goes on
         front_runners, mounting, recommended = alternatives.find_front_runners(
             leading, standing, setting, question, compute=compute, progress=progress
         )
         existing, prices = plan.wishes.existing, plan.wishes.prices
-        site_eur = question.site_cost_eur
+        private, site_eur = plan.private_ground, question.site_cost_eur
         bill = build_bill(layout, scene, site_cost_eur=site_eur, kept_ids=existing)
         result = build_placement_result(
             placement,
@@ -195,7 +187,7 @@ def run_placement(
             baseline=None if study is None else evaluations[study.name],
             compute=compute,
             next_unit=placement.next_unit,
-            private_ground=_private_ground(layout, scene, plan.private_ground),
+            private_ground=private and build_private_ground_record(layout.units, scene, private),
             refinement=found.refinement and build_refinement_record(found.refinement),
             sites_eur=bill.sites_eur,
             assumed_prices=bill.assumed if prices is None else assumed_prices(prices, scene.sites),
@@ -234,7 +226,7 @@ def _named_layouts(
     return layouts | ({} if study is None else {study.name: study})
 
 
-def _find(job: _Job, plan: Assembly, grown: Grown | None) -> _Found:
+def _find(job: Job, plan: Assembly, grown: Grown | None) -> _Found:
     """Solve, and refine if asked to; the optimiser leaves the second process idle."""
     question, compute, progress = job.question, job.compute, job.progress
 
@@ -265,7 +257,7 @@ def _find(job: _Job, plan: Assembly, grown: Grown | None) -> _Found:
 
 
 def _begin_fresh_worlds(
-    job: _Job, plan: Assembly, layouts: Sequence[Layout]
+    job: Job, plan: Assembly, layouts: Sequence[Layout]
 ) -> list[Task[FreshWorlds]]:
     """Look at layouts in fresh sampled worlds, if asked for, in either process."""
     n_samples, uncertainty = job.question.n_samples, plan.uncertainty
@@ -288,7 +280,7 @@ def _begin_fresh_worlds(
 
 
 def _evaluate(
-    job: _Job, found: _Found, layouts: Mapping[str, Layout]
+    job: Job, found: _Found, layouts: Mapping[str, Layout]
 ) -> tuple[dict[str, Evaluation], list[Evaluation]]:
     """Layouts by display name, and those that lead, the one found first, by the evaluator."""
     leading = alternatives.leading_layouts(found.on_grid, found.placement)
@@ -300,7 +292,7 @@ def _evaluate(
 
 
 def _in_fresh_worlds(
-    job: _Job,
+    job: Job,
     found: _Found,
     evaluations: Mapping[str, Evaluation],
     fresh: Sequence[Task[FreshWorlds]],
@@ -327,17 +319,7 @@ def _in_fresh_worlds(
     )
 
 
-def _private_ground(
-    layout: Layout, scene: Scene, private: PrivateGround | None
-) -> PrivateGroundRecord | None:
-    return None if private is None else build_private_ground_record(layout.units, scene, private)
-
-
-def _load_private_ground(question: Question, scene: Scene) -> PrivateGround | None:
-    return load_private_ground(Path(question.no_look), scene) if question.no_look else None
-
-
-def _front_below(job: _Job, found: _Found) -> FrontRecord | None:
+def _front_below(job: Job, found: _Found) -> FrontRecord | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
     placement, plan, progress = found.placement, found.plan, job.progress
     best = placement if placement.highest is None else placement.highest
@@ -366,7 +348,7 @@ def _front_below(job: _Job, found: _Found) -> FrontRecord | None:
     return describe_front(front, problem, found.poses, n_kept=n_kept)
 
 
-def _on_study_cases(job: _Job, evaluations: Mapping[str, Evaluation]) -> StudyCases | None:
+def judge_study_cases(job: Job, evaluations: Mapping[str, Evaluation]) -> StudyCases | None:
     """The layouts on the study's cases; None where these are asked about, or no arm has them."""
     try:
         return on_study_cases(
@@ -381,135 +363,15 @@ def _on_study_cases(job: _Job, evaluations: Mapping[str, Evaluation]) -> StudyCa
         return None
 
 
-def run_evaluation(
-    question: Question,
-    *,
-    layout: Layout,
-    out: Path | None,
-    compute: Compute,
-    command: str,
-    progress: StageProgress,
-) -> EvaluationResult:
-    """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written."""
-    scene = load_scene(question.scene)
-    with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
-        (layout,) = _with_distinct_names([layout])
-        check_layout(layout, scene)
-        private = _load_private_ground(question, scene)
-        (evaluation,) = evaluate_layouts([layout], job.setting, compute=compute)
-        bill = build_bill(layout, scene, site_cost_eur=question.site_cost_eur)
-        evaluations = {layout.name: evaluation}
-        result = build_evaluation_result(
-            job.setting,
-            evaluation,
-            private_ground=_private_ground(layout, scene, private),
-            sites_eur=bill.sites_eur,
-            assumed_prices=bill.assumed,
-            study_cases=None if out is None else _on_study_cases(job, evaluations),
-        )
-        return _finish(job, result, evaluations, bill, out=out, command=command)
-
-
-def run_comparison(
-    question: Question,
-    *,
-    layouts: Sequence[Layout],
-    out: Path | None,
-    compute: Compute,
-    command: str,
-    progress: StageProgress,
-) -> ComparisonResult:
-    """Compare two layouts or more on the same runs; write a report if asked to.
-
-    With samples also in so many sampled worlds. Raises InputError as :func:`run_evaluation`.
-    """
-    scene = load_scene(question.scene)
-    samples = question.n_samples
-    drawn = load_drawn(question, scene, n_samples=samples)
-    with _begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
-        setting = job.setting
-        layouts = _with_distinct_names(layouts)
-        for layout in layouts:
-            check_layout(layout, scene)
-        private = _load_private_ground(question, scene)
-        proposed = compare_layout(layouts[0], setting, compute=compute)
-        everyone = layouts
-        if proposed is not None and proposed.expert is not None:
-            everyone = _with_distinct_names([*layouts, proposed.expert])
-        judged = evaluate_layouts(everyone, setting, compute=compute)
-        names = [layout.name for layout in layouts]
-        evaluations = dict(zip([*names, EXPERT], judged, strict=False))
-        sampled = None
-        if samples:
-            sampled = build_sampled_record(
-                out_of_sample_layouts(setting, everyone, drawn, n_samples=samples, compute=compute),
-                drawn,
-                tail=1.0,
-                seed=compute.seed,
-                planned_apr={item.layout.name: headline_apr(item) for item in judged},
-            )
-        bill = build_bill(layouts[0], scene, site_cost_eur=question.site_cost_eur)
-        seen = [_private_ground(layout, scene, private) for layout in layouts]
-        result = build_comparison_result(
-            setting,
-            judged[0],
-            judged[1 : len(layouts)],
-            of_others=seen[1:],
-            private_ground=seen[0],
-            sites_eur=bill.sites_eur,
-            assumed_prices=bill.assumed,
-            study_cases=_on_study_cases(job, evaluations),
-            baselines=proposed and build_baselines(proposed, evaluations.get(EXPERT), setting),
-            sampled=sampled,
-        )
-        return _finish(job, result, evaluations, bill, out=out, command=command)
-
-
 def _check_out(out: Path | None, progress: StageProgress) -> None:
     if out is not None:
         folders.check_result_folder(out)
         progress.kept = folders.left_as_it_was(out)
 
 
-def _finish(
-    job: _Job,
-    result: _R,
-    evaluations: Mapping[str, Evaluation],
-    bill: BillOfMaterials,
-    *,
-    out: Path | None,
-    command: str,
-) -> _R:
-    """The result with its seconds; in a folder, if asked for."""
-    if out is None:
-        return replace_fields(result, seconds=job.progress.finish())
-    return write_results(
-        out,
-        result,
-        job.setting,
-        evaluations,
-        command=command,
-        progress=job.progress,
-        bill=bill,
-        side=job.side,
-    )
-
-
-def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
-    """Layouts under names of their own: one whose name is taken gets a number."""
-    taken = {GREEDY, EXPERT, HIGHEST}
-    named = []
-    for layout in layouts:
-        names = chain([layout.name], (f"{layout.name} ({number})" for number in count(2)))
-        name = next(name for name in names if name not in taken)
-        taken.add(name)
-        named.append(replace(layout, name=name))
-    return named
-
-
 def write_results(
     folder: Path,
-    result: _R,
+    result: R,
     setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
@@ -520,7 +382,7 @@ def write_results(
     recommended: Layout | None = None,
     bill: BillOfMaterials | None = None,
     side: SideProcess | None = None,
-) -> _R:
+) -> R:
     """Fill a result folder; returns the result with its "seconds", all stages but the writing.
 
     `folder` is replaced as a whole, or left as it was. The first evaluation is the subject;

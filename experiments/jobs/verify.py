@@ -37,8 +37,8 @@ from placement.verification.instances import INSTANCE_FILE, Mounts, load_stored_
 from placement.verification.recomputation import stage_values
 from placement.verification.verify import verify_certificate
 
-from ..export.csv import to_csv
 from ..export.geojson import to_geojson
+from ..export.table import to_csv
 from ..parts import bill_of_materials, certified
 from ..parts.comparison import GREEDY
 from ..parts.reading import StoredResult, check_schema, load_result

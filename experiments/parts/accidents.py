@@ -14,12 +14,11 @@ from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.cases import Case
-from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis, Run
 
 from ..figures.axes import unit_labels
-from ..language import localized, mark, said, say, tr, trn
-from ..results.drives import describe_left_out, describe_limits, describe_places, lacking_room
+from ..language import localized, said, say, tr, trn
+from ..results.drives import describe_driven
 from ..results.numbers import capital, joined, number, percent
 from ..results.tables import groups_by, margin_s
 from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
@@ -194,9 +193,9 @@ def cases_section(setting: Setting) -> Section:
         say("accidents.sketches"),
         Box("beside sketches", sketches),
     ]
-    refusals = describe_refusals(setting)
-    if refusals:
-        blocks += [Subheading(tr("Not driven")), Bullets(refusals)]
+    missing = describe_driven(setting)
+    if missing:
+        blocks += [Subheading(tr("Not driven")), Bullets(missing)]
     return Section("cases", tr("What is driven"), blocks)
 
 
@@ -325,28 +324,6 @@ def describe_hopeless(setting: Setting) -> list[str]:
     n_runs = Counter(run.case.name for run in hopeless)
     names = [name for name in runs_by_case(setting) if n_runs[name]]
     return [say("accidents.hopeless", n_runs[name], case=name) for name in names]
-
-
-def describe_refusals(setting: Setting) -> list[str]:
-    """What cannot be driven, and why; speeds are told at the junction alone."""
-    places: dict[tuple[str, str, str], dict[str, list[str]]] = {}
-    for refusal in lacking_room(setting):
-        speeds = refusal.speeds_text if refusal.position == AT_ZERO.name else ""
-        of_reason = places.setdefault((refusal.case.name, speeds, refusal.reason), {})
-        of_reason.setdefault(refusal.approach, []).append(refusal.position)
-    at_speeds = mark("{case} from the {places} at {speeds} km/h: {reason}.")
-    at_any = mark("{case} from the {places}: {reason}.")
-    sentences = [
-        tr(
-            at_speeds if speeds else at_any,
-            case=case,
-            places=describe_places(positions),
-            speeds=speeds,
-            reason=said(reason.removesuffix(".")),
-        )
-        for (case, speeds, reason), positions in places.items()
-    ]
-    return [*sentences, *describe_limits(setting), *describe_left_out(setting)]
 
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:

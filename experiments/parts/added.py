@@ -12,11 +12,10 @@ from scenarios.cases import ROAD_USER_GROUPS
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
-from ..language import said, say, tr
+from ..language import say, tr
 from ..results.numbers import number, percent
 from ..results.record import says
 from ..results.tables import groups_by
-from .dangers import position_words
 from .section import Section, Table
 
 MAX_UNITS = 24
@@ -137,8 +136,8 @@ def _points(gain: float | None) -> str:
 
 
 def section(record: Added | None) -> Section | None:
-    """What the units add, one after the other and by group; None where that is not known."""
-    if record is None:
+    """What the units add, one after the other; None where that is not known, or they are many."""
+    if record is None or not record.units:
         return None
     of_units = Table(
         caption=say("added.one_after_the_other"),
@@ -146,18 +145,4 @@ def section(record: Added | None) -> Section | None:
         rows=[[unit.unit, percent(unit.apr), _points(unit.gain)] for unit in record.units],
         numeric=(1, 2),
     )
-    rows = []
-    for one in record.groups:
-        name = position_words(one.name) if one.kind == "position" else said(one.name)
-        rows.append([name, percent(one.vut), percent(one.with_units), _points(one.gain)])
-    of_groups = Table(
-        caption=tr("What all units together add, by the evaluator"),
-        columns=[
-            *(tr("runs"), tr("car (VUT) alone"), tr("car (VUT) and units")),
-            tr("added (points)"),
-        ],
-        rows=rows,
-        numeric=(1, 2, 3),
-    )
-    tables = [of_units, of_groups] if record.units else [of_groups]
-    return Section("added", tr("What the units add"), [*words(record), *tables])
+    return Section("added", tr("What the units add"), [*words(record), of_units])

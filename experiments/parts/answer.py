@@ -1,20 +1,17 @@
 """The answer of a placement, an evaluation or a comparison: its title, and its few sentences."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from geometry.arrays import BoolArray
 from geometry.junction import street_names
 from placement.detectors.built_in import is_drawn
-from placement.evaluation import Evaluation, headline_apr
+from placement.evaluation import Evaluation
 from placement.setting import Setting
-from scenarios.weights import weight_share
 
 from ..language import mark, say, tr, trn
 from ..results.numbers import capital, joined, percent, points
 from . import added, comparison, dangers, proof
-from .accidents import count_sensors, is_weighted
+from .accidents import count_sensors
 from .alternatives import doubt_sentences, recommended_sentences
-from .dangers import avoided_runs
 from .explanation import next_unit_sentence, refinement_sentences
 from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
@@ -104,21 +101,17 @@ def _spelled(count: int) -> str:
     return tr(_SMALL[count]) if count < len(_SMALL) else str(count)
 
 
-def words(result: Result, shown: Mapping[str, Evaluation]) -> list[str]:
-    """The headline of the report; evaluations by display name, the first one is the subject."""
-    subject = next(iter(shown.values()))
-    sentences = (
-        _of_placement(result, subject)
-        if isinstance(result, PlacementResult)
-        else _of_others(result, subject)
-    )
+def words(result: Result) -> list[str]:
+    """What the first screen leaves to say, and no section says in so few words."""
+    sentences: Sequence[str] = ()
+    if isinstance(result, PlacementResult):
+        further = next_unit_sentence(result.next_unit, proof.measure_of(result))
+        sentences = (further, proof.words(result))
+    elif isinstance(result, ComparisonResult):
+        sentences = comparison.words(result.name, result.compared)
     return [
-        *result.driven[:1],
-        *result.without_effect,
         *added.words(result.added),
         *dangers.words(result.dangers, result.runs, cars=result.cars),
-        *preferred(result),
-        *planned_only(result),
         *(f"{sentence}." for sentence in sentences if sentence),
         *doubts(result),
         *private_ground(result),
@@ -179,74 +172,3 @@ def uncertainty(result: Result) -> list[str]:
     if isinstance(result, EvaluationResult) or result.sampled is None:
         return []
     return uncertainty_sentences(result.sampled)
-
-
-def _of_placement(result: PlacementResult, subject: Evaluation) -> list[str]:
-    values = {
-        "sensors": count_sensors(subject.layout),
-        "score": _score(avoided_runs(subject, result.fusion), subject),
-        "of_car": _of_car(subject),
-    }
-    n_units = len(subject.units)
-    if result.fusion == "single":
-        first = say("answer.avoid_by_themselves", n_units, **values)
-    else:
-        first = say("answer.avoid", n_units, **values)
-    further = next_unit_sentence(result.next_unit, proof.measure_of(result))
-    last = (further, proof.words(result), *_failures(result, subject))
-    return [first, ". ".join(part for part in last if part)]
-
-
-def _of_others(result: EvaluationResult | ComparisonResult, subject: Evaluation) -> list[str]:
-    name, compared = result.name, result.compared if isinstance(result, ComparisonResult) else ()
-    first = tr(
-        "{name} ({sensors}) avoids {score}; {of_car}",
-        name=name,
-        sensors=count_sensors(subject.layout),
-        score=_score(subject.headline.is_avoided, subject, headline_apr(subject)),
-        of_car=_of_car(subject),
-    )
-    return [
-        first,
-        *comparison.words(name, compared),
-        *_failures(result, subject),
-    ]
-
-
-def _of_car(subject: Evaluation) -> str:
-    score = _score(subject.vut.is_avoided, subject)
-    return tr("the car by itself avoids {score}", score=score)
-
-
-def _failures(result: Result, subject: Evaluation) -> list[str]:
-    """APR that remains when a unit or a pole fails."""
-
-    def left(every: str, some: str, apr: float) -> str:
-        return tr(every) if apr > 1.0 - 1.0e-9 else tr(some, share=percent(apr))
-
-    of_unit = result.evaluation.apr_without_worst_unit
-    of_site = result.evaluation.apr_without_worst_site
-    failed = []
-    if of_unit is not None and len(subject.units) == 1:
-        failed.append(tr("If this one unit fails, only the car itself is left"))
-    elif of_unit is not None:
-        every = mark("If any one unit fails, the others still avoid every run")
-        some = mark("If any one unit fails, the others reach at least {share}")
-        failed.append(left(every, some, of_unit))
-    if of_site is not None:
-        every = mark("If any one pole fails with all its units, the others still avoid every run")
-        some = mark("If any one pole fails with all its units, the others reach at least {share}")
-        failed.append(left(every, some, of_site))
-    return failed
-
-
-def _score(is_avoided: BoolArray, evaluation: Evaluation, apr: float | None = None) -> str:
-    """Runs and APR; `apr` is that of all cars where only a share of them sees."""
-    axis = evaluation.axis
-    share = percent(weight_share(is_avoided, axis.weight))
-    if apr is not None and 0.0 < evaluation.cars < 1.0:
-        share = tr("{share} in cars that do not see; {all} of all", share=share, all=percent(apr))
-    values = {"avoided": int(is_avoided.sum()), "runs": axis.n_runs, "share": share}
-    if is_weighted(axis):
-        return tr("{avoided} of {runs} runs (APR by weight {share})", **values)
-    return tr("{avoided} of {runs} runs (APR {share})", **values)

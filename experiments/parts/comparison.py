@@ -32,14 +32,12 @@ from ..results.record import (
 from ..results.tables import margin_s
 from .baselines import Baselines
 from .baselines import words as baseline_words
-from .sampled_worlds import SampledPairRecord, SampledRecord, is_open, plot_differences
-from .section import Block, Bullets, Section, Subheading, Table, build_picture, tabulate
+from .sampled_worlds import SampledPairRecord, SampledRecord, is_open
+from .section import Block, Bullets, Section, Subheading, Table, tabulate
 from .units import PrivateGroundRecord
 
 GREEDY, EXPERT, HIGHEST = mark("greedy"), mark("expert rule"), mark("highest APR")
 """Display names of layouts to compare with: they appear in tables and bars only."""
-
-_MAX_DRAWN_PAIRS = 28  # of eight layouts; the table has all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,21 +161,6 @@ def side_by_side_table(
     )
 
 
-def difference_matrix(names: Sequence[str], differences: Sequence[Difference]) -> Table:
-    """How many runs the layout of a row avoids and that of a column does not."""
-    only = {(pair.first, pair.second): len(pair.only_first) for pair in differences}
-    only |= {(pair.second, pair.first): len(pair.only_second) for pair in differences}
-    return Table(
-        caption=tr("Runs that the layout of the row avoids, and that of the column does not"),
-        columns=[tr("avoided by"), *(tr("not by {name}", name=said(name)) for name in names)],
-        rows=[
-            [said(row), *(NOTHING if row == column else str(only[row, column]) for column in names)]
-            for row in names
-        ],
-        numeric=range(1, len(names) + 1),
-    )
-
-
 def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
     """The runs themselves: a row for each layout that avoids any that another does not."""
     rows = []
@@ -244,17 +227,20 @@ def section(
         _meaning(evaluations),
         *([Bullets(sentences)] if sentences else []),
         Subheading(tr("Which runs differ")),
-        difference_matrix(list(evaluations), differences),
         Table(
             caption=tr("Runs that only one of two layouts avoids"),
             columns=[tr("avoided by"), tr("not by"), tr("how many"), tr("which")],
             rows=rows,
-            summary=tr("The runs themselves"),
         )
         if rows
         else tr("All layouts avoid the same runs."),
-        *(_sampled_blocks(sampled) if sampled is not None and sampled.pairs else []),
     ]
+    if sampled is not None and sampled.pairs:
+        blocks += [
+            Subheading(tr("Is the difference sure?")),
+            say("comparison.paired"),
+            significance_table(sampled),
+        ]
     return Section("comparison", tr("Side by side"), blocks)
 
 
@@ -265,21 +251,3 @@ def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
     if levels is None:
         return text
     return say("comparison.speed_and_score", speed=text, score=levels.score)
-
-
-def _sampled_blocks(sampled: SampledRecord) -> list[Block]:
-    table = significance_table(sampled)
-    blocks: list[Block] = [Subheading(tr("Is the difference sure?")), say("comparison.paired")]
-    if len(sampled.pairs) <= _MAX_DRAWN_PAIRS:
-        rows = [
-            tr("{a} minus {b}: {mean}, {interval} points", a=a, b=b, mean=mean, interval=interval)
-            for a, b, *_, mean, interval, _ in table.rows
-        ]
-        picture = build_picture(
-            plot_differences([_better_first(pair) for pair in sampled.pairs]),
-            title=tr("Differences in sampled worlds"),
-            caption=say("comparison.differences"),
-            alt=tr("Dots with whiskers. {rows}.", rows="; ".join(rows)),
-        )
-        blocks.append(picture)
-    return [*blocks, table]

@@ -390,12 +390,3 @@ def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
         return say("explanation.no_next_unit")
     values = {"points": points(unit.gain), "measure": measure, "apr": percent(unit.apr)}
     return say("explanation.next_unit", pose=unit.pose, **values)
-
-
-def next_unit_section(unit: NextUnit | None, measure: str) -> Section | None:
-    """One more unit; None where none fits."""
-    if unit is None:
-        return None
-    return Section(
-        "next-unit", tr("What the next unit buys"), [f"{next_unit_sentence(unit, measure)}."]
-    )

@@ -21,15 +21,10 @@ def words(result: PlacementResult) -> str:
     of_apr = next(stage for stage in stages if stage.name == "apr")
     within = _within(stages[0])
     values = {"within": f" {within}" if within else "", "n": result.candidates}
-    is_apr = result.score == AVOIDED
+    what = "apr" if result.score == AVOIDED else "score"
     if of_apr.gap == 0.0:
-        if is_apr:
-            return say("proof.proven_apr", **values)
-        return say("proof.proven_score", **values)
-    values["bound"] = percent(of_apr.bound)
-    if is_apr:
-        return say("proof.open_apr", **values)
-    return say("proof.open_score", **values)
+        return say(f"proof.proven_{what}", **values)
+    return say(f"proof.open_{what}", bound=percent(of_apr.bound), **values)
 
 
 def _within(first: StageRecord) -> str:
@@ -59,18 +54,9 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     }
     is_proven = most.gap == 0.0 and kept.gap == 0.0
     begin = tr("Proven on the detection table:") if is_proven else tr("Found in the time given:")
-    if most.gap == 0.0:
-        first = say("proof.none_higher", **values)
-    else:
-        first = say("proof.highest_open", **values)
-    if result.failing == "site" and kept.gap == 0.0:
-        then = say("proof.kept_pole", **values)
-    elif result.failing == "site":
-        then = say("proof.kept_open_pole", **values)
-    elif kept.gap == 0.0:
-        then = say("proof.kept_unit", **values)
-    else:
-        then = say("proof.kept_open_unit", **values)
+    first = say("proof.highest" if most.gap == 0.0 else "proof.highest_open", **values)
+    of_kept = "kept" if kept.gap == 0.0 else "kept_open"
+    then = say(f"proof.{of_kept}_{'pole' if result.failing == 'site' else 'unit'}", **values)
     return f"{begin} {first}; {then}"
 
 

@@ -1,6 +1,6 @@
 """The three results that ``summary.json`` may hold: a placement, an evaluation, a comparison."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, get_args
 
@@ -37,7 +37,7 @@ from ..results.record import (
 from .added import Added, build_added
 from .alternatives import FrontRunners, HeavyRun, find_heavy_runs
 from .baselines import Baselines
-from .comparison import Compared, Difference, build_compared, find_differences
+from .comparison import Compared, Difference, build_compared
 from .dangers import Dangers, avoided_runs, build_dangers
 from .explanation import ExplainedRecord, RefinementRecord
 from .front import FrontRecord
@@ -173,7 +173,7 @@ KINDS: Mapping[str, type[Result]] = {
 }
 
 
-def _answer(
+def build_answer(
     setting: Setting, evaluation: Evaluation, others: Mapping[str, Evaluation]
 ) -> dict[str, Any]:
     """Fields of an :class:`Answer` that follow from layouts by the evaluator."""
@@ -196,35 +196,6 @@ def _answer(
         "versions": versions(),
         **asdict(build_drives_record(setting)),
     }
-
-
-def build_evaluation_result(
-    setting: Setting, evaluation: Evaluation, **parts: Any
-) -> EvaluationResult:
-    """One layout by the evaluator, with further `parts` by name; "seconds" is empty."""
-    return EvaluationResult(**_answer(setting, evaluation, {}), **parts)
-
-
-def build_comparison_result(
-    setting: Setting,
-    subject: Evaluation,
-    others: Sequence[Evaluation],
-    *,
-    of_others: Sequence[PrivateGroundRecord | None] = (),
-    **parts: Any,
-) -> ComparisonResult:
-    """A layout against others on the same runs; `of_others` is what these see of private ground."""
-    compared = tuple(
-        build_compared(subject, other, setting.rule, private)
-        for other, private in zip(others, of_others or [None] * len(others), strict=True)
-    )
-    differences = find_differences({item.layout.name: item for item in (subject, *others)})
-    return ComparisonResult(
-        **_answer(setting, subject, {item.layout.name: item for item in others}),
-        compared=compared,
-        differences=differences,
-        **parts,
-    )
 
 
 def build_placement_result(
@@ -251,7 +222,7 @@ def build_placement_result(
     n_sites = len(np.unique(limits.site_index[list(placement.pose_index)]))
     apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
     others = {} if baseline is None else {baseline.layout.name: baseline}
-    answer = _answer(setting, found, others) | {
+    answer = build_answer(setting, found, others) | {
         "fusion": problem.fusion,
         "apr": round(value.apr, 12),  # without what summing up many weights leaves over
         "dangers": build_dangers(avoided_runs(found, problem.fusion), found.axis),

@@ -30,8 +30,7 @@ _AS_THEY_ARE = (
     *("most_draws", "draws_detections", "person_share", "unit_person_share", "road_users"),
 )
 _MAX_NAME_LENGTH = 32
-_LEAST_SPAN_POINTS = 1.0
-_ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
+_ROW_IN = 0.27
 
 
 class UncertaintyRecord(Record, frozen=True, kw_only=True):
@@ -192,7 +191,7 @@ def growth_sentences(growth: Growth | None) -> list[str]:
         "low": _points(last.low),
         "high": _points(last.high),
     }
-    return [say(f"enough.{growth.stopped}", **values)]
+    return [say(f"worlds_chosen_in.{growth.stopped}", **values)]
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -288,8 +287,8 @@ def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | No
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
     values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
-    key = "sampled_worlds.tied" if chosen_in is None else "sampled_worlds.surpassed"
-    return [say(key, **values)]
+    key = "tied" if chosen_in is None else "surpassed"
+    return [say(f"sampled_worlds.{key}", **values)]
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
@@ -428,28 +427,9 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
     return axes
 
 
-def plot_differences(pairs: Sequence[SampledPairRecord]) -> Axes:
-    """A row per pair: the mean difference and its interval; open: there is no sure difference."""
-    axes = new_axes(WIDTH_IN, 1.0 + _PAIR_ROW_IN * max(len(pairs), 1))
-    for row, pair in enumerate(pairs):
-        _whisker(axes, row, pair, is_hollow=is_open(pair))
-    axes.axvline(0.0, color="black", linewidth=1.2, zorder=1)
-    minus = mark("{first}\nminus {second}")
-    names = [tr(minus, first=_name(pair.first), second=_name(pair.second)) for pair in pairs]
-    axes.set_yticks(range(len(pairs)), names, fontsize=8)
-    axes.set_ylim(len(pairs) - 0.5, -0.5)
-    low, high = axes.get_xlim()
-    middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN_POINTS)
-    axes.set_xlim(middle - half, middle + half)
-    words = say("sampled_worlds.difference_axis")
-    finish_axes(axes, x=words, grid="x")
-    return axes
-
-
-def _whisker(axes: Axes, row: int, estimate: EstimateRecord, *, is_hollow: bool = False) -> None:
+def _whisker(axes: Axes, row: int, estimate: EstimateRecord) -> None:
     mean, low, high = (_points(share) for share in (estimate.mean, estimate.low, estimate.high))
-    dot: Style = {"markerfacecolor": "white" if is_hollow else BLUE, "markeredgecolor": BLUE}
-    dot |= {"marker": "o", "markersize": 6.0, "linestyle": "none", "color": BLUE}
+    dot: Style = {"marker": "o", "markersize": 6.0, "linestyle": "none", "color": BLUE}
     axes.errorbar(
         [mean],
         [row],

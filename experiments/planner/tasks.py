@@ -255,7 +255,7 @@ class Tasks:
 
     def report(self, layout: Layout, command: str) -> bytes:
         """The folder that ``evaluate --out`` writes, as a ZIP file."""
-        from ..jobs.placement import run_evaluation
+        from ..jobs.evaluation import run_evaluation
 
         folder = self._work.scratch / "report"
         run_evaluation(

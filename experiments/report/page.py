@@ -22,7 +22,7 @@ from ..parts.assumptions import again_section, assumption_sentences, assumptions
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
 from ..parts.camera_views import camera_views
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST
-from ..parts.explanation import explanation_sections, next_unit_section
+from ..parts.explanation import explanation_sections
 from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
 from ..parts.margins import margins_section
@@ -41,7 +41,7 @@ _IN_SIGHT = (
     *("accidents", "dangers", "failures", "private-ground", "bill"),
 )
 _FOLDED = (
-    *("why", "next-unit", "models", "study-cases", "missed", "added"),
+    *("why", "models", "study-cases", "missed", "added"),
     *("road-users", "alone", "margins", "assumptions", "cases", "runs", "again"),
 )
 
@@ -132,7 +132,6 @@ def build_report(
     if isinstance(result, PlacementResult):
         sections += explanation_sections(result.explained, labels)
         sections += [proof.section(result), proof.agreement_section(result)]
-        sections.append(next_unit_section(result.next_unit, proof.measure_of(result)))
     if not isinstance(result, EvaluationResult):
         compared = (result.baselines, result.sampled)
         sections.append(comparison.section(evaluations, setting.rule, *compared))
@@ -148,7 +147,7 @@ def build_report(
             views=tasks.views.result(),
             warnings=answer.warnings(result),
         ),
-        answer=answer.words(result, shown),
+        answer=answer.words(result),
         assumed=assumption_sentences(result),
         sections=_in_order(sections),
         interactive=interactive,

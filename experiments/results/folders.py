@@ -36,7 +36,6 @@ MANIFEST = "SHA256SUMS"
 
 _PREFIX = ".place-rsus."
 _OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # they come by themselves
-_CHUNK_BYTES = 1 << 20
 
 
 def write_manifest(folder: Path) -> None:
@@ -74,11 +73,8 @@ def changed_files(folder: Path) -> dict[str, str]:
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file's content, in hexadecimal digits."""
-    digest = hashlib.sha256()
     with open_file(path) as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def _files(folder: Path) -> dict[str, Path]:

@@ -152,30 +152,6 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
     return np.asarray(np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3))
 
 
-def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> Axes:
-    """Streets and buildings of maps with all junctions of the first, numbered in their order."""
-    places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
-    widths = float(np.clip(np.sqrt(len(surveyed) / _FEW), 1.0, _MOST_WIDTHS))
-    axes = new_map_axes(maps, places, width_in=WIDTH_IN * widths)
-    axes.plot(*places.T, "o", markersize=11.0, color=BLUE, zorder=5)
-    for number, place in enumerate(places, start=1):
-        x, y = place
-        axes.text(x, y, str(number), c="white", size=6.0, ha="center", va="center", zorder=6)
-    names = [
-        Label(
-            text=one.junction.name or one.junction.id,
-            point_m=(float(x), float(y)),
-            toward_deg=0.0,
-            gap=7.0,
-            size=6.5,
-            is_kept=False,
-        )
-        for one, (x, y) in zip(surveyed, places, strict=True)
-    ]
-    draw_labels(axes, names, marks_m=places)
-    return axes
-
-
 class StreetMap(NamedTuple):
     """Streets of maps as an SVG path, metres to the right and down from a corner."""
 

@@ -45,10 +45,10 @@ from ..figures.axes import to_png
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder, write_files
 from ..results.record import Record
-from .pictures import junctions_page, plot_junctions, plot_scene_plan, plot_scene_view
+from .pictures import junctions_page, plot_scene_plan, plot_scene_view
 
 PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
-JUNCTIONS_NAME, JUNCTIONS_PAGE = "junctions.png", "junctions.html"
+JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
 _DIGITS = 3  # a millimetre
 IMPORT_VERSION = 2
@@ -353,10 +353,7 @@ def _pictures_of_map(
     maps: Sequence[SourceMap], listed: Sequence[Surveyed], command: str
 ) -> dict[str, bytes]:
     page = junctions_page(maps, listed, command=f"{command} --junction")
-    return {
-        JUNCTIONS_NAME: to_png(plot_junctions(maps, listed)),
-        JUNCTIONS_PAGE: page.encode(),
-    }
+    return {JUNCTIONS_PAGE: page.encode()}
 
 
 def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:

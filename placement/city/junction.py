@@ -16,7 +16,8 @@ from ..candidates import CandidateGrid, build_candidates, load_candidate_grid
 from ..compute import Compute
 from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
-from ..optimiser.front import Front, FrontPoint, cost_front, largest_values, pareto_front
+from ..optimiser.cost_front import cost_front
+from ..optimiser.front import Front, FrontPoint, largest_values, pareto_front
 from ..optimiser.problem import Objective, PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout

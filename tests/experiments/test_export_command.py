@@ -10,9 +10,8 @@ from export_speeds import measure_exports
 
 import experiments.export
 from experiments.cli.export import export as command
-from experiments.export import FORMAT_NAMES
+from experiments.export import FORMAT_NAMES, load_format
 from experiments.export.calibration import lidar_ids
-from experiments.export.formats import load_format
 from experiments.export.json import to_json
 from experiments.progress import StageProgress
 from geometry.errors import InputError

@@ -16,8 +16,8 @@ from pyproj import Transformer
 from experiments.export.geojson import to_geojson
 from experiments.export.gpkg import to_geopackage
 from experiments.export.kml import to_kml
-from experiments.export.parquet import to_parquet
 from experiments.export.places import placed_records
+from experiments.export.table import to_parquet
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
 from placement.layout import layout_records

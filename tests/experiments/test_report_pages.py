@@ -10,7 +10,7 @@ from interactive_pages import EVIL, build_evaluation, build_layout, with_evil_na
 from partial_pages import blank_pictures, build_result
 from small_results import lay_runs_of
 
-from experiments.jobs import placement
+from experiments.jobs.evaluation import run_comparison, run_evaluation
 from experiments.progress import StageProgress
 from experiments.report.page import write_report
 from placement.compute import Compute
@@ -46,9 +46,9 @@ def addresses(small_setting, whole_placement, tmp_path_factory):
         lay_runs_of(patch, small_setting)
         question = Question()
         with blank_pictures():
-            placement.run_evaluation(question, layout=away, out=folder / "missed", **common)
+            run_evaluation(question, layout=away, out=folder / "missed", **common)
             asked, out = Question(samples=3), folder / "comparison"
-            placement.run_comparison(asked, layouts=[few, away], out=out, **common)
+            run_comparison(asked, layouts=[few, away], out=out, **common)
     name = EVIL.replace("\u2028", "")
     setting = with_evil_names(small_setting)
     layout = build_layout(200, name=name, ids=[f"{name}{index}" for index in range(200)])

@@ -17,8 +17,8 @@ import pytest
 from _pytest.mark import ParameterSet
 from small_results import build_small_setting, write_small_results
 
-from experiments.export.csv import to_csv
 from experiments.export.geojson import to_geojson
+from experiments.export.table import to_csv
 from experiments.jobs.verify import VerificationResult, run_verification
 from experiments.progress import StageProgress
 from experiments.results.folders import MANIFEST, write_manifest

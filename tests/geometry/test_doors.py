@@ -34,7 +34,7 @@ EXCEPTIONS = {
     "experiments/export/gpkg.py": {"write_dataframe", "read_bytes"},
     "experiments/study/judges.py": {"load", "read_text", "savez", "write_text"},
     "experiments/study/judging_apart.py": {"load", "read_text"},
-    "experiments/export/parquet.py": {"to_parquet"},
+    "experiments/export/table.py": {"to_parquet"},
     "experiments/jobs/placement.py": {"to_parquet"},
     "experiments/city/answer.py": {"to_parquet"},
     "experiments/city/run.py": {"write_dataframe"},

@@ -7,6 +7,7 @@ dependency of the program: it comes with ``uv run --no-default-groups --group ju
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.resources import files
 from itertools import count, islice, pairwise, product
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from placement.recordings.files import read_lines
 from placement.setting import Setting, build_setting
 
 from ...results.numbers import percent
-from ...results.tables import markdown_table
+from ...results.tables import page_of
 from .crops import (
     TRAINED,
     WEATHERS,
@@ -259,14 +260,7 @@ def judge_text(
     tell: Callable[[str], None],
 ) -> str:
     """Recall by height and weather, and false alarms, as Markdown; `n_pictures` by class."""
-    lines = [
-        f"Pictures of {_JUDGED_PX[0]} x {_JUDGED_PX[1]} px, each with one road user of whom at "
-        f"least {percent(_LEAST_SEEN)} are seen,",
-        f"at {', '.join(setting.scene.name for setting in settings)}; seed {seed}.",
-        "",
-        "| road users | pictures | found | 95 % interval | false alarms per picture |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    rows = []
     for kind, word, n in zip(TRAINED, _WORDS, n_pictures, strict=True):
         if not n:
             continue
@@ -276,21 +270,28 @@ def judge_text(
         )
         rate = poisson(n_alarms, n)
         alarms = f"{rate.value:.2f} ({rate.low:.2f} to {rate.high:.2f})"
-        lines.append(_line(word, found, alarms))
+        rows.append(_line(word, found, alarms))
         for low, high in pairwise(_EDGES_PX):
             mask = (height >= low) & (height < high)
-            lines.append(_line(f"{word}, {low:g} to {high:g} px", found[mask]))
-        lines += [
+            rows.append(_line(f"{word}, {low:g} to {high:g} px", found[mask]))
+        rows += [
             _line(f"{word}, {name}", found[weather == number])
             for number, name in enumerate(WEATHERS)
         ]
-    return "\n".join(lines) + "\n"
+    return page_of(
+        files(__package__) / "pictures_judged.md.j2",
+        size_px=_JUDGED_PX,
+        least=percent(_LEAST_SEEN),
+        names=[setting.scene.name for setting in settings],
+        seed=seed,
+        rows=rows,
+    )
 
 
-def _line(name: str, found: BoolArray, alarms: str = "") -> str:
+def _line(name: str, found: BoolArray, alarms: str = "") -> tuple[str, ...]:
     share = wilson(int(found.sum()), len(found))
-    figures = (f"{len(found)}", percent(share.value), f"{percent(share.low)} to ")
-    return f"| {name} | {' | '.join(figures)}{percent(share.high)} | {alarms} |"
+    interval = f"{percent(share.low)} to {percent(share.high)}"
+    return name, f"{len(found)}", percent(share.value), interval, alarms
 
 
 _KITTI_OBJECT = ("type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom") + (
@@ -329,25 +330,24 @@ def photographs_text(folder: Path, network: NetworkDetector) -> str:
             found[name].append(bool((is_over & np.isin(kinds, _FINDERS[name])).any()))
         n_boxes += len(kinds)
         n_alarms += int((~is_on).sum())
-    lines = [
-        f"{len(labels)} photographs; boxes of confidence {network.min_confidence:g} and more: "
-        f"{n_boxes}, of them on nobody: {n_alarms}.",
-        "",
-        *markdown_table(
-            ("labelled", "number", "height", "found"),
-            (
-                (
-                    name,
-                    f"{len(found[name])}",
-                    f"{min(height[name]):.0f} to {max(height[name]):.0f} px",
-                    f"{sum(found[name])}",
-                )
-                for name in ("pedestrian", "cyclist")
-                if found[name]
-            ),
-        ),
+    rows = [
+        (
+            name,
+            f"{len(found[name])}",
+            f"{min(height[name]):.0f} to {max(height[name]):.0f} px",
+            f"{sum(found[name])}",
+        )
+        for name in ("pedestrian", "cyclist")
+        if found[name]
     ]
-    return "\n".join(lines) + "\n"
+    return page_of(
+        files(__package__) / "photographs.md.j2",
+        n_labels=len(labels),
+        least=network.min_confidence,
+        n_boxes=n_boxes,
+        n_alarms=n_alarms,
+        rows=rows,
+    )
 
 
 def _photograph(folder: Path, stem: str) -> NDArray[np.uint8]:

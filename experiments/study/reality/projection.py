@@ -18,7 +18,6 @@ from placement.detectors.evidence import Interval
 from placement.recordings.formats import RecordedBoxes, read_boxes, read_wildtrack
 
 BODY = "adult"
-POLE_M = 1.7
 WALKED_FRAMES = 4  # before and after, over which a heading is measured
 TILTS_DEG = np.linspace(-2.0, 2.0, 41)
 _DRAWS = 400
@@ -63,8 +62,6 @@ class Heights:
     track: IntArray
     ratio: FloatArray  # (n,): by the calibrated camera
     pinhole_ratio: FloatArray  # (n,): by this project's pinhole at the same pose
-    pole_ratio: FloatArray  # (n,): by an upright pole of 1.70 m, as the first look had it
-    slant_m: FloatArray  # (n,): from the lens to the foot
     tilt_deg: Interval  # that fits best, relative to the calibration
     seen_from_m: float  # height of the camera
 
@@ -87,8 +84,6 @@ def measure_pets_heights(folder: Path) -> Heights:
         track=drawn.track,
         ratio=ratio,
         pinhole_ratio=drawn_px / box_height_px(boxes),
-        pole_ratio=_pole_ratios(drawn, camera),
-        slant_m=np.linalg.norm(foot - camera.position_m, axis=1),
         tilt_deg=_best_tilt(drawn, camera, heading, phase),
         seen_from_m=float(camera.position_m[2]),
     )
@@ -135,14 +130,6 @@ def _ratios(
         foot += wanted - ground_points(bottoms(boxes), camera)
     boxes = body_boxes(foot, heading, phase, lambda p: project_distorted(p, camera))
     return foot, box_height_px(drawn.box_px) / box_height_px(boxes)
-
-
-def _pole_ratios(drawn: RecordedBoxes, camera: CalibratedCamera) -> FloatArray:
-    """Drawn heights over those of upright poles at the drawn feet, (n,)."""
-    foot = ground_points(bottoms(drawn.box_px), camera)
-    top = project_distorted(foot + [0.0, 0.0, POLE_M], camera)[:, 1]
-    ratio: FloatArray = (drawn.box_px[:, 3] - drawn.box_px[:, 1]) / (drawn.box_px[:, 3] - top)
-    return ratio
 
 
 def _best_tilt(

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +11,7 @@ import numpy as np
 from shapely import Polygon, union_all
 
 from geometry.actors import pick_actor
-from geometry.arrays import BoolArray, FloatArray
-from geometry.files import load_data
+from geometry.arrays import FloatArray
 from geometry.lidar import load_lidar_detection
 from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
@@ -203,8 +201,6 @@ def _first_sentence(rows: list[tuple[str, Interval, float]]) -> str:
 
 def text(m: Measured) -> str:
     """The report, as Markdown."""
-    table = load_data("experiments", "reality_first_look.toml")["figures"]
-    values = _values(m)
     in_16, height_px = m.car.halves["sequence"], m.car.sightings.height_px
     rows = (m.lidar.hidden_level == 0) & (m.lidar.distance_m < lidar_reach_m())
     seen = m.lidar.sightings
@@ -256,7 +252,6 @@ def text(m: Measured) -> str:
         ],
         reach_m=lidar_reach_m(),
         in_reach=share_by_track(seen.is_found[rows], seen.track[rows]),
-        first_look=[[what, old, values[key], why] for key, (what, old, why) in table.items()],
     )
 
 
@@ -314,56 +309,6 @@ def lidar_reach_m() -> float:
     per_sr = columns / (2.0 * np.pi) * _HDL_LINES / np.radians(_HDL_FOV_DEG)
     n_points = load_lidar_detection().min_points["pedestrian"]
     return float(np.sqrt(np.mean(areas) * per_sr / n_points))
-
-
-def _mean(values: BoolArray | FloatArray) -> str:
-    return number(float(values.mean()) if len(values) else None)
-
-
-def _values(m: Measured) -> dict[str, str]:
-    """Figures of the first look, measured anew."""
-    h, pole, car = m.heights, m.pole.sightings, m.car.sightings
-
-    def found(watched: Watched, *masks: BoolArray) -> str:
-        return ", ".join(_mean(watched.sightings.is_found[mask]) for mask in masks)
-
-    hidden = 1.0 - pole.seen_share
-    bands = [(hidden >= low) & (hidden < high) for low, high in pairwise(SHARE_EDGES[:5])]
-    same = np.diff(pole.track) == 0
-    missed, then = ~pole.is_found[:-1][same], ~pole.is_found[1:][same]
-    left, top = side_errors(pole)
-    first, people = first_confirmed(pole)
-
-    def by_px(watched: Watched) -> str:
-        px, seen = watched.sightings.height_px, watched.hidden_level == 0
-        return found(
-            watched,
-            *(
-                seen & (px >= low) & (px < high)
-                for low, high in ((25, 40), (40, 60), (60, 100), (100, np.inf))
-            ),
-        )
-
-    probability = built_in_response().probability(pole.evidence())
-    tenth, median, most = np.quantile(h.pole_ratio, _SPREAD)
-    near, far = h.slant_m < 20.0, h.slant_m >= 30.0
-    return {
-        "heights": f"{median:.2f} ({tenth:.2f} to {most:.2f})",
-        "near": ", ".join(f"{np.median(h.pole_ratio[mask]):.2f}" for mask in (near, far)),
-        "hidden": found(m.pole, *bands),
-        "response": ", ".join(_mean(probability[mask]) for mask in bands),
-        "alarms": f"{m.pole.unmatched:.2f}",
-        "follows": f"{then[missed].mean():.2f}, {then[~missed].mean():.2f}; {phi(pole).value:.2f}",
-        "sides": f"{left:.2f}; {top:.2f}",
-        "first": f"{first} of {people}",
-        "levels": found(m.car, *(m.car.hidden_level == level for level in range(3))),
-        "small": found(m.car, (car.height_px >= 25.0) & (car.height_px < 40.0)),
-        "kitti_phi": number(phi(car).value),
-        "kitti_phi_seen": number(phi(car.take(np.flatnonzero(m.car.hidden_level == 0))).value),
-        "lidar": by_px(m.lidar),
-        "lidar_cyclists": by_px(m.lidar_cyclists),
-        "flags": percent(float(np.mean([flag.agreed for flag in m.flags]))),
-    }
 
 
 def tables(m: Measured) -> dict[str, str]:

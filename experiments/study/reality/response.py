@@ -54,7 +54,6 @@ class Watched:
     distance_m: FloatArray  # (n,): from the sensor, on the ground
     hidden_level: IntArray  # (n,): KITTI's; -1: the share hidden is that of boxes
     alarms: FalseAlarms
-    unmatched: float  # boxes per picture that find nobody, on somebody or not
     halves: Mapping[str, BoolArray]  # by what divides: rows of the first half
 
 
@@ -77,7 +76,6 @@ def watch_pets(folder: Path) -> Watched:
         distance_m=np.hypot(*ground.T)[rows],
         hidden_level=given.hidden_level[rows],
         alarms=alarms,
-        unmatched=_unmatched(paired, sightings),
         halves={
             "people": given.track[rows] % 2 == 0,
             "time": sightings.frame < 0.5 * given.frame.max(),
@@ -129,7 +127,6 @@ def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
         distance_m=np.hypot(place[:, 0], place[:, 2]),
         hidden_level=np.concatenate([one.hidden_level for one in labelled])[order],
         alarms=alarms,
-        unmatched=_unmatched(whole, sightings),
         halves={
             "sequence": np.concatenate(sequence)[order] == 16,
             "people": sightings.track % 2 == 0,
@@ -164,11 +161,6 @@ def _gather(
     )
     order = np.lexsort((sightings.frame, sightings.track))
     return sightings.take(order), alarms, order
-
-
-def _unmatched(paired: PairedBoxes, sightings: Sightings) -> float:
-    boxes = sum(len(one.found_px) for one in paired.pictures) - int(sightings.is_found.sum())
-    return boxes / len(paired.pictures)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,10 +18,12 @@ from small_tables import avoiding_problem
 
 from experiments import main
 from experiments.cli.pareto import front_text, pareto
-from experiments.parts.front import FrontResult, describe_front, front_table, plot_front
+from experiments.jobs.pareto import FrontResult, front_table
+from experiments.parts.front import describe_front, plot_front
 from experiments.results.drives import build_drives_record
 from placement.layout import layout_from_records
-from placement.optimiser.front import cost_front, pareto_front, tightened
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import pareto_front, tightened
 
 HEAVY = ("numpy", "scipy", "open3d", "trimesh", "cvxpy", "matplotlib", "pandas", "rich")
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from experiments.export.formats import load_format
+from experiments.export import load_format
 from geometry.notes import Note
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout

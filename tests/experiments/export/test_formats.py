@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 from pyproj import Transformer
 
+from experiments.export import load_format
 from experiments.export.carla import to_carla
-from experiments.export.csv import to_csv
-from experiments.export.formats import load_format
 from experiments.export.geojson import to_geojson
 from experiments.export.json import to_json, to_json_text
+from experiments.export.table import to_csv
 from geometry.errors import InputError
 from geometry.frames import from_carla_pose
 from geometry.lidar import load_lidars

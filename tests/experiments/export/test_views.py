@@ -10,8 +10,8 @@ import pytest
 import shapely
 from export_layouts import level_layout, map_scene, placeless_scene
 
+from experiments.export import load_format
 from experiments.export.dxf import to_dxf
-from experiments.export.formats import load_format
 from experiments.export.places import UNSEEN, find_views
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout

@@ -11,6 +11,7 @@ from small_results import build_small_baseline, build_small_grid, lay_runs_of
 from experiments.cli.options import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
+from experiments.jobs.evaluation import run_comparison
 from experiments.jobs.verify import run_verification
 from experiments.parts import baselines
 from experiments.parts.added import MAX_UNITS, build_added
@@ -139,7 +140,7 @@ def test_comparisons_follow(small_study, tmp_path):
     first = replace(layout, name="first", units=layout.units[:1])
     for cars in ("see", "0.3"):
         progress = StageProgress()
-        result = placement.run_comparison(
+        result = run_comparison(
             Question(cars=cars),
             layouts=[first, layout],
             out=tmp_path / cars,

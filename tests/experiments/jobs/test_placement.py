@@ -10,6 +10,7 @@ from experiments.cli.options import cache_folder
 from experiments.export.json import to_json_text
 from experiments.export.watched import export_layout
 from experiments.jobs import placement
+from experiments.jobs.evaluation import run_comparison, run_evaluation
 from experiments.jobs.verify import run_verification
 from experiments.progress import StageProgress
 from geometry.errors import InputError
@@ -40,7 +41,7 @@ def place(out, **options):
 
 def evaluate(layout, out=None):
     progress = StageProgress()
-    result = placement.run_evaluation(
+    result = run_evaluation(
         Question(),
         layout=layout,
         out=out,
@@ -52,7 +53,7 @@ def evaluate(layout, out=None):
 
 
 def compare(layouts, out, **asked):
-    result = placement.run_comparison(
+    result = run_comparison(
         Question(**asked),
         layouts=layouts,
         out=out,

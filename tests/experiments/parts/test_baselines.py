@@ -9,6 +9,7 @@ import pytest
 from experiments.cli.options import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
+from experiments.jobs.evaluation import run_comparison
 from experiments.parts import baselines
 from experiments.progress import StageProgress
 from placement.compute import Compute
@@ -36,7 +37,7 @@ def place(out, seed=0, **asked):
 
 
 def compare(layouts, **asked):
-    result = placement.run_comparison(
+    result = run_comparison(
         Question(**asked),
         layouts=layouts,
         out=None,

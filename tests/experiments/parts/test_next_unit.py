@@ -1,4 +1,4 @@
-from experiments.parts.explanation import next_unit_section, next_unit_sentence
+from experiments.parts.explanation import next_unit_sentence
 from placement.explain.contributions import NextUnit
 
 
@@ -14,9 +14,3 @@ def test_what_the_next_unit_buys_and_how_that_is_known():
         "greedy choice)"
     )
     assert next_unit_sentence(None, "APR") == ""
-
-
-def test_the_section_is_the_sentence():
-    unit = NextUnit(pose="mast-w/7m", apr=0.974, gain=0.064)
-    assert next_unit_section(unit, "score").blocks == [f"{next_unit_sentence(unit, 'score')}."]
-    assert next_unit_section(None, "APR") is None

@@ -1,12 +1,9 @@
 import numpy as np
 import pytest
-from msgspec.structs import replace as replace_fields
 
 from experiments.figures.axes import to_png
 from experiments.parts.sampled_worlds import (
-    SampledPairRecord,
     build_sampled_record,
-    plot_differences,
     plot_sampled_apr,
 )
 from geometry.poses import Pose
@@ -67,26 +64,3 @@ def test_whiskers_are_the_intervals_and_thin_lines_the_worlds(judged):
     assert spans[0] == pytest.approx(
         [100.0 * judged[0].apr_by_sample.min(), 100.0 * judged[0].apr_by_sample.max()]
     )
-
-
-def test_a_difference_that_may_be_zero_has_an_open_dot():
-    pair = SampledPairRecord(
-        first="a",
-        second="b",
-        mean=0.1,
-        standard_error=0.02,
-        low=0.05,
-        high=0.15,
-        method="any",
-        more_share=1.0,
-        equal_share=0.0,
-        less_share=0.0,
-    )
-    axes = plot_differences([pair, replace_fields(pair, low=-0.05)])
-    faces = [container[0].get_markerfacecolor() for container in axes.containers]
-    assert faces[1] == "white"
-    assert faces[0] != "white"
-    labels = [label.get_text() for label in axes.get_yticklabels()]
-    assert labels == ["a\nminus b", "a\nminus b"]
-    low, high = axes.get_xlim()
-    assert low <= -5.0 < 15.0 <= high

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.export.json import to_json_text
+from experiments.jobs.evaluation import build_comparison_result, build_evaluation_result
 from experiments.parts.result import (
-    build_comparison_result,
-    build_evaluation_result,
     disagreeing_runs,
 )
 from experiments.results.drives import DrivesRecord, build_drives_record, versions

@@ -27,7 +27,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from experiments.export.json import to_json_text
-from experiments.jobs.placement import run_evaluation
+from experiments.jobs.evaluation import run_evaluation
 from experiments.parts.camera_views import draw_view
 from experiments.parts.units import build_private_ground_record
 from experiments.planner import server

@@ -201,7 +201,6 @@ def test_what_was_drawn_is_counted(folder):
     watched = response.watch_pets(folder)
     assert int(watched.sightings.is_found.sum()) == n_found
     assert len(watched.sightings) == N_PEOPLE * N_FRAMES
-    assert watched.unmatched == 0.0
     everybody = response.recall_of(watched.sightings, "all")
     assert everybody.measured.value == pytest.approx(n_found / (N_PEOPLE * N_FRAMES))
     groups = response.recalls(watched, watched.distance_m, (0.0, 21.0, np.inf), "m")

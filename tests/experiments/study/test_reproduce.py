@@ -7,17 +7,15 @@ import pytest
 
 from experiments.study import reproduction
 from experiments.study.reproduction import (
-    load_published,
-    quantities,
-    write_reproduction,
-)
-from experiments.study.variants import (
     BEHIND,
     FARTHEST,
     TURNING,
     Variant,
     build_additional_variants,
     build_variants,
+    load_published,
+    quantities,
+    write_reproduction,
 )
 from placement.compute import Compute
 from placement.evaluation import apr, detected_share

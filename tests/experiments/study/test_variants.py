@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.study.variants import OWN_CASES, build_variants, move_walls
+from experiments.study.reproduction import OWN_CASES, build_variants, move_walls
 from geometry.study_scene import load_study_scene
 from placement.detectors import GeometricDetector
 

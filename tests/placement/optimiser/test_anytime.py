@@ -37,7 +37,8 @@ from placement.optimiser.bitsets import (
     values_with_each,
 )
 from placement.optimiser.bounds import failure_limit, find_root, relax, run_rows
-from placement.optimiser.front import cost_front, pareto_front
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import pareto_front
 from placement.optimiser.greedy import extend_greedily, forced_units, improve
 from placement.optimiser.pairs import PairWalk
 from placement.optimiser.presolve import ReducedProblem

@@ -16,7 +16,7 @@ from placement.optimiser import (
     is_feasible,
     placement_value,
 )
-from placement.optimiser.front import cost_front
+from placement.optimiser.cost_front import cost_front
 
 ANY_STAGES = st.sampled_from(["first", "all"])
 Steps = list[tuple[float, float, float]]

@@ -9,7 +9,7 @@ from problems import questions
 from small_tables import avoiding_problem
 
 from placement.optimiser import PlacementProblem, cost_eur, is_allowed
-from placement.optimiser.front import next_level_eur, price_levels_eur
+from placement.optimiser.cost_front import next_level_eur, price_levels_eur
 from placement.optimiser.walk import allowed_sets as all_sets_within
 
 

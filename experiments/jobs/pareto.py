@@ -1,0 +1,123 @@
+"""Fronts that are asked for by themselves: what each further unit, or more money, buys."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec.structs import asdict as fields_of
+from msgspec.structs import replace as replace_fields
+
+from geometry.scene_files import load_scene
+from placement.compute import Compute
+from placement.optimiser import PlacementValue
+from placement.optimiser.cost_front import cost_front
+from placement.optimiser.front import FrontPoint, StageChoice, pareto_front
+from placement.pipeline import assemble
+from placement.question import Question
+from placement.wishes import assumed_prices, load_prices
+
+from ..export.json import to_json_text
+from ..figures.axes import to_png
+from ..language import said
+from ..parts.front import FrontRecord, describe_front, plot_front, stage_of
+from ..progress import StageProgress
+from ..results.drives import RefusalRecord, build_drives_record, versions
+from ..results.folders import expect_files, save_files
+from ..results.record import Share
+from ..results.tables import csv_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
+
+
+class FrontResult(FrontRecord, frozen=True, kw_only=True):
+    """A front with its question: ``pareto.json``, and what ``--json`` prints."""
+
+    command: str
+    cases: tuple[str, ...]
+    weathers: tuple[str, ...]
+    detector: str
+    vut_sensors: tuple[str, ...]
+    cars: Share = 0.0
+    packet_loss: Share
+    vam_rate: Share
+    track_memory_s: float | None = None
+    not_driven: tuple[RefusalRecord, ...]
+    possible_runs: int
+    driven: tuple[str, ...]
+    without_effect: tuple[str, ...] = ()
+    seconds: dict[str, float]
+    versions: dict[str, str]
+
+
+def run_pareto(
+    question: Question,
+    *,
+    by: str,
+    max_units: int,
+    all_stages: bool,
+    out: Path | None,
+    compute: Compute,
+    command: str,
+    progress: StageProgress,
+) -> FrontResult:
+    """Find what each further unit, or more money, buys; write it to `out` if asked to.
+
+    The question's time is for all points together; `max_units` are next to existing ones, and
+    `all_stages` optimises margins and cost, too. Raises InputError if a wish cannot be met, or
+    `out` cannot be written.
+    """
+    scene = load_scene(question.scene)
+    expect_files(out, progress)
+    plan = assemble(replace(question, budget=max_units), scene=scene, compute=compute)
+    prices = load_prices() if by == "cost" and question.site_cost_eur is None else None
+    plan = replace(plan, wishes=replace(plan.wishes, prices=prices))
+    problem, n_kept = plan.problem, len(plan.wishes.existing)
+    progress("front", 0, 0)
+
+    def tell(point: FrontPoint) -> None:
+        money = f"{point.value.cost_eur:,.0f} EUR"
+        size = f"{point.units} of {problem.limits.budget_units} units"
+        progress(f"front: {money if by == 'cost' else size}", 0, 0)
+
+    find = cost_front
+    if by == "units":
+        most = problem.limits.budget_units
+        assert most is not None  # that was asked for
+        find = partial(pareto_front, max_units=most, min_units=max(n_kept, 1))
+    stages: StageChoice = "all" if all_stages else "first"
+    front = find(problem, stages=stages, effort=plan.effort, on_point=tell)
+    result = FrontResult(
+        **fields_of(describe_front(front, problem, plan.candidates, n_kept=n_kept)),
+        command=command,
+        **fields_of(build_drives_record(plan.setting)),
+        seconds={},
+        versions=versions(),
+    )
+    if prices is not None:
+        assumed = assumed_prices(prices, scene.sites)
+        result = replace_fields(result, sentences=(*result.sentences, *map(said, assumed)))
+
+    def files(done: FrontResult) -> dict[str, str | bytes]:
+        drawn = to_png(plot_front(done))
+        tables = {CSV_NAME: csv_text(front_table(done)), JSON_NAME: to_json_text(done)}
+        return {**tables, PNG_NAME: drawn}
+
+    return save_files(result, out, progress, files)
+
+
+def front_table(front: FrontRecord) -> "pd.DataFrame":
+    """A row per point; the bound of what was not optimised is missing."""
+    import pandas as pd
+
+    rows = []
+    for point in front.points:
+        row: dict[str, object] = {"units": point.units}
+        for name in PlacementValue._fields:
+            stage = stage_of(point, name)
+            row |= {name: getattr(point, name), f"{name}_bound": stage and stage.bound}
+        rows.append(row | {"is_proven": point.is_proven, "poses": " ".join(point.pose_ids)})
+    return pd.DataFrame(rows)
