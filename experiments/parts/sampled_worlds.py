@@ -32,9 +32,10 @@ _AS_THEY_ARE = (
 _MAX_NAME_LENGTH = 32
 _LEAST_SPAN_POINTS = 1.0
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
-_TIED = mark(
-    "As planned, greedy choice's layout is as good as the one found. In {n} sampled worlds it "
-    "prevents {points:.2f} points more (95 %: {low:.2f} to {high:.2f}): so it is the answer."
+_PLANNED = mark(
+    "The plan knows nothing of chance: in {n} sampled worlds greedy choice's layout prevents "
+    "{points:.2f} points more than the one found in the plan (95 %: {low:.2f} to {high:.2f}), so "
+    "it is the answer."
 )
 _SURPASSED = mark(
     "Greedy choice's layout is the answer, not the one found, which is better in the {chosen} "
@@ -318,7 +319,7 @@ def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | No
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
     values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
-    return [tr(_TIED if chosen_in is None else _SURPASSED, **values)]
+    return [tr(_PLANNED if chosen_in is None else _SURPASSED, **values)]
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
