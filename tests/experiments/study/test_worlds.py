@@ -215,6 +215,7 @@ def test_parts_of_some_hours_each_come_to_the_same(
     assert found == whole
     assert len(set(asked)) == len(asked) == 6  # cars of either kind: the plan, 4 and 8 worlds
     command = [str(tmp_path / "f"), "--units=1", "--samples=4", "--hours=0"]
+    command += [f"--out={tmp_path / 'out.md'}"]
     answer = CliRunner().invoke(main, command)
     assert answer.exit_code == 0
     assert "The time is up" in answer.output
