@@ -44,14 +44,7 @@ from .optimiser import (
 from .optimiser.problem import Fusion, Objective, apr, objective_values
 from .optimiser.solve import instead
 from .question import BLIND, N_JUDGED, SEE, Question, read_cars
-from .sampling.out_of_sample import (
-    APART,
-    FreshWorlds,
-    SampledApr,
-    estimate_mean,
-    judge_layouts,
-    look_at_fresh_worlds,
-)
+from .sampling.out_of_sample import APART, SampledApr, estimate_mean, out_of_sample_layouts
 from .sampling.tables import SampledTable, obtain_table, sampled_table
 from .sampling.uncertainty import Uncertainty, load_drawn
 from .sampling.worlds import repeat_heavy_runs
@@ -171,33 +164,15 @@ class Assembly:
     def in_fresh_worlds(
         self, layouts: Sequence[Layout], *, n_worlds: int, first: int = APART
     ) -> list[SampledApr]:
-        """Layouts in the same worlds, which nothing was chosen in; from a number of them on.
-
-        What they avoid there is cached, unless vehicles drive by or a network looks at pictures.
-        """
+        """Layouts in the same worlds, which nothing was chosen in; from a number of them on."""
         assert self.uncertainty is not None  # assemble reads it with every question
-        setting, uncertainty, compute = self.setting, self.uncertainty, self.compute
-        is_cached = uncertainty.moving is None and not setting.detector.needs_pictures
-        worlds = cached_value(
-            compute.cache_folder if is_cached else None,
-            "fresh-worlds",
-            lambda: look_at_fresh_worlds(
-                *(setting, layouts, uncertainty),
-                n_worlds=n_worlds,
-                first=first,
-                fusion=self.fusion,
-                compute=compute,
-            ),
-            kind=FreshWorlds,
-            made_from=(
-                *(setting.scene, setting.runs, setting.rule, setting.radio, setting.cars),
-                *(setting.detector, setting.table_detector),
-                *(setting.vut_sensors, setting.vut_camera, uncertainty),
-                *(self.fusion, n_worlds, first, compute.seed),
-                [[replace(unit, id="") for unit in layout.units] for layout in layouts],
-            ),
+        return out_of_sample_layouts(
+            *(self.setting, layouts, self.uncertainty),
+            n_samples=n_worlds,
+            first=first,
+            fusion=self.fusion,
+            compute=self.compute,
         )
-        return judge_layouts(setting, layouts, uncertainty, [worlds])
 
     def of_layout(self, pose_index: Sequence[int]) -> "Assembly":
         """Some candidates alone, in the world as planned."""
