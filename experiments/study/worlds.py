@@ -132,17 +132,13 @@ def choose(
         started = time.process_time()
         problem = replace(whole, limits=replace(whole.limits, budget_units=budget), tail=tail)
         reduced = presolve(problem, workers=compute.workers)
-        asked = problem
-        if given:
-            highest, sturdy = solve_sturdily(
-                problem, reduced, give_up=given, effort=assembly.effort
-            )
-            solution = sturdy or highest
-            asked = sturdy_problem(problem, highest, given) if sturdy else problem
+        effort = assembly.effort
+        if where.block:  # of further blocks the bound alone counts
+            highest, sturdy = solve_placement(problem, reduced, effort=effort, n_stages=1), None
         else:
-            # Of further blocks the bound alone counts.
-            n_stages = 1 if where.block else None
-            solution = solve_placement(problem, reduced, effort=assembly.effort, n_stages=n_stages)
+            highest, sturdy = solve_sturdily(problem, reduced, give_up=given, effort=effort)
+        solution = sturdy or highest
+        asked = sturdy_problem(problem, highest, given) if sturdy else problem
         stages = {stage.name: stage for stage in solution.certificate.stages}
         greedy = solve_greedy(problem, reduced)
         wishes = replace(assembly.wishes, budget_units=budget, tail=tail, give_up=given)
@@ -508,21 +504,19 @@ def plot_layouts(study: Study, records: Records, compute: Compute) -> Figure:
     scene, budget = study.scenes[0], max(study.budgets)
     plan = Where(scene=scene, cars=BLIND, n_worlds=0)
     assembly = _assembly(replace(study.question, budget=budget), plan, compute)
-    fresh = records.fresh[plan.name]
+    every, _ = rows_of(study, records, scene, BLIND)
+    rows = [row for row in every if (row.chosen.budget, row.chosen.tail) == (budget, TAILS[0])]
     shown = {
-        place_name(0, GIVE_UP): _one(records, plan, budget, GIVE_UP).found,
-        place_name(0, 0.0): _one(records, plan, budget).found,
-        "plan, greedy": _one(records, plan, budget).greedy,
+        place_name(row.where.n_worlds, row.chosen.given): (row.chosen.found, row.found)
+        for row in (*rows[:2], rows[-1])
     }
-    in_worlds = [replace(plan, n_worlds=n_worlds) for n_worlds in study.samples]
-    for where in [one for one in in_worlds if one.name not in records.too_large][-1:]:
-        shown[place_name(where.n_worlds, 0.0)] = _one(records, where, budget).found
+    shown["plan, greedy"] = rows[0].chosen.greedy, rows[0].greedy
     figure = new_figure(len(shown) * WIDTH_IN, 1.3 * WIDTH_IN)
-    for (name, rows), axes in zip(shown.items(), figure.subplots(1, len(shown)), strict=True):
-        layout = pick_layout(assembly.candidates, rows, name)
+    columns = figure.subplots(1, len(shown))
+    for (name, (chosen, values)), axes in zip(shown.items(), columns, strict=True):
+        layout = pick_layout(assembly.candidates, chosen, name)
         plot_plan(assembly.setting, layout, axes=axes)
-        mean = np.mean(fresh[_key(rows)][: study.n_judged])
-        axes.set_title(f"{name}: {percent(float(mean))} in fresh worlds")
+        axes.set_title(f"{name}: {percent(float(values.mean()))} in fresh worlds")
     return figure
 
 
