@@ -215,6 +215,28 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             assert found.placement.layout.units == alone.layout.units
 
 
+def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
+    monkeypatch.setattr(certifying, "N_JUDGED", 3)
+    monkeypatch.setattr(pipeline, "N_JUDGED", 3)
+    monkeypatch.setattr(certifying, "SIZES", (1, 2))
+    real, chosen = place, []
+
+    def placed(plan, **how):
+        """The same rows in each round, of candidates that each round makes anew."""
+        found = real(plan, **how)
+        chosen.append(pipeline.pick_layout(plan.candidates, [0, 7], "found"))
+        return replace(found, layout=chosen[-1], preferred=None)
+
+    monkeypatch.setattr(certifying, "place", placed)
+    question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
+    growth = grow(question, compute=Compute(workers=2, seed=3)).growth
+    first, second = chosen
+    assert "/" not in first.units[0].id  # one of the grid
+    assert first.units[0].pose is not second.units[0].pose
+    assert growth.stopped == "same"
+    assert growth.rounds[1].low is None
+
+
 def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some seconds."""
     units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
