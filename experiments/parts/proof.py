@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from placement.optimiser.problem import Objective
+from placement.pipeline import FOUND
 from scenarios.scores import AVOIDED
 
 from ..language import localized, said, say, tr
@@ -27,6 +28,8 @@ def words(result: PlacementResult) -> str:
             return say("proof.proven_apr", **values)
         return say("proof.proven_score", **values)
     values["bound"] = percent(of_apr.bound)
+    if result.preferred is not None and result.preferred.second == FOUND:
+        return say("proof.preferred", **values)
     if is_apr:
         return say("proof.open_apr", **values)
     return say("proof.open_score", **values)

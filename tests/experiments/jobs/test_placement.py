@@ -12,6 +12,7 @@ from experiments.export.json import to_json_text
 from experiments.export.watched import export_layout
 from experiments.jobs import placement
 from experiments.jobs.verify import run_verification
+from experiments.parts import answer, proof
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement import certify, pipeline
@@ -136,7 +137,10 @@ def test_greedy_choice_is_the_answer_where_fresh_worlds_surely_prefer_it(
     asked = {"samples": samples, "budget": 2, "cars": cars, "detector": detector}
     named = load_planning_detector(detector)
     lay_runs_of(monkeypatch, replace(small_setting, detector=named, table_detector=named))
-    is_tied = cars == "see"
+    is_tied, results, run = cars == "see", [], placement.run_placement
+    monkeypatch.setattr(
+        placement, "run_placement", lambda *a, **b: results.append(run(*a, **b)) or results[-1]
+    )
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "first"))
     before = place(tmp_path / "before", **asked)
@@ -179,6 +183,10 @@ def test_greedy_choice_is_the_answer_where_fresh_worlds_surely_prefer_it(
         names.remove("apr_survived")
     assert [one["name"] for one in summary["stages"]] == names
     assert (summary["stages"][0]["gap"] == 0.0) == is_tied
+    assert ("Fresh worlds prefer this choice" in proof.words(results[-1])) == (not is_tied)
+    told = " ".join(answer.warnings(results[-1]))
+    assert ("60 sampled worlds, where chance decides, chose" in told) == (detector == "response")
+    assert "so it is the answer" in told if not samples else "is the answer, not the one" in told
     assert (summary["apr"] == before["apr"]) == is_tied
     assert summary["bound"] >= before["bound"] - 1e-9
     checked = run_verification(tmp_path / "out", progress=StageProgress())
