@@ -55,7 +55,6 @@ from ..results.tables import markdown_table
 
 CARS = (BLIND, SEE)
 TAILS = (1.0, 0.25)
-N_AT_ONCE = 60  # fresh worlds between two savings
 Rows = tuple[int, ...]  # of the candidates, ascending
 Wanted = tuple[int, float, float]  # budget, tail, and the APR given up to bear a failure
 T = TypeVar("T")
@@ -259,24 +258,17 @@ def run(study: Study, path: Path, compute: Compute, *, until_s: float = math.inf
 
     def judge_all(scene: str, cars: str) -> None:
         plan = Where(scene=scene, cars=cars, n_worlds=0)
-        for known, begin, n_worlds in (
+        for known, first, n_worlds in (
             (records.deciding, APART, N_JUDGED),
             (records.fresh, 0, study.n_judged),
         ):
             layouts = study.layouts(records, scene, cars, decide=known is records.deciding)
             values = known.setdefault(plan.name, {})
-            for first in range(0, n_worlds, N_AT_ONCE):
-                end = min(first + N_AT_ONCE, n_worlds)
-                compute.progress(f"judge {plan.name}", first, n_worlds)
-                new = [rows for rows in layouts if len(values.get(_key(rows), ())) < end]
-                if not new:
-                    continue
-                some = in_own_process(
-                    *(judge, study.question, replace(plan, n_worlds=1), new),
-                    *(begin + first, end - first, compute),
-                )
-                for key, got in some.items():
-                    values[key] = [*values.get(key, [])[:first], *got]
+            if new := [rows for rows in layouts if len(values.get(_key(rows), ())) < n_worlds]:
+                compute.progress(f"judge {plan.name}", 0, 0)
+                where = replace(plan, n_worlds=1)
+                worlds = (first, n_worlds, compute)
+                values |= in_own_process(judge, study.question, where, new, *worlds)
                 save()
 
     wheres = [*study.wheres()]
@@ -417,11 +409,10 @@ def rows_of(study: Study, records: Records, scene: str, cars: str) -> tuple[list
         have = {one.wanted: one for one in records.chosen.get(where.name, [])}
         for wanted in study.wanted(where):
             one = have.get(wanted)
-            keys = [] if one is None else [_key(one.found), _key(one.greedy)]
+            keys = [_key(one.found), _key(one.greedy)] if one else []
             judged = [np.array(fresh.get(key, ())[: study.n_judged]) for key in keys]
-            told = [deciding.get(key, ())[:N_JUDGED] for key in keys if one and one.asks_worlds]
-            is_whole = min(map(len, judged), default=0) == study.n_judged
-            if one is None or not is_whole or min(map(len, told), default=N_JUDGED) < N_JUDGED:
+            told = [deciding.get(key, []) for key in keys if one and one.asks_worlds]
+            if one is None or min(map(len, judged)) < study.n_judged or not all(told):
                 budget, tail, given = wanted
                 what = "" if tail == 1.0 else ", worst quarter"
                 missing.append(f"{budget} in {place_name(where.n_worlds, given)}{what}")
