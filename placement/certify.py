@@ -15,6 +15,7 @@ from .optimiser.greedy import solve_greedy
 from .pipeline import Assembly, Placement, assemble, pick_layout, place
 from .question import N_BLOCKS, N_JUDGED, Question
 from .sampling.out_of_sample import MeanEstimate, SampledApr, estimate_mean
+from .sampling.worlds import pose_key
 from .wishes import Wishes
 
 
@@ -279,7 +280,8 @@ def _round(
 ) -> tuple[SampledApr, Round]:
     """What was chosen in some worlds, in fresh ones next to what the round before had."""
     stage, gain = found.certificate.stages[0], None
-    if before is not None and found.layout.units == before.layout.units:
+    mounted = {pose_key(unit) for unit in found.layout.units}
+    if before is not None and mounted == {pose_key(unit) for unit in before.layout.units}:
         judged = before
     else:
         fresh = found.preferred or assembly.in_fresh_worlds([found.layout], n_worlds=N_JUDGED)

@@ -9,6 +9,7 @@ from itertools import compress, count
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
@@ -40,7 +41,7 @@ from .optimiser import (
     solve_sturdily,
     sturdy_problem,
 )
-from .optimiser.problem import Fusion, Objective, objective_values
+from .optimiser.problem import Fusion, Objective, apr, objective_values
 from .optimiser.solve import instead
 from .question import BLIND, N_JUDGED, SEE, Question, read_cars
 from .sampling.out_of_sample import APART, SampledApr, estimate_mean, out_of_sample_layouts
@@ -378,7 +379,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     """Find the best layout of an assembly.
 
     With `asks_worlds`, greedy choice's layout is taken in place of the one found where fresh worlds
-    surely prefer it, see :func:`_may_prefer`; its certificate has what is proven of both. Raises
+    surely prefer it, see :func:`may_prefer`; its certificate has what is proven of both. Raises
     InputError: nothing is asked for, wishes cannot be met (the message says which, and how little
     has to give way), or the question does not fit into the memory of this machine.
     """
@@ -458,49 +459,53 @@ def _by_worlds(
     chosen, asked = first, problem
     if found.sturdy is not None:
         chosen, asked = found.sturdy, sturdy_problem(problem, first, assembly.wishes.give_up)
-    if not _may_prefer(assembly, asked, chosen, greedy):
+    if not may_prefer(assembly, asked, chosen, greedy):
         return found, None
     assembly.compute.progress("found or greedy, in fresh worlds", 0, 0)
     names = {FOUND: chosen.pose_index, "greedy": greedy}
     both = [pick_layout(assembly.candidates, rows, name) for name, rows in names.items()]
     of_found, of_greedy = assembly.in_fresh_worlds(both, n_worlds=N_JUDGED)
-    gain = of_greedy.apr_by_sample - of_found.apr_by_sample
-    if estimate_mean(gain, bounds=(-1.0, 1.0)).low <= 0.0:
+    if not is_preferred(of_greedy.apr_by_sample, of_found.apr_by_sample):
         return found, (of_found, of_greedy)
-    reduced = assembly.presolved
-    taken = instead(asked, reduced, chosen, greedy)
-    if first.pose_index == chosen.pose_index:
+    reduced, sturdy = assembly.presolved, None
+    if found.sturdy and apr(asked, greedy) >= asked.floors[-1].share - Objective.APR.tolerance:
+        # No more is given up than may be.
+        sturdy = instead(asked, reduced, found.sturdy, greedy)
+    if sturdy is None or first.pose_index == chosen.pose_index:
         first = instead(problem, reduced, first, greedy)
-    answer = _Answer(
-        first=first,
-        sturdy=None if found.sturdy is None else taken,
-        greedy_index=greedy,
-        next_unit=find_next_unit(problem, reduced, taken.pose_index),
-    )
-    return answer, (of_greedy, of_found)
+    next_unit = find_next_unit(problem, reduced, (sturdy or first).pose_index)
+    return _Answer(first, sturdy, greedy, next_unit), (of_greedy, of_found)
 
 
-def _may_prefer(
+def may_prefer(
     assembly: Assembly, problem: PlacementProblem, solution: Solution, greedy: Sequence[int]
 ) -> bool:
-    """True if fresh worlds may prefer greedy choice's layout to the one found.
+    """True if fresh worlds decide between the layout found for a problem and greedy choice's.
 
-    Worlds that were chosen in are few. The plan knows nothing of chance: it tells nothing of two
-    layouts that are as good up to the APR, if detections are drawn or cars see. Something else than
-    the highest APR is left as it was asked for.
+    Worlds that were chosen in are few, and the plan knows nothing of chance: they decide wherever
+    worlds were sampled or detections are drawn. By rule, the plan decides; unless cars see and both
+    layouts are as good up to the APR, for then it tells nothing. Something else than the highest
+    APR is left as it was asked for.
     """
     wishes, setting = assembly.wishes, assembly.setting
     is_other = wishes.target is not None or wishes.survive > 0 or wishes.tail < 1.0
     is_other |= wishes.min_case_apr > 0.0 or setting.levels is not None
     is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(solution.pose_index)
-    if is_other or is_same or assembly.n_samples:
-        return not (is_other or is_same)
-    if not setting.cars and not isinstance(setting.table_detector, ResponseDetector):
+    if is_other or is_same:
+        return False
+    if assembly.n_samples or isinstance(setting.table_detector, ResponseDetector):
+        return True
+    if not setting.cars:
         return False
     values = objective_values(problem, greedy)
     stages = {Objective(stage.name): stage for stage in solution.certificate.stages}
     first = [*stages][: [*stages].index(Objective.APR) + 1]
     return all(abs(values[one] - stages[one].objective) <= one.tolerance for one in first)
+
+
+def is_preferred(greedy: ArrayLike, found: ArrayLike) -> bool:
+    """True if greedy choice's layout is ahead with 95 % confidence; APR (n_worlds,) of both."""
+    return estimate_mean(np.subtract(greedy, found), bounds=(-1.0, 1.0)).low > 0.0
 
 
 def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:

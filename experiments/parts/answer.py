@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from geometry.junction import street_names
 from placement.detectors.built_in import is_drawn
 from placement.evaluation import Evaluation
+from placement.question import N_JUDGED
 from placement.setting import Setting
 
 from ..language import mark, say, tr, trn
@@ -129,7 +130,9 @@ def planned_only(result: Result) -> list[str]:
     """Warning that a layout was chosen as planned, where a detector finds people by chance."""
     if not isinstance(result, PlacementResult) or result.sampled or not is_drawn(result.detector):
         return []
-    return [say("answer.planned_only")]
+    return [
+        say("answer.planned_decided" if result.preferred else "answer.planned_only", n=N_JUDGED)
+    ]
 
 
 def preferred(result: Result) -> list[str]:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from placement.optimiser.problem import Objective
+from placement.pipeline import FOUND
 from scenarios.scores import AVOIDED
 
 from ..language import localized, said, say, tr
@@ -24,7 +25,10 @@ def words(result: PlacementResult) -> str:
     what = "apr" if result.score == AVOIDED else "score"
     if of_apr.gap == 0.0:
         return say(f"proof.proven_{what}", **values)
-    return say(f"proof.open_{what}", bound=percent(of_apr.bound), **values)
+    values["bound"] = percent(of_apr.bound)
+    if result.preferred is not None and result.preferred.second == FOUND:
+        return say("proof.preferred", **values)
+    return say(f"proof.open_{what}", **values)
 
 
 def _within(first: StageRecord) -> str:

@@ -287,7 +287,7 @@ def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | No
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
     values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
-    key = "tied" if chosen_in is None else "surpassed"
+    key = "planned" if chosen_in is None else "surpassed"
     return [say(f"sampled_worlds.{key}", **values)]
 
 

@@ -6,7 +6,7 @@ ground in metres. It places the frame of a :class:`Solid` in the frame in which 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
@@ -324,14 +324,21 @@ def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> Fl
 
 def draw_index(runs: Sequence[Run]) -> IntArray:
     """Number of each frame: the same in all weathers, with a gap between two runs."""
+    known: dict[int, int] = {}  # encounters: one and the same in all weathers
+    which = (known.setdefault(id(run.encounter), len(known)) for run in runs)
+    return _numbered(tuple(zip(which, (len(run.time_s) for run in runs), strict=True))).copy()
+
+
+@lru_cache(maxsize=4)  # sampled worlds ask again and again
+def _numbered(runs: tuple[tuple[int, int], ...]) -> IntArray:
+    """As above, of runs by the number of their encounter and that of their frames."""
     start: dict[int, int] = {}
     numbers, free = [], 0
-    for run in runs:
-        key = id(run.encounter)  # one and the same in all weathers
-        if key not in start:
-            start[key] = free
-            free += len(run.time_s) + 1
-        numbers.append(start[key] + np.arange(len(run.time_s)))
+    for which, n_frames in runs:
+        if which not in start:
+            start[which] = free
+            free += n_frames + 1
+        numbers.append(start[which] + np.arange(n_frames))
     return np.concatenate(numbers)
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from geometry.errors import InputError, Unquoted
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis, find_onsets
 
+from ..cache import cached_value
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, silent
 from ..evaluation import earliest_arrival_s
@@ -182,14 +183,22 @@ def out_of_sample_layouts(
     """Evaluate layouts by detection tables in new sampled worlds, all in the same ones.
 
     No draw is shared with the worlds of :func:`placement.sampling.tables.sampled_table`, also not
-    for the same seed. Nothing is cached; progress counts the worlds.
+    for the same seed. What is avoided is cached, unless vehicles drive by or a network looks at
+    pictures; progress counts the worlds.
     """
-    worlds = look_at_fresh_worlds(
-        *(setting, layouts, uncertainty),
-        n_worlds=n_samples,
-        first=first,
-        fusion=fusion,
-        compute=compute,
+    look = partial(look_at_fresh_worlds, n_worlds=n_samples, first=first, fusion=fusion)
+    is_cached = uncertainty.moving is None and not setting.detector.needs_pictures
+    worlds = cached_value(
+        compute.cache_folder if is_cached else None,
+        "fresh-worlds",
+        partial(look, setting, layouts, uncertainty, compute=compute),
+        kind=FreshWorlds,
+        made_from=(
+            *(setting.scene, setting.runs, setting.rule, setting.detector, setting.table_detector),
+            *(setting.radio, setting.vut_sensors, setting.vut_camera, setting.cars),
+            *(uncertainty, look.keywords, compute.seed),
+            [[replace(unit, id="") for unit in layout.units] for layout in layouts],
+        ),
     )
     return judge_layouts(setting, layouts, uncertainty, [worlds])
 

@@ -597,6 +597,7 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
     page, _ = page_of(setting, Layout(name="found", units=load_carlancap_layout().units[:1]))
     words = Page(page).words
     assert "day, night. It takes contrast from cameras and pulses from LiDARs." in words
+    assert "No recording at night, in rain or in fog was compared" in words
     head, *rows = table_rows(page, "Runs")
     assert head[1] == "weather"
     assert {row[1] for row in rows} == {"day", "night"}

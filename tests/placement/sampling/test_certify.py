@@ -12,9 +12,10 @@ from placement import certify as certifying
 from placement import pipeline
 from placement.certify import SIZES, certify, estimate_gap, grow
 from placement.compute import Compute
-from placement.layout import load_carlancap_layout
+from placement.layout import Layout, load_carlancap_layout
 from placement.pipeline import Assembly, assemble, place
 from placement.question import AUTO, Question
+from placement.sampling import out_of_sample
 from placement.sampling.out_of_sample import APART, out_of_sample_layouts
 from placement.sampling.tables import sampled_table
 from placement.sampling.uncertainty import load_uncertainty
@@ -126,6 +127,35 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     assert found.judged.layout.units == chosen.units
 
 
+def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(assembly, tmp_path, monkeypatch):
+    cached = replace(assembly, compute=replace(assembly.compute, cache_folder=tmp_path))
+    units = [one for one in assembly.candidates if one.sensor == assembly.candidates[0].sensor]
+    layouts = [Layout(name=f"layout {n}", units=(unit,)) for n, unit in enumerate(units[:2])]
+    plain = assembly.in_fresh_worlds(layouts, n_worlds=3)
+    first = cached.in_fresh_worlds(layouts, n_worlds=3)
+    others = [cached.in_fresh_worlds(layouts[::-1], n_worlds=3)[1]]
+    others += [cached.in_fresh_worlds(layouts, n_worlds=3, first=7)[0]]
+    lossy = replace(assembly.uncertainty, packet_loss=0.9)
+    others += [replace(cached, uncertainty=lossy).in_fresh_worlds(layouts, n_worlds=3)[0]]
+
+    def refuse(*given, **how):
+        raise RuntimeError("looked again")
+
+    monkeypatch.setattr(out_of_sample, "look_at_fresh_worlds", refuse)
+    again = cached.in_fresh_worlds(layouts, n_worlds=3)
+    for one, other, third in zip(plain, first, again, strict=True):
+        assert one.apr_by_sample.tolist() == other.apr_by_sample.tolist()
+        assert one.apr_by_sample.tolist() == third.apr_by_sample.tolist()
+        assert one.avoided_share.tolist() == third.avoided_share.tolist()
+        assert (one.layout, one.alone) == (third.layout, third.alone)
+    same, other_worlds, other_losses = others
+    assert same.apr_by_sample.tolist() == plain[0].apr_by_sample.tolist()
+    assert other_worlds.apr_by_sample.tolist() != plain[0].apr_by_sample.tolist()
+    assert other_losses.estimate.mean < plain[0].estimate.mean
+    with pytest.raises(RuntimeError):
+        assembly.in_fresh_worlds(layouts, n_worlds=3)  # without a folder
+
+
 def test_what_cannot_be_certified_is_refused(assembly):
     with pytest.raises(InputError, match="blocks: got 1; expected a whole number, at least 2"):
         certify(assembly, n_blocks=1)
@@ -185,10 +215,32 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
             assert found.placement.layout.units == alone.layout.units
 
 
+def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
+    monkeypatch.setattr(certifying, "N_JUDGED", 3)
+    monkeypatch.setattr(pipeline, "N_JUDGED", 3)
+    monkeypatch.setattr(certifying, "SIZES", (1, 2))
+    real, chosen = place, []
+
+    def placed(plan, **how):
+        """The same rows in each round, of candidates that each round makes anew."""
+        found = real(plan, **how)
+        chosen.append(pipeline.pick_layout(plan.candidates, [0, 7], "found"))
+        return replace(found, layout=chosen[-1], preferred=None)
+
+    monkeypatch.setattr(certifying, "place", placed)
+    question = replace(SMALL, within="", heights="6.5", yaw_step_deg=120.0)
+    growth = grow(question, compute=Compute(workers=2, seed=3)).growth
+    first, second = chosen
+    assert "/" not in first.units[0].id  # one of the grid
+    assert first.units[0].pose is not second.units[0].pose
+    assert growth.stopped == "same"
+    assert growth.rounds[1].low is None
+
+
 def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some seconds."""
     units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
-    real, judge = place, out_of_sample_layouts
+    real, judge = place, Assembly.in_fresh_worlds
 
     def placed(plan, **how):
         number = next(rounds)
@@ -198,13 +250,13 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
         clock[0] += seconds
         return replace(found, layout=replace(found.layout, units=units[number : number + 1]))
 
-    def judged(setting, layouts, uncertainty, **how):
-        (one,) = judge(setting, layouts, uncertainty, **how | {"n_samples": 4})
+    def judged(self, layouts, **how):
+        (one,) = judge(self, layouts, **how | {"n_worlds": 4})
         return [replace(one, apr_by_sample=aprs[units.index(one.layout.units[0])])]
 
     monkeypatch.setattr(certifying, "SIZES", sizes)
     monkeypatch.setattr(certifying, "place", placed)
-    monkeypatch.setattr(pipeline, "out_of_sample_layouts", judged)
+    monkeypatch.setattr(Assembly, "in_fresh_worlds", judged)
     monkeypatch.setattr(certifying, "now_s", lambda: clock[0])
     return grow(SMALL, compute=Compute(workers=2, seed=3))
 

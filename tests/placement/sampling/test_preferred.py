@@ -1,6 +1,7 @@
 """Greedy choice's layout in place of the one found, where fresh worlds surely prefer it."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -101,15 +102,49 @@ def test_what_was_found_stays_where_worlds_do_not_surely_prefer_another(asked, c
 
 
 @pytest.mark.parametrize(
-    "chance", [{"cars": 1.0}, {"detector": load_planning_detector("response")}]
+    ("chance", "takes_worse"),
+    [({"cars": 1.0}, False), ({"detector": load_planning_detector("response")}, True)],
 )
-def test_the_plan_is_overruled_only_where_it_cannot_tell_them_apart(asked, chance):
+def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
+    asked, chance, takes_worse
+):
     asked_of = {"n_samples": 0, **chance}
     values = values_of(asked(greedy=0, **asked_of))
     best = place(asked(greedy=0, **asked_of)).pose_index[0]
     as_good = [row for row, value in enumerate(values) if value == values[best] and row != best]
     worse = [row for row, value in enumerate(values) if value < values[best] - 1e-6]
-    for row, is_taken in ((as_good[0], True), (worse[0], False)):
+    for row, is_taken in ((as_good[0], True), (worse[0], takes_worse)):
         found = place(asked(greedy=row, **asked_of), asks_worlds=True)
         assert found.pose_index == ((row,) if is_taken else (best,))
         assert (found.preferred is not None) == is_taken
+        stage = found.certificate.stages[0]
+        assert stage.bound == pytest.approx(values[best])
+        assert stage.objective == pytest.approx(values[found.pose_index[0]])
+
+
+@pytest.mark.parametrize("loses", ["little", "much"])
+def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
+    asked, loses, monkeypatch
+):
+    response = {"n_samples": 0, "detector": load_planning_detector("response")}
+    build = asked(greedy=0, **response)
+    two = Wishes(budget_units=2, give_up=0.0)
+    pairs = [*combinations(range(len(build.candidates)), 2)]
+    values = {pair: apr(replace(build, wishes=two).problem, pair) for pair in pairs}
+    highest, lowest = max(values.values()), min(values.values())
+    lost = highest - lowest
+    assert lost > 0.01
+    greedy = min(pairs, key=values.__getitem__)
+    monkeypatch.setattr(pipeline, "solve_greedy", lambda problem, reduced: greedy)
+    give_up = lost + 0.01 if loses == "little" else 0.5 * lost
+    plan = replace(build, wishes=replace(two, give_up=give_up))
+    found = place(plan, asks_worlds=True)
+    if place(plan).pose_index == greedy:
+        pytest.fail("the worst pair bears failures best: nothing is compared")
+    assert found.pose_index == greedy
+    assert (found.highest is None) == (loses == "much")
+    stage = {one.name: one for one in found.certificate.stages}["apr"]
+    assert stage.objective == pytest.approx(lowest)
+    assert stage.bound >= lowest
+    if loses == "much":
+        assert stage.bound == pytest.approx(highest)
