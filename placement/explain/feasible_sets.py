@@ -1,7 +1,6 @@
 """Search for sets of poses that meet a wish, and for the least by which a number must give way."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from ..optimiser import Effort, Limits, PlacementProblem, ReducedProblem, is_all
 from ..optimiser.allowed_sets import fitting
 from ..optimiser.bitsets import set_values, union_margins_s, values_with_each
 from ..optimiser.greedy import forced_units, improve, to_full
+from ..optimiser.presolve import presolve_freely
 from ..optimiser.problem import Measure, Objective, Requirement
 from ..optimiser.proof import Search, Stages
 from ..optimiser.solve import check_limits
@@ -61,7 +61,6 @@ def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
 
 
 # ---------- the oracle
-_NO_OBJECTIVE: dict[str, Any] = {"floors": (), "goal": "best", "survive": 0}
 _FEW_UNITS = 6
 _SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take
 
@@ -85,19 +84,7 @@ class Oracle:
     """
 
     def __init__(self, problem: PlacementProblem, *, end_s: float) -> None:
-        self.end_s = end_s
-        limits = problem.limits
-        # One presolve for whatever limits come up: where every site carries any number of units, no
-        # pose stands in another one's way, and only those that detect nothing that counts drop out.
-        free = Limits(
-            site_index=limits.site_index,
-            site_capacity=np.full(limits.n_sites, limits.n_poses),
-            unit_cost_eur=limits.unit_cost_eur,
-            site_cost_eur=limits.site_cost_eur,
-            is_forced=limits.is_forced,
-            is_forced_site=limits.is_forced_site,
-        )
-        self._shared = presolve(replace(problem, limits=free, **_NO_OBJECTIVE))
+        self.end_s, self._shared = end_s, presolve_freely(problem)
         self._presolved: dict[int, tuple[Limits, ReducedProblem]] = {}
 
     def left_s(self) -> float:
@@ -183,7 +170,7 @@ class Oracle:
         """Presolved for these limits: once for the same ones."""
         key = id(problem.limits)
         if key not in self._presolved:
-            bare = replace(problem, **_NO_OBJECTIVE)
+            bare = replace(problem, floors=(), goal="best", survive=0)
             self._presolved[key] = problem.limits, presolve(bare)
         return self._presolved[key][1].for_problem(problem)
 

@@ -233,6 +233,24 @@ def presolve(
         usable[poses[is_needless]] = False
 
 
+def presolve_freely(problem: PlacementProblem) -> ReducedProblem:
+    """A problem reduced for whatever limits, floors and goals come up.
+
+    Only poses that detect nothing that counts drop out, unless they are forced.
+    """
+    limits = problem.limits
+    free = Limits(
+        site_index=limits.site_index,
+        # Where every site carries any number of units, no pose stands in another one's way.
+        site_capacity=np.full(limits.n_sites, limits.n_poses),
+        unit_cost_eur=limits.unit_cost_eur,
+        site_cost_eur=limits.site_cost_eur,
+        is_forced=limits.is_forced,
+        is_forced_site=limits.is_forced_site,
+    )
+    return presolve(replace(problem, limits=free, floors=(), goal="best", survive=0))
+
+
 def is_dominated(
     words: WordArray, limits: Limits, *, max_units: int, workers: int = WORKERS
 ) -> BoolArray:

@@ -227,7 +227,7 @@ def test_the_whole_is_the_sum_of_its_demands(wish):
     problem, separation = wish
     whole = Wish(problem, separation)
     part = whole.part(whole.everything)
-    for poses in sets_of(problem.table.n_poses)[:60]:
+    for poses in met_together(problem, separation, [])[:60]:
         assert is_feasible(part, poses) == is_feasible(problem, poses)
         met = whole.met_by(poses, frozenset())
         assert is_feasible(whole.part(met), poses)
