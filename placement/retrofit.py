@@ -10,10 +10,9 @@ from functools import cmp_to_key
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import IntArray
 from geometry.errors import InputError, refuse
 from geometry.files import load_data, read_table
-from scenarios.runs import live_confirmation_times_s
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
 from .compute import check_distinct
@@ -25,17 +24,19 @@ from .optimiser import (
     Limits,
     PlacementProblem,
     PlacementValue,
+    ReducedProblem,
     Solution,
     apr,
+    cost_eur,
     is_better,
     placement_value,
     run_margins_s,
     solve_placement,
 )
-from .optimiser.allowed_sets import are_allowed, costs_eur, fitting
-from .optimiser.bitsets import SetValues
-from .optimiser.problem import VALUE_OBJECTIVES, Objective
-from .optimiser.timing import TOLERANCE
+from .optimiser.allowed_sets import are_allowed, fitting
+from .optimiser.bitsets import best_with_each
+from .optimiser.presolve import presolve_freely
+from .optimiser.solve import units_of
 from .pipeline import Assembly
 from .wishes import Wishes
 
@@ -178,7 +179,7 @@ def find_retrofit(
     an addition must not cost more, either. All other changes are tried one by one.
     """
     effort = Effort() if effort is None else effort
-    standing = tuple(range(poses.n_units))
+    reduced, standing = presolve_freely(problem), tuple(range(poses.n_units))
     n_aims = sum(len(poses.aims_of(number)) for number in standing)
     removals, re_aims = [], []
     for number in standing:
@@ -187,14 +188,14 @@ def find_retrofit(
         removals.append(_change(problem, poses, others, price_eur=price_eur, n_compared=n))
         aims = poses.aims_of(number)
         if len(aims):
-            after = [*others, int(aims[best_joining(problem, others, aims)])]
+            after = [*others, best_joining(reduced, others, aims)]
             price_eur = labour.re_aim_eur
             re_aims.append(_change(problem, poses, after, price_eur=price_eur, n_compared=n_aims))
     return Retrofit(
         before=placement_value(problem, standing),
         removals=_best_first(removals),
         re_aims=_best_first(re_aims),
-        addition=find_addition(problem, poses, budget_eur=budget_eur),
+        addition=find_addition(problem, reduced, poses, budget_eur=budget_eur),
         combination=None
         if budget_eur is None
         else _combine(problem, poses, labour=labour, budget_eur=budget_eur, effort=effort),
@@ -238,7 +239,11 @@ def combined_limits(
 
 
 def find_addition(
-    problem: PlacementProblem, poses: RetrofitPoses, *, budget_eur: float | None
+    problem: PlacementProblem,
+    reduced: ReducedProblem,
+    poses: RetrofitPoses,
+    *,
+    budget_eur: float | None,
 ) -> Change | None:
     """The best new unit next to the existing ones; None if none is allowed or an improvement.
 
@@ -253,18 +258,12 @@ def find_addition(
         budget_eur=budget_eur,
         is_forced_site=np.zeros_like(problem.limits.is_forced_site),
     )
-    is_possible = are_allowed(limits, sets)
-    new, price_eur = new[is_possible], costs_eur(limits, sets[is_possible])
+    new = new[are_allowed(limits, sets)]
     if not len(new):
         return None
-    best = best_joining(problem, standing.tolist(), new, price_eur=price_eur)
-    change = _change(
-        problem,
-        poses,
-        [*standing.tolist(), int(new[best])],
-        price_eur=float(price_eur[best]),
-        n_compared=len(new),
-    )
+    after = [*standing.tolist(), best_joining(reduced, standing.tolist(), new)]
+    price_eur, n = cost_eur(limits, after), len(new)
+    change = _change(problem, poses, after, price_eur=price_eur, n_compared=n)
     before = placement_value(problem, standing.tolist())
     return change if is_better(_without_cost(change.value), _without_cost(before)) else None
 
@@ -328,73 +327,17 @@ def _without_cost(value: PlacementValue) -> PlacementValue:
     return value._replace(cost_eur=0.0)
 
 
-# ---------- which pose is the best to join a set
-_BLOCK_POSES = 512  # tens of megabytes of frames
+def best_joining(reduced: ReducedProblem, mounted: Sequence[int], each: IntArray) -> int:
+    """The pose of `each`, rows of the table, that joins those `mounted` best; the first of equals.
 
-
-def best_joining(
-    problem: PlacementProblem,
-    mounted: Sequence[int],
-    each: IntArray,
-    *,
-    price_eur: FloatArray | None = None,
-) -> int:
-    """The pose of `each` (n_each,) that joins those `mounted` best: an index into `each`.
-
-    Best by APR, then APR when one unit fails, smallest and mean margin, and price (by default
-    equal). Limits and floors do not matter.
+    Best by APR, then APR when one unit fails, smallest and mean margin, and price. Limits and
+    floors do not matter; `reduced` is by :func:`placement.optimiser.presolve.presolve_freely`.
     """
-    measure, weight = problem.measure(), problem.table.axis.weight
-    margin = margins_joined_s(problem, mounted, each)
-    is_avoided = (margin > -np.inf) & (weight > 0.0)
-    apr = measure.of(is_avoided)
-    # Failures are costly to go through: only poses with the best APR need it.
-    rows = np.flatnonzero(apr >= apr.max() - TOLERANCE)
-    left = np.full(len(rows), float(measure.of(run_margins_s(problem, mounted) > -np.inf)))
-    for failed in mounted:
-        others = [pose for pose in mounted if pose != failed]
-        left_then = margins_joined_s(problem, others, each[rows]) > -np.inf
-        left = np.minimum(left, measure.of(left_then))
-    margin, is_avoided = margin[rows], is_avoided[rows]
-    share = is_avoided @ weight
-    some = share > 0.0
-    smallest, mean = np.zeros(len(rows)), np.zeros(len(rows))
-    smallest[some] = np.where(is_avoided, margin, np.inf).min(axis=1)[some]
-    mean[some] = (np.where(is_avoided, margin, 0.0) @ weight)[some] / share[some]
-    nothing = np.zeros(len(rows))
-    gain = {
-        Objective.APR: apr[rows],
-        Objective.APR_ONE_FAILED: left,
-        Objective.SMALLEST_MARGIN: smallest,
-        Objective.MEAN_MARGIN: mean,
-        Objective.COST: nothing if price_eur is None else -price_eur[rows],
-    }
-    gains = np.column_stack([nothing, *(gain[objective] for objective in VALUE_OBJECTIVES)])
-    return int(rows[SetValues(VALUE_OBJECTIVES, gains).best_row()])
-
-
-def margins_joined_s(
-    problem: PlacementProblem, mounted: Sequence[int], each: IntArray
-) -> FloatArray:
-    """Margins of all runs for `mounted` together with each pose, (n_each, n_runs), in seconds.
-
-    As :func:`placement.optimiser.run_margins_s` of each such set.
-    """
-    axis, rule = problem.table.axis, problem.rule
-    alone_each = problem.detected(mounted)
-    together: BoolArray = np.logical_or.reduce(alone_each, axis=0)
-    confirmed = np.empty((len(each), axis.n_runs))
-    for start in range(0, len(each), _BLOCK_POSES):
-        block = slice(start, start + _BLOCK_POSES)
-        detected = problem.table.detected(each[block])
-        if problem.fusion == "any":
-            detected |= together
-        confirmed[block] = live_confirmation_times_s(detected, axis, rule=rule)
-    if problem.fusion == "single" and len(alone_each):
-        alone = live_confirmation_times_s(alone_each, axis, rule=rule)
-        confirmed = np.minimum(confirmed, alone.min(axis=0))
-    onset_s = confirmed + rule.latency_s
-    return np.where(np.isfinite(onset_s), axis.last_brake_time_s - onset_s, -np.inf)
+    poses = units_of(reduced, each)
+    if not len(poses):  # none detects anything that counts
+        return int(each[0])
+    best = best_with_each(reduced, units_of(reduced, np.array(mounted, dtype=np.int64)), poses)
+    return int(reduced.pose_index[best[-1]])
 
 
 # ---------- answers to somebody who plans by hand
@@ -455,7 +398,7 @@ class Adviser:
         if not units:
             return self.complete(units, n_units=1)
         problem, poses = self._beside(units)
-        change = find_addition(problem, poses, budget_eur=None)
+        change = find_addition(problem, presolve_freely(problem), poses, budget_eur=None)
         if change is None:
             refuse("the best next unit", "no candidate that is an improvement", "one")
         return Advice(
@@ -563,7 +506,7 @@ class Adviser:
         if not len(rows):
             expected = "a site with room, that is not forbidden"
             refuse(where, "no pose of the grid that is allowed there", expected)
-        best = int(rows[best_joining(problem, standing.tolist(), rows)])
+        best = best_joining(presolve_freely(problem), standing.tolist(), rows)
         beside = Advice(
             units=self._named(units, poses.candidates, [best]),
             before=placement_value(problem, range(len(units))),

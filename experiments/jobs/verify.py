@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from msgspec import UNSET, UnsetType
+from msgspec.structs import asdict
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
@@ -338,7 +339,7 @@ def _check_summary(
             "budget": problem.limits.budget_units,
             "runs": plain_axis(problem.table.axis).n_runs // n_samples,
             "cost_eur": sum(unit.sensor.price_eur for unit in layout.units),
-            "presolve": str(PresolveStatistics(**stored.presolve)),
+            "presolve": str(PresolveStatistics(**asdict(stored.presolve))),
         }
     for stage, what, key in (
         *(("apr", "objective", "apr"), ("apr", "bound", "bound"), ("apr", "gap", "gap")),

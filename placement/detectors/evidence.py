@@ -74,7 +74,7 @@ class Crops(Protocol):
         """Equal for rows whose crops look the same."""
 
     def draw_all(self, rows: Sequence[int]) -> Iterable[tuple[int, Crop]]:
-        """Rows and their crops, in the order in which they are drawn fastest."""
+        """Rows and their crops."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

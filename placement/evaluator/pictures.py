@@ -26,13 +26,12 @@ from ..imaging.mesh import (
     FrameMesh,
     build_frame_mesh,
     build_static_mesh,
-    move_origin,
     place_mesh,
     scan_mesh,
     vut_pose,
 )
 from ..imaging.picture import Picture, Window
-from ..imaging.stills import Still, crop_onto, draw_crop, draw_still, meter, window_around
+from ..imaging.stills import draw_crop, meter, window_around
 from ..layout import Layout
 from .surroundings import (
     FrameCamera,
@@ -97,45 +96,22 @@ class PictureSource:
         self._count()
         return picture.rgb
 
-    def _draw_crop(self, frame: int, view: "_View", still: Still | None) -> Crop:
-        """Drawn anew, or onto a still that holds it."""
+    def _draw_crop(self, frame: int, view: "_View") -> Crop:
         run, index = self._find(frame)
-        backdrop, mesh = self._standing(run)
-        white = self._white(run, view) if view.is_fixed else None
         small, window = view.small, view.window
-        if still is None:
-            picture = draw_crop(
-                *(backdrop, mesh, run, index, view.pose, small, window),
-                weather=pick_weather(run.weather, "run: weather"),
-                with_vut=view.shows_vut,
-                white_cd_m2=white,
-                seed=self._compute.seed,
-            )
-        else:
-            picture = crop_onto(
-                *(still.cut(window), run, index),
-                with_vut=view.shows_vut,
-                white_cd_m2=white,
-                seed=self._compute.seed,
-            )
+        picture = draw_crop(
+            *(*self._standing(run), run, index, view.pose, small, window),
+            weather=pick_weather(run.weather, "run: weather"),
+            with_vut=view.shows_vut,
+            white_cd_m2=self._white(run, view) if view.is_fixed else None,
+            seed=self._compute.seed,
+        )
         return Crop(
             pixels=picture.rgb,
             left_px=window.left - 0.5 * small.width_px,
             top_px=window.top - 0.5 * small.height_px,
             scale=view.camera.width_px / small.width_px,
             middle_px=(0.5 * view.camera.width_px, 0.5 * view.camera.height_px),
-        )
-
-    def _draw_still(self, frame: int, view: "_View", window: Window) -> Still:
-        """Still of a window, by the camera of a view in the frame's run."""
-        run, _ = self._find(frame)
-        backdrop, mesh = self._standing(run)
-        return draw_still(
-            *(backdrop, view.pose, view.small),
-            weather=pick_weather(run.weather, "run: weather"),
-            window=window,
-            mesh=move_origin(mesh, view.pose.position_m),
-            compute=self._compute,
         )
 
     def _white(self, run: Run, view: "_View") -> float | None:
@@ -218,26 +194,9 @@ class Crops:
         return where
 
     def draw_all(self, frames: Sequence[int]) -> Iterator[tuple[int, Crop]]:
-        """Frames and their crops, in another order than given.
-
-        What stands still is drawn once for the crops of a fixed camera at one scale, if that is
-        less than all of them together.
-        """
-        views = {frame: self._view(frame) for frame in frames}
-        groups: dict[tuple[object, ...], list[int]] = {}
-        for frame, view in views.items():
-            run, _ = self._source._find(frame)
-            key = (run.weather, obstruction_key(run), view.scale)
-            groups.setdefault(key, []).append(frame)
-        for group in groups.values():
-            windows = [views[frame].window for frame in group]
-            around, first = _around(windows), views[group[0]]
-            n_pixels = sum(window.width * window.height for window in windows)
-            still = None
-            if first.is_fixed and around.width * around.height < n_pixels:
-                still = self._source._draw_still(group[0], first, around)
-            for frame in group:
-                yield frame, self._source._draw_crop(frame, views[frame], still)
+        """Frames and their crops."""
+        for frame in frames:
+            yield frame, self._source._draw_crop(frame, self._view(frame))
 
     def _view(self, frame: int) -> _View:
         run, index = self._source._find(frame)
@@ -260,14 +219,6 @@ def _placed(camera: FrameCamera, run: Run, index: int) -> tuple[Pose, CameraMode
     if isinstance(camera, VutCamera):
         return vut_camera_pose(camera, run, index), camera.camera
     return camera
-
-
-def _around(windows: Sequence[Window]) -> Window:
-    """The smallest window that holds all of them."""
-    left, top = min(one.left for one in windows), min(one.top for one in windows)
-    right = max(one.left + one.width for one in windows)
-    bottom = max(one.top + one.height for one in windows)
-    return Window(left, top, right - left, bottom - top)
 
 
 def _may_show_vut(

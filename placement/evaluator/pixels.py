@@ -65,7 +65,6 @@ class Vehicles(NamedTuple):
 
     tree: Tree  # one after the other
     roots: IntArray  # (n_kinds,): the node at which each begins
-    reach_m: FloatArray  # (n_kinds,): all of it is so near its origin
 
 
 class Skin(NamedTuple):
@@ -574,25 +573,6 @@ def hide(
     return False
 
 
-@kernel
-def _is_off_beam(
-    image: Image, box: Window, farthest_m: float, shift: FloatArray, reach_m: float
-) -> bool:
-    """True if a body, all of it near its origin, lies outside of the beam through a box."""
-    x, y, z = shift[0], shift[1], shift[2]
-    if z - reach_m > farthest_m or z + reach_m < 0.0:
-        return True
-    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
-    left, right = (box[0] - half_width) / image.focal_px, (box[2] - half_width) / image.focal_px
-    top, bottom = (box[1] - half_height) / image.focal_px, (box[3] - half_height) / image.focal_px
-    return bool(
-        left * z - x > reach_m * np.sqrt(1.0 + left * left)
-        or x - right * z > reach_m * np.sqrt(1.0 + right * right)
-        or top * z - y > reach_m * np.sqrt(1.0 + top * top)
-        or y - bottom * z > reach_m * np.sqrt(1.0 + bottom * bottom)
-    )
-
-
 # ---------- many sights
 @kernel
 def _see_past_vehicles(
@@ -618,13 +598,10 @@ def _see_past_vehicles(
     for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):  # and vehicles
         is_hidden = False
         for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
-            kind = sights.vehicle_kind[row]
-            root = vehicles.roots[kind]
+            root = vehicles.roots[sights.vehicle_kind[row]]
             at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
             base_m = sights.vehicles.up_m[row]
             low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
-            if _is_off_beam(image, box, farthest_m, there, vehicles.reach_m[kind]):
-                continue
             look = (image, vehicles.tree, root, at, there, box, farthest_m, low_m, high_m)
             if not hide(*look, depth_m[:0]):
                 continue
@@ -723,8 +700,8 @@ def build_tree(corners_m: FloatArray) -> Tree:
     return Tree(corners_m[order], *used)
 
 
-def join_vehicles(trees: Sequence[Tree], reach_m: FloatArray) -> Vehicles:
-    """Trees of bodies, one after the other, each of which reaches so far from its origin."""
+def join_vehicles(trees: Sequence[Tree]) -> Vehicles:
+    """Trees of bodies, one after the other."""
     roots = np.cumsum([0, *(len(tree.second) for tree in trees)])[:-1]
     firsts = np.cumsum([0, *(len(tree.corners_m) for tree in trees)])[:-1]
     moved = [
@@ -738,7 +715,6 @@ def join_vehicles(trees: Sequence[Tree], reach_m: FloatArray) -> Vehicles:
     return Vehicles(
         tree=Tree(*(np.concatenate(parts) for parts in zip(*moved, strict=True))),
         roots=roots,
-        reach_m=reach_m,
     )
 
 

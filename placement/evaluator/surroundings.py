@@ -92,7 +92,6 @@ class Solid:
     # A mesh may belong to several solids.
     meshes: tuple[Mesh, ...]
     hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
-    library: str | None = None  # casts rays; see geometry.raycast.build_caster
     _lock: RLock = field(default_factory=RLock, repr=False)
 
     @property
@@ -109,9 +108,7 @@ class Solid:
             mesh.triangles + start for mesh, start in zip(self.meshes, starts, strict=False)
         ]
         vertices = [mesh.vertices_m for mesh in self.meshes]
-        return build_caster(
-            np.concatenate(vertices), np.concatenate(triangles), library=self.library
-        )
+        return build_caster(np.concatenate(vertices), np.concatenate(triangles))
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -122,13 +119,13 @@ class Solid:
         return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12))
 
 
-def build_body(shape: Shape, *, library: str | None = None) -> Solid:
+def build_body(shape: Shape) -> Solid:
     """A road user at one instant of its gait, in its body frame."""
     from scipy.spatial import ConvexHull  # loaded when something is drawn
 
     hull = ConvexHull(shape.vertices_m).vertices
     mesh = Mesh(vertices_m=np.array(shape.vertices_m), triangles=shape.triangles.astype(np.int64))
-    return Solid(meshes=(mesh,), hull_m=shape.vertices_m[hull], library=library)
+    return Solid(meshes=(mesh,), hull_m=shape.vertices_m[hull])
 
 
 def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
@@ -144,11 +141,7 @@ def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
 
 
 def build_static(
-    standing: Mesh,
-    obstruction: Sequence[PlacedActor],
-    *,
-    middle_m: FloatArray,
-    library: str | None = None,
+    standing: Mesh, obstruction: Sequence[PlacedActor], *, middle_m: FloatArray
 ) -> Solid:
     """Everything that stands still: a scene's mesh with the same origin, and parked bodies."""
     vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
@@ -157,7 +150,7 @@ def build_static(
         triangles.append(shape.triangles.astype(np.int64) + sum(map(len, vertices)))
         vertices.append(to_world(shape.vertices_m, body.pose) - [*middle_m, 0.0])
     parked = Mesh(vertices_m=np.concatenate(vertices), triangles=np.concatenate(triangles))
-    return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)), library=library)
+    return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)))
 
 
 # ---------- surroundings of runs
@@ -207,9 +200,7 @@ class Surroundings:
         return contrast
 
 
-def build_surroundings(
-    scene: Scene, runs: Sequence[Run], *, library: str | None = None
-) -> Surroundings:
+def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
     """Prepare a scene and runs for all sensors; InputError if there is more than one VUT."""
     vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
     if len(vuts) != 1:
@@ -235,19 +226,16 @@ def build_surroundings(
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0, 0.0], (sum(n_frames), 1))
     vehicles = list(dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)]))
-    solids = tuple(build_body(actor.shapes[0], library=library) for actor in vehicles)
+    solids = tuple(build_body(actor.shapes[0]) for actor in vehicles)
     traffic_index, traffic_poses = _lay_traffic(runs, vehicles, terrain)
     return Surroundings(
         statics=tuple(
-            build_static(standing, obstruction, middle_m=middle_m, library=library)
+            build_static(standing, obstruction, middle_m=middle_m)
             for obstruction in obstructions.values()
         ),
-        vrus=tuple(build_body(vru.shapes[index], library=library) for vru, index in vrus),
+        vrus=tuple(build_body(vru.shapes[index]) for vru, index in vrus),
         vehicles=solids,
-        vehicle_trees=join_vehicles(
-            [solid.meshes[0].tree for solid in solids],
-            np.array([np.linalg.norm(solid.hull_m, axis=1).max() for solid in solids]),
-        ),
+        vehicle_trees=join_vehicles([solid.meshes[0].tree for solid in solids]),
         vut_actor=vut_actor,
         static_index=static_index,
         vru_index=vru_index,

@@ -33,7 +33,6 @@ Kind = Literal[
     "separation",
     "forced_sites",
     "forbidden",
-    "forced",
 ]
 
 
@@ -43,7 +42,7 @@ class Demand:
 
     # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive": that
     # all floors hold when units fail; "capacity": of all sites; "separation": rivals among
-    # the sites; "forced_sites", "forbidden", "forced": all of them together
+    # the sites; "forced_sites", "forbidden": all of them together
     kind: Kind
     floor: int | None = None  # index of the floor
 
@@ -60,24 +59,13 @@ class Separation:
 class Wish:
     """A placement problem that can be taken apart.
 
-    `separation` says where the rivals of its limits come from, if from a least distance. With
-    `keeps_forced`, forced poses are no demand but a fact, such as existing units.
+    `separation` says where the rivals of its limits come from; without it there are none. Forced
+    poses are no demand but a fact: existing units.
     """
 
-    def __init__(
-        self,
-        problem: PlacementProblem,
-        separation: Separation | None = None,
-        *,
-        keeps_forced: bool = False,
-    ) -> None:
+    def __init__(self, problem: PlacementProblem, separation: Separation | None = None) -> None:
         self.problem, self.separation = problem, separation
-        self.keeps_forced = keeps_forced
-        self.demands = tuple(
-            demand
-            for demand in _list_demands(problem, separation)
-            if not (keeps_forced and demand.kind == "forced")
-        )
+        self.demands = _list_demands(problem, separation)
         self.everything = frozenset(range(len(self.demands)))
         self._limits: dict[frozenset[int], Limits] = {}
 
@@ -126,8 +114,6 @@ class Wish:
         )
         if key not in self._limits:
             kinds = {self.demands[number].kind for number in key}
-            if self.keeps_forced:
-                kinds.add("forced")
             self._limits[key] = _loosen(self.problem.limits, kinds, self.separation)
         return self._limits[key]
 
@@ -141,10 +127,9 @@ def _list_demands(problem: PlacementProblem, separation: Separation | None) -> t
         "budget_units": limits.budget_units is not None,
         "budget_eur": limits.budget_eur is not None,
         "capacity": bool((per_site > capacity).any()),
-        "separation": separation is not None or len(limits.rivals) > 0,
+        "separation": separation is not None,
         "forced_sites": bool(limits.is_forced_site.any()),
         "forbidden": bool(limits.is_forbidden.any()),
-        "forced": bool(limits.is_forced.any()),
     }
     demands = [Demand(kind="floor", floor=index) for index in range(len(problem.floors))]
     if any(floor.n_failures for floor in problem.floors):
@@ -166,7 +151,6 @@ def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> 
         site_capacity=capacity,
         budget_units=limits.budget_units if "budget_units" in kinds else None,
         budget_eur=limits.budget_eur if "budget_eur" in kinds else None,
-        is_forced=limits.is_forced & ("forced" in kinds),
         is_forbidden=limits.is_forbidden & ("forbidden" in kinds),
         is_forced_site=limits.is_forced_site & ("forced_sites" in kinds),
         rivals=limits.rivals if "separation" in kinds else limits.rivals[:0],
@@ -185,8 +169,7 @@ class Relaxation:
     # what can be had in place of its number: units, euros, share, failed units, units per
     # site, metres. NaN where it has none.
     value: float = np.nan
-    # of a demand that lists poses, sites or rivals: those that have to go. Poses, and rows of
-    # the limits' rivals; sites for "forced_sites".
+    # of a demand that lists poses or sites: those that have to go
     given_up: tuple[int, ...] = ()
     suffices: bool = False  # the whole wish can be met then; else only this conflict is settled
     is_least: bool = True  # proven: less does not do
@@ -204,15 +187,12 @@ def relax(
         return replace(problem, floors=tuple(floors))
     if kind == "capacity":
         limits = replace(limits, site_capacity=np.maximum(limits.site_capacity, int(value)))
-    elif kind == "separation" and separation is None:
-        limits = replace(limits, rivals=np.delete(limits.rivals, items, axis=0))
-    elif kind == "separation" and separation is not None:
+    elif separation is not None and kind == "separation":
         is_near = separation.pair_distance_m < value
         capacity = limits.site_capacity if value > 0.0 else separation.site_capacity
         limits = replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
     else:
-        names = {"forced_sites": "is_forced_site"}
-        field = names.get(kind, f"is_{kind}")
+        field = "is_forced_site" if kind == "forced_sites" else "is_forbidden"
         flags = getattr(limits, field).copy()
         flags[items] = False
         limits = replace(limits, **{field: flags})
@@ -231,9 +211,9 @@ def find_relaxation(
     limits, kinds = with_it.limits, {wish.demands[other].kind for other in others}
     answer = None
     if demand.kind == "budget_units":
-        answer = oracle.least_units(without, more_than=limits.budget_units or 0)
+        answer = oracle.least_units(without)
     elif demand.kind == "budget_eur":
-        answer = oracle.least_cost_eur(without, more_than_eur=limits.budget_eur or 0.0)
+        answer = oracle.least_cost_eur(without)
     elif demand.floor is not None:
         floor = wish.problem.floors[demand.floor]
         n_failures = floor.n_failures if "survive" in kinds else 0
@@ -266,12 +246,8 @@ def find_relaxation(
 
 def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
     """The entries of a demand, in groups that belong together: all forbidden poses of a site."""
-    if demand.kind == "forced":
-        return [(pose,) for pose in np.flatnonzero(limits.is_forced).tolist()]
     if demand.kind == "forced_sites":
         return [(site,) for site in np.flatnonzero(limits.is_forced_site).tolist()]
-    if demand.kind == "separation":
-        return [(pair,) for pair in range(len(limits.rivals))]
     forbidden = np.flatnonzero(limits.is_forbidden)
     sites = limits.site_index[forbidden]
     return [tuple(forbidden[sites == site].tolist()) for site in np.unique(sites)]
@@ -331,15 +307,9 @@ class _Trial:
 
     def _is_violated(self, item: tuple[int, ...], poses: tuple[int, ...]) -> bool:
         """True if a set of poses is against an item of the demand."""
-        limits, kind = self.problem.limits, self.demand.kind
-        sites = set(limits.site_index[list(poses)].tolist())
-        if kind == "forced":
-            return not set(item) <= set(poses)
-        if kind == "forced_sites":
-            return not set(item) <= sites
-        if kind == "forbidden":
+        if self.demand.kind == "forbidden":
             return not set(item).isdisjoint(poses)
-        return all(set(limits.rivals[pair].tolist()) <= sites for pair in item)
+        return not set(item) <= set(self.problem.limits.site_index[list(poses)].tolist())
 
     def _relaxation(
         self, value: float, given_up: Sequence[tuple[int, ...]], poses: tuple[int, ...] = ()
@@ -355,9 +325,6 @@ class _Trial:
 
 
 # ---------- conflicts
-_MAX_SETS = 20_000
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conflict:
     """Demands that cannot all be met; any part of them can."""
@@ -371,21 +338,17 @@ def find_conflicts(
     problem: PlacementProblem,
     *,
     separation: Separation | None = None,
-    keeps_forced: bool = False,
     time_limit_s: float = 30.0,
-    max_sets: int = _MAX_SETS,
 ) -> tuple[Conflict, ...]:
     """Why no set of poses meets limits and floors: smallest conflicts, no two with a common demand.
 
-    With `keeps_forced`, forced poses are no demand but a fact, such as existing units.
-    `time_limit_s` is for all questions together, but for presolve. Up to `max_sets` sets are gone
-    through one by one, more of them by models. None if the wish can be met, if it was not found out
-    that it cannot, or if nothing would help.
+    `time_limit_s` is for all questions together, but for presolve. None if the wish can be met, if
+    it was not found out that it cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
-    wish = Wish(problem, separation, keeps_forced=keeps_forced)
-    oracle = Oracle(problem, end_s=now_s() + time_limit_s, max_sets=max_sets)
+    wish = Wish(problem, separation)
+    oracle = Oracle(problem, end_s=now_s() + time_limit_s)
     asked: dict[frozenset[int], Answer] = {}
 
     def ask(active: frozenset[int]) -> Answer:
@@ -470,9 +433,7 @@ def find_refusal(
     found out that they cannot.
     """
     separation = build_separation(problem, wishes, scene, candidates)
-    conflicts = find_conflicts(
-        problem, separation=separation, keeps_forced=True, time_limit_s=time_limit_s
-    )
+    conflicts = find_conflicts(problem, separation=separation, time_limit_s=time_limit_s)
     if not conflicts:
         return None
     words = _Words(problem, wishes, candidates)

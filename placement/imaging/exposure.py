@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.files import read_data, take_number
-from geometry.kernels import kernel
 from geometry.poses import Pose
 from geometry.raycast import FloatRays, RayCaster
 from geometry.sensors import CameraModel, project_points
@@ -69,16 +68,13 @@ def develop(
     gain = max(1.0, imager["white_cdpm2_base"] / white_cdpm2)
     electrons = imager["full_well_e"] / gain  # at white
     noise = rng.standard_normal(radiance.shape, dtype=np.float32)
-    rgb = np.empty(radiance.shape, dtype=np.uint8)
-    _expose(
-        radiance,
-        noise,
-        np.float32(1.0 / white_cdpm2),
-        np.float32(1.0 / electrons),
-        np.float32((imager["read_noise_e"] / electrons) ** 2),
-        _curve(imager["shoulder"]),
-        rgb,
-    )
+    light = radiance * np.float32(1.0 / white_cdpm2)
+    # Photon noise (variance = mean), and that of the amplifier.
+    variance = light * np.float32(1.0 / electrons)
+    variance += np.float32((imager["read_noise_e"] / electrons) ** 2)
+    level = (light + np.sqrt(variance) * noise) * np.float32(_STEPS / _BRIGHTEST)
+    steps = np.clip(level, 0.0, _STEPS - 1).astype(np.int32)
+    rgb: NDArray[np.uint8] = _curve(imager["shoulder"])[steps]
     return rgb
 
 
@@ -94,29 +90,6 @@ def _curve(shoulder: float) -> NDArray[np.uint8]:
     light = np.where(light > shoulder, bent, light)
     curved = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
     return np.clip(np.rint(255.0 * curved), 0, 255).astype(np.uint8)
-
-
-@kernel
-def _expose(
-    radiance: FloatRays,
-    noise: FloatRays,
-    scale: np.float32,
-    per_electron: np.float32,
-    read: np.float32,
-    curve: NDArray[np.uint8],
-    rgb: NDArray[np.uint8],
-) -> None:
-    """Photon noise (variance = mean), that of the amplifier, and the curve to sRGB."""
-    steps = np.float32(_STEPS / _BRIGHTEST)
-    last = np.float32(_STEPS - 1)
-    for row in range(radiance.shape[0]):  # pixels, and the three colours of each
-        for column in range(radiance.shape[1]):
-            for colour in range(3):
-                light = radiance[row, column, colour] * scale
-                spread = np.float32(math.sqrt(light * per_electron + read))
-                level = (light + spread * noise[row, column, colour]) * steps
-                level = min(max(level, np.float32(0.0)), last)
-                rgb[row, column, colour] = curve[int(level)]
 
 
 # ---------- rain and glare

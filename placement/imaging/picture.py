@@ -23,6 +23,7 @@ from geometry.weather import Weather
 from scenarios.runs import Run
 
 from ..compute import DEFAULT_COMPUTE, Compute
+from . import exposure
 from .ground import GroundMap, build_ground_map
 from .light import (
     Lamp,
@@ -428,11 +429,9 @@ def draw_picture(
         frame_index=frame_index,
         materials=materials,
     )
-    from .exposure import find_edges  # loads the compiler
-
     with start_pool(compute) as pool:
         image = shade_image(shot, whole_image(camera), pool)
-        edges = np.flatnonzero(find_edges(image.radiance))
+        edges = np.flatnonzero(exposure.find_edges(image.radiance))
         smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
     return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
@@ -536,8 +535,6 @@ def expose_image(
     shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
-    from . import exposure  # loads the compiler
-
     size, imager = radiance.shape[:2], exposure.load_imager()
     exposure.add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
     exposure.add_rain(

@@ -11,10 +11,8 @@ set by fewer pixels of the whole image.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
@@ -74,37 +72,12 @@ class Still:
 
     backdrop: Backdrop
     shot: Shot
-    window: Window  # what is drawn of the image: (h, w) is its size
     raw: Shades  # (h, w): through the middles of the pixels
     surfaces: Surfaces | None  # (h, w, 3), where headlights may shine
     is_edge: BoolArray  # (h, w): pixels that are smoothed
     smooth: FloatRays  # (h, w, 3): radiance with smooth edges, cd/m^2
     mirrors: IntArray  # (n,): pixels with a mirrored ray, row * w + column, ascending
     mirrored: FloatRays  # (n, 3): where it goes
-
-    def cut(self, window: Window) -> "Still":
-        """A part of it, which must lie inside its own window."""
-        top, left = window.top - self.window.top, window.left - self.window.left
-        part = np.s_[top : top + window.height, left : left + window.width]
-        first, last = np.searchsorted(
-            self.mirrors, np.array([top, top + window.height]) * self.window.width
-        )
-        down, across = np.divmod(self.mirrors[first:last], self.window.width)
-        inside = np.flatnonzero((across >= left) & (across < left + window.width))
-
-        def cut(array: NDArray[Any]) -> NDArray[Any]:
-            return np.ascontiguousarray(array[part])
-
-        return replace(
-            self,
-            window=window,
-            raw=Shades(*map(cut, self.raw)),
-            surfaces=self.surfaces and Surfaces(*map(cut, self.surfaces)),
-            is_edge=cut(self.is_edge),
-            smooth=cut(self.smooth),
-            mirrors=(down[inside] - top) * window.width + across[inside] - left,
-            mirrored=self.mirrored[first:last][inside],
-        )
 
 
 def draw_still(
@@ -113,18 +86,11 @@ def draw_still(
     camera: CameraModel,
     *,
     weather: Weather,
-    window: Window | None = None,
-    mesh: FrameMesh | None = None,
     materials: Materials | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Still:
-    """Draw what stands still, for many frames by :func:`draw_onto`.
-
-    Of the image a window is drawn, by default all of it; `mesh` is the backdrop's, where it is
-    ready for rays already, with its origin at the camera.
-    """
-    window = window or whole_image(camera)
-    mesh = mesh or place_mesh(backdrop.mesh, pose.position_m)
+    """Draw what stands still, for many frames by :func:`draw_onto`."""
+    window, mesh = whole_image(camera), place_mesh(backdrop.mesh, pose.position_m)
     shot = build_shot(backdrop, mesh, pose, camera, weather, materials=materials)
     with start_pool(compute) as pool:
         surfaces = blank_surfaces(window.height, window.width)
@@ -137,7 +103,6 @@ def draw_still(
     return Still(
         backdrop=backdrop,
         shot=shot,
-        window=window,
         raw=raw,
         surfaces=surfaces if weather.has_lamps else None,
         is_edge=is_edge,
@@ -165,23 +130,23 @@ def draw_onto(
     middle; all else is as in :func:`placement.imaging.draw_picture`.
     """
     with start_pool(compute) as pool:
-        shot, image, smooth = add_moving(still, run, frame_index, each=pool.map)
+        shot, image, smooth = _add_moving(still, run, frame_index, pool.map)
         rgb = expose_image(shot, smooth, [compute.seed, frame_index], pool)
     return Picture(
         rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(shot.mesh)
     )
 
 
-def add_moving(
-    still: Still, run: Run, frame_index: int, *, with_vut: bool = True, each: Each = map
+def _add_moving(
+    still: Still, run: Run, frame_index: int, each: Each
 ) -> tuple[Shot, Shades, FloatRays]:
     """Image of a frame before lens and noise, with what moves.
 
     Gives the frame's shot, shades through the middles of the pixels, (h, w), and radiance with
     smooth edges, (h, w, 3), in cd/m^2.
     """
-    base, window = still.shot, still.window
-    moving = build_moving_meshes(run, frame_index, with_vut=with_vut)
+    base, window = still.shot, whole_image(still.shot.camera)
+    moving = build_moving_meshes(run, frame_index, with_vut=True)
     shot = build_shot(
         still.backdrop,
         add_moving_meshes(base.mesh, moving),
@@ -359,36 +324,14 @@ def draw_crop(
     image = Shades._make(part.reshape(*size, *part.shape[1:]) for part in shades)
     edges = np.flatnonzero(find_edges(image.radiance))
     smooth_image(shot, window, image.radiance, edges, map)
-    return _expose(shot, image, image.radiance, window, white_cd_m2, [seed, frame_index])
-
-
-def crop_onto(
-    still: Still,
-    run: Run,
-    frame_index: int,
-    *,
-    with_vut: bool = True,
-    white_cd_m2: float | None = None,
-    seed: int = 0,
-) -> Picture:
-    """Draw what :func:`draw_crop` draws in a still's window, for many frames of one camera.
-
-    Only what moves changes is drawn anew; see :func:`placement.imaging.stills.draw_onto`.
-    """
-    shot, image, smooth = add_moving(still, run, frame_index, with_vut=with_vut)
-    return _expose(shot, image, smooth, still.window, white_cd_m2, [seed, frame_index])
+    return _expose(shot, image, window, white_cd_m2, [seed, frame_index])
 
 
 def _expose(
-    shot: Shot,
-    image: Shades,
-    radiance: FloatRays,
-    window: Window,
-    white_cd_m2: float | None,
-    seeds: list[int],
+    shot: Shot, image: Shades, window: Window, white_cd_m2: float | None, seeds: list[int]
 ) -> Picture:
     """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
-    rng = np.random.default_rng([*seeds, *window])
+    rng, radiance = np.random.default_rng([*seeds, *window]), image.radiance
     corner = (window.left, window.top)
     add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
     imager = load_imager()

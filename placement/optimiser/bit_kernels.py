@@ -114,61 +114,6 @@ def join_ranges(rows: WordArray, begin: IntArray, end: IntArray, joined: WordArr
 
 
 @kernel
-def have_bits(rows: WordArray, kept: WordArray, has_bits: BoolArray) -> None:
-    """Find rows that have any of the bits in `kept`, (n_words,)."""
-    for row in range(len(rows)):
-        has_bits[row] = False
-        for word in range(rows.shape[1]):
-            if rows[row, word] & kept[word]:
-                has_bits[row] = True
-                break
-
-
-@kernel
-def mix_rows(rows: WordArray, kept: WordArray, mixed: WordArray) -> None:
-    """A number for each row, equal for rows that are equal within `kept`, (n_words,)."""
-    for row in range(len(rows)):
-        value = np.uint64(0x9E3779B97F4A7C15)
-        for word in range(rows.shape[1]):
-            value = (value ^ (rows[row, word] & kept[word])) * np.uint64(0xFF51AFD7ED558CCD)
-            value ^= value >> np.uint64(32)
-        mixed[row] = value
-
-
-@kernel
-def number_rows(
-    rows: WordArray, kept: WordArray, mixed: WordArray, slots: IntArray, number: IntArray
-) -> int:
-    """Number distinct rows by their first appearance; how many there are.
-
-    Only the bits in `kept`, (n_words,), count; `mixed` is by :func:`mix_rows`. `slots`, a power of
-    two of -1, more than rows, begins with the first row of each number in the end.
-    """
-    first = np.empty(len(rows), dtype=np.int64)
-    n_distinct, n_slots = 0, len(slots)
-    for row in range(len(rows)):
-        slot = np.int64(mixed[row] & np.uint64(n_slots - 1))
-        while slots[slot] >= 0:
-            other = first[slots[slot]]
-            is_equal = mixed[row] == mixed[other]
-            for word in range(rows.shape[1]):
-                if not is_equal:
-                    break
-                is_equal = (rows[row, word] ^ rows[other, word]) & kept[word] == 0
-            if is_equal:
-                break
-            slot = (slot + 1) & (n_slots - 1)
-        if slots[slot] < 0:
-            slots[slot] = n_distinct
-            first[n_distinct] = row
-            n_distinct += 1
-        number[row] = slots[slot]
-    for place in range(n_distinct):
-        slots[place] = first[place]
-    return n_distinct
-
-
-@kernel
 def find_dominated(
     words: WordArray,
     site: IntArray,

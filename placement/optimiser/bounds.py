@@ -113,7 +113,7 @@ def find_root(
     for number in range(timing.ASK_ROUNDS):
         scale = max(float(seen.max(initial=0.0)), timing.TINY)
         coverers = coverers_of(reduced, rows, union, np.round(seen / scale, timing.SHARE_DIGITS))
-        index, row = distinct_rows(coverers, workers=reduced.workers)
+        index, row = distinct_rows(coverers)
         of_rows, of_price = np.zeros(len(index)), np.zeros(len(index))
         np.add.at(of_rows, row, rows.weight)
         np.add.at(of_price, row, price)

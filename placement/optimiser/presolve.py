@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import says
 
-from . import timing
 from .allowed_sets import Limits
 from .problem import (
     Chains,
@@ -233,6 +232,24 @@ def presolve(
         usable[poses[is_needless]] = False
 
 
+def presolve_freely(problem: PlacementProblem) -> ReducedProblem:
+    """A problem reduced for whatever limits, floors and goals come up.
+
+    Only poses that detect nothing that counts drop out, unless they are forced.
+    """
+    limits = problem.limits
+    free = Limits(
+        site_index=limits.site_index,
+        # Where every site carries any number of units, no pose stands in another one's way.
+        site_capacity=np.full(limits.n_sites, limits.n_poses),
+        unit_cost_eur=limits.unit_cost_eur,
+        site_cost_eur=limits.site_cost_eur,
+        is_forced=limits.is_forced,
+        is_forced_site=limits.is_forced_site,
+    )
+    return presolve(replace(problem, limits=free, floors=(), goal="best", survive=0))
+
+
 def is_dominated(
     words: WordArray, limits: Limits, *, max_units: int, workers: int = WORKERS
 ) -> BoolArray:
@@ -351,7 +368,7 @@ class _Windows:
 
         problem, axis = self.problem, self.problem.table.axis
         mask = self._mask(poses)
-        first, frame = distinct_rows(self.columns, mask, workers=self.workers)
+        first, frame = distinct_rows(self.columns, mask)
         frames, tail_frame = frame[: self.n_used][self.frames], frame[self.n_used :]
         is_seen = _have_bits(self.columns, mask)[first]
 
@@ -376,7 +393,7 @@ class _Windows:
         order = _once_in_each_run(of_tail, tail_frame, n_links)
         tail_frame, n_links, of_tail = tail_frame[order], n_links[order], of_tail[order]
 
-        first_set, window = distinct_rows(sets.astype(np.uint64), workers=self.workers)
+        first_set, window = distinct_rows(sets.astype(np.uint64))
         is_needed = np.zeros(len(first), dtype=bool)
         is_needed[sets] = is_needed[tail_frame] = True
         kept = np.flatnonzero(is_needed)
@@ -425,32 +442,18 @@ class _Windows:
         return is_needless
 
 
-def distinct_rows(
-    rows: WordArray, mask: WordArray | None = None, *, workers: int
-) -> tuple[IntArray, IntArray]:
+def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntArray, IntArray]:
     """First of the rows that are equal within a mask, and the number among them of each row."""
-    from .bit_kernels import mix_rows, number_rows
-
-    if mask is None:
-        mask = np.full(rows.shape[1], ~np.uint64(0))
-    number, mixed = np.empty(len(rows), dtype=np.int64), np.empty(len(rows), dtype=np.uint64)
-
-    def mix(begin: int, end: int) -> None:
-        mix_rows(rows[begin:end], mask, mixed[begin:end])
-
-    share_out(mix, len(rows), workers=workers, few=timing.MANY_ROWS)
-    slots = np.full(1 << (2 * len(rows)).bit_length(), -1)
-    n_distinct = number_rows(rows, mask, mixed, slots, number)
-    return slots[:n_distinct].copy(), number
+    every = np.full(rows.shape[1], ~np.uint64(0)) if mask is None else mask
+    known: dict[bytes, int] = {}
+    numbers = [known.setdefault((row & every).tobytes(), len(known)) for row in rows]
+    number = np.array(numbers, dtype=np.int64)
+    return np.unique(number, return_index=True)[1], number
 
 
 def _have_bits(rows: WordArray, mask: WordArray) -> BoolArray:
     """Which rows have any bit within a mask, (n_words,)."""
-    from .bit_kernels import have_bits
-
-    has_bits = np.empty(len(rows), dtype=bool)
-    have_bits(rows, mask, has_bits)
-    return has_bits
+    return np.asarray((rows & mask).any(axis=1))
 
 
 def _transpose(

@@ -70,7 +70,7 @@ MAX_TIED = 100_000  # Sets that tie and are kept, to choose among them in later 
 POOL_POSES = 400  # Of a large table, those among which a layout is looked for: they gain most
 BLOCK_SETS = 1 << 12  # Sets that are valued at a time: their margins stay in the cache
 FEW_TASKS = 64  # Fewer tasks are not worth threads
-MANY_ROWS = 1 << 12  # Rows whose hashes are worth threads
+MANY_SETS = 1 << 12  # Sets that are looked at whatever is asked
 
 # ---------- first sets
 SEED = 1  # Of restarts

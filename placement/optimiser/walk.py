@@ -118,7 +118,7 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
             sizes.append(np.sort(sets, axis=1))
         if n_units == limits.max_units or not len(grown):
             break
-        most = max(timing.MANY_ROWS, min(timing.MAX_GROWN_SETS, 100 * max_sets))
+        most = max(timing.MANY_SETS, min(timing.MAX_GROWN_SETS, 100 * max_sets))
         if len(grown) * len(poses) > most:
             return None
         # A later pose than the last one: every set comes up once.

@@ -7,20 +7,26 @@ check the claim without the optimiser.
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct, defstruct
-from msgspec.structs import asdict as struct_asdict
+from msgspec import Meta, Struct, defstruct, field
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import Text, parse_json, read_table, read_text, take_text, write_atomically
+from geometry.files import (
+    Text,
+    load_data,
+    parse_json,
+    read_table,
+    read_text,
+    take_text,
+    write_atomically,
+)
 
 from ..detection_table import has_levels, seeing_share
 from ..layout import Certificate, Stage
 from ..optimiser import PlacementProblem, PresolveStatistics
-from ..optimiser.problem import Objective
 from .instances import (
     INSTANCE_FILE,
     KIND,
@@ -41,90 +47,69 @@ _Sizes = defstruct(
 SCHEMA = "place-rsus/certificate/1"
 CERTIFICATE_FILE = "certificate.json"
 
-_FORMULAS: dict[Objective, str] = {
-    Objective.UNITS: "least sum_c x_c: the number of units",
-    Objective.COST: "least sum_c price_c x_c + sum_s price_s u_s, u_s = 1 if site s carries a unit",
-    Objective.APR_SURVIVED: "most of what is left of the APR when any `survive` of the units fail",
-    Objective.APR: "most A(avoided): sum_r w_r a_r over the runs; with a tail, its mean over the "
-    "worst share `tail` of the sampled worlds (conditional value at risk)",
-    Objective.APR_ONE_FAILED: "most of min over the chosen c of the APR without c",
-    Objective.SMALLEST_MARGIN: "largest min over the avoided runs with weight of last brake time - "
-    "(confirmation + latency)",
-    Objective.MEAN_MARGIN: "largest sum_r w_r a_r margin_r / sum_r w_r a_r",
-}
-_SITE_FORMULAS = {
-    Objective.APR_SURVIVED: "most of what is left of the APR when any `survive` of the sites fail, "
-    "each with all that it carries",
-    Objective.APR_ONE_FAILED: "most of min over the sites of chosen c of the APR without what "
-    "stands there",
-}
-_FUSIONS: Mapping[str, str] = {
-    "any": "frame f is seen if a chosen pose detects in it: y_f <= sum_c V[c,f] x_c",
-    "single": "one chosen pose must detect in all frames of the window by itself",
-}
-_AVOIDED = (
-    "a_r = 1 if a window of n frames in a row of run r is seen and the time of its last frame "
-    "+ latency <= last brake time of r"
-)
-_LEVELS = (
-    "a run whose name ends in <v is a level of the run before that: a_r = 1 if that one is "
-    "avoided, or the speed at contact stays below v km/h; its clock stands still from the last "
-    "brake time of that run - latency on; w_r is what reaching it adds, so that the APR is a score"
-)
-_CARS = (
-    "in every run the VUT's own sensors are one more unit, which costs nothing and never fails; "
-    "seen_by_vut says in which frames it detects"
-)
-_ALIVE = (
-    "; and if from then on until last brake time - latency no longer than track_memory_s passes "
-    "without a frame that is seen"
-)
+
+class StoredUnit(Struct, frozen=True, kw_only=True):
+    """A unit of the layout."""
+
+    row: _Count  # of the detection table
+    pose: Text  # its name there
+    unit: dict[str, Any]  # as ``layout.json`` has it
 
 
-class _Unit(Struct, frozen=True, kw_only=True):
-    row: _Count
-    pose: Text
-    unit: dict[str, Any]
+class Claim(Struct, frozen=True, kw_only=True):
+    """What is claimed of a stage; see :class:`placement.layout.Stage`."""
 
-
-class _Stage(Struct, frozen=True, kw_only=True):
     name: Text
     objective: float
     bound: float
-    gap: float | None
+    gap: float | None  # None: infinite
     seconds: float
-    is_proven: bool
+    is_proven: bool  # is the layout claimed to be the best?
 
 
-class _Document(Struct, frozen=True, kw_only=True):
-    """A ``certificate.json``, as :func:`build_certificate` makes it."""
+class StoredCertificate(Struct, frozen=True, kw_only=True):
+    """Claims of a ``certificate.json``, read and checked for form only.
 
-    instance: dict[str, Any]
-    model: dict[str, Any]
-    layout: Annotated[list[_Unit], _SOME]
-    stages: Annotated[list[_Stage], _SOME]
-    is_proven: bool
-    solver: Text
-    versions: dict[str, Any]
-    presolve: _Sizes  # type: ignore[valid-type]
+    As :func:`build_certificate` makes them.
+    """
 
+    instance: dict[str, Any]  # what :func:`instance_of` says
+    model: dict[str, Any]  # what :func:`model_of` says, and the names of the "stages" in order
+    layout: Annotated[list[StoredUnit], _SOME]
+    claims: Annotated[list[Claim], _SOME] = field(name="stages")  # objectives in order
+    is_proven: bool  # is the layout claimed to be the best in all?
+    solver: Text  # name and version of what the proof rests on
+    versions: dict[str, Any]  # of the programs that the numbers depend on
+    presolve: _Sizes  # type: ignore[valid-type]  # sizes before and after
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StoredCertificate:
-    """Claims of a ``certificate.json``, read and checked for form only."""
+    @property
+    def sha256(self) -> str:
+        """Hash of the problem, see :func:`problem_hash`."""
+        return str(self.instance["sha256"])
 
-    instance: Mapping[str, Any]  # what :func:`instance_of` says
-    sha256: str  # hash of the problem, see :func:`problem_hash`
-    model: Mapping[str, Any]  # what :func:`model_of` says, and the names of the "stages" in order
-    pose_index: tuple[int, ...]  # rows of the detection table
-    pose_ids: tuple[str, ...]  # their names there
-    units: tuple[Mapping[str, Any], ...]  # as ``layout.json`` has them
-    stages: tuple[Stage, ...]  # objectives in order, each with what is claimed of it
-    is_proven: tuple[bool, ...]  # whether each stage is claimed to be optimal
-    all_proven: bool  # whether the layout is
-    solver: str  # name and version of what the proof rests on
-    versions: Mapping[str, Any]  # of the programs that the numbers depend on
-    presolve: Mapping[str, tuple[int, int]]  # sizes before and after
+    @property
+    def pose_index(self) -> tuple[int, ...]:
+        """Rows of the detection table."""
+        return tuple(one.row for one in self.layout)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Objectives in order, each with what is claimed of it."""
+        return tuple(
+            Stage(
+                name=one.name,
+                objective=one.objective,
+                bound=one.bound,
+                gap=math.inf if one.gap is None else one.gap,
+                seconds=one.seconds,
+            )
+            for one in self.claims
+        )
+
+    @property
+    def units(self) -> tuple[dict[str, Any], ...]:
+        """The units, as ``layout.json`` has them."""
+        return tuple(one.unit for one in self.layout)
 
 
 def build_certificate(
@@ -197,31 +182,9 @@ def load_certificate(path: str | Path) -> StoredCertificate:
     schema = document.get("schema") if isinstance(document, dict) else Unquoted("no object")
     if schema != SCHEMA:
         raise InputError(f"{where}: schema", schema, SCHEMA)
-    read = read_table(document, _Document, where)
-    stages = [
-        Stage(
-            name=one.name,
-            objective=one.objective,
-            bound=one.bound,
-            gap=math.inf if one.gap is None else one.gap,
-            seconds=one.seconds,
-        )
-        for one in read.stages
-    ]
-    return StoredCertificate(
-        instance=read.instance,
-        sha256=take_text(read.instance, "sha256", f"{where}: instance"),
-        model=read.model,
-        pose_index=tuple(one.row for one in read.layout),
-        pose_ids=tuple(one.pose for one in read.layout),
-        units=tuple(one.unit for one in read.layout),
-        stages=tuple(stages),
-        is_proven=tuple(one.is_proven for one in read.stages),
-        all_proven=read.is_proven,
-        solver=read.solver,
-        versions=read.versions,
-        presolve=struct_asdict(read.presolve),
-    )
+    read = read_table(document, StoredCertificate, where)
+    take_text(read.instance, "sha256", f"{where}: instance")
+    return read
 
 
 def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, Any]:
@@ -239,13 +202,17 @@ def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, A
 
 def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]:
     """The model in words: fusion, what avoided means, and the formula of each stage."""
-    formulas = _FORMULAS if problem.limits.failing == "unit" else _FORMULAS | _SITE_FORMULAS
+    words = load_data("placement", "certificate.toml")
+    formulas, avoided, parts = words["formulas"], words["avoided"], words["parts"]
+    if problem.limits.failing == "site":
+        formulas |= words["site_formulas"]
     return {
-        "fusion": _FUSIONS[problem.fusion],
-        "avoided": _AVOIDED + ("" if is_never_lost(problem.rule) else _ALIVE),
-        **({"levels": _LEVELS} if has_levels(problem.table.axis) else {}),
-        **({} if problem.seen_by_vut is None else {"cars": _CARS}),
-        **{name: formulas[Objective(name)] for name in stages},
+        "fusion": words["fusion"][problem.fusion],
+        "avoided": avoided["always"]
+        + ("" if is_never_lost(problem.rule) else avoided["and_alive"]),
+        **({"levels": parts["levels"]} if has_levels(problem.table.axis) else {}),
+        **({} if problem.seen_by_vut is None else {"cars": parts["cars"]}),
+        **{name: formulas[name] for name in stages},
     }
 
 

@@ -1,8 +1,7 @@
 """``instance.npz``: a whole problem as a file that any program can read, and its hash.
 
-It is compressed and holds no Python objects: numpy's arrays under the names in ``_FIELDS``. What
-may be missing is missing where it is None. It may also say where and what the poses are, see
-:class:`Mounts`.
+It is compressed and holds no Python objects: numpy's arrays under the names in
+``data/instance.toml``. It may also say where and what the poses are, see :class:`Mounts`.
 """
 
 import hashlib
@@ -17,13 +16,13 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
-from msgspec import to_builtins
+from msgspec import Struct, to_builtins
 from numpy.typing import NDArray
 
 from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
 from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
 from geometry.errors import InputError, located, refuse
-from geometry.files import open_file, reading, write_atomically
+from geometry.files import open_file, read_data, reading, write_atomically
 from geometry.scene import Scene
 from geometry.sensors import LENS_FIELDS, CameraModel
 from geometry.untrusted_files import is_text, unpacked_bytes
@@ -247,7 +246,7 @@ _UNDAMAGED = "an undamaged instance file (.npz)"
 _UNPACKED_BYTES = 4  # of memory for each byte of a file, unpacked, while it is read and checked
 
 
-class _Field(NamedTuple):
+class _Field(Struct, frozen=True):
     """An array of the file: its type, what its axes count, whether it may be missing."""
 
     dtype: str
@@ -255,68 +254,15 @@ class _Field(NamedTuple):
     is_optional: bool = False
 
 
-_FIELDS: Mapping[str, _Field] = {
-    "kind": _Field("str"),
-    # Frames in which the VUT's own sensors detect; missing: cars are blind.
-    "seen_by_vut": _Field("bool", ("frame",), is_optional=True),
-    # The detection table: rows, columns, bits; lowest bit first.
-    "pose_ids": _Field("str", ("poses",)),
-    "run_ids": _Field("str", ("runs",)),
-    "cases": _Field("str", ("runs",)),
-    "approaches": _Field("str", ("runs",)),
-    "positions": _Field("str", ("runs",), is_optional=True),  # older files: 0 everywhere
-    "weathers": _Field("str", ("runs",)),
-    "vut_speed_kmh": _Field("float64", ("runs",)),
-    "weight": _Field("float64", ("runs",)),
-    "last_brake_time_s": _Field("float64", ("runs",)),
-    "run_start": _Field("int64", ("run starts",)),
-    "time_s": _Field("float64", ("frames",)),
-    "packed": _Field("uint8", ("poses", "bytes")),
-    # Limits.
-    "site_index": _Field("int64", ("poses",)),
-    "site_capacity": _Field("int64", ("sites",)),
-    "budget_units": _Field("int64", is_optional=True),
-    "budget_eur": _Field("float64", is_optional=True),
-    "unit_cost_eur": _Field("float64", ("poses",)),
-    "site_cost_eur": _Field("float64", ("sites",)),
-    "is_forced": _Field("bool", ("poses",)),
-    "is_forbidden": _Field("bool", ("poses",)),
-    "is_forced_site": _Field("bool", ("sites",)),
-    "rivals": _Field("int64", ("pairs", "2")),
-    "failing": _Field("str", is_optional=True),  # units where it is missing
-    # What is asked.
-    "fusion": _Field("str"),
-    "goal": _Field("str"),
-    "survive": _Field("int64"),
-    "sample_index": _Field("int64", ("runs",), is_optional=True),
-    "tail": _Field("float64"),
-    "floor_names": _Field("str", ("floors",)),
-    "floor_shares": _Field("float64", ("floors",)),
-    "floor_failures": _Field("int64", ("floors",)),
-    "floor_counts_all": _Field("bool", ("floors",)),  # by the problem's own measure
-    "floor_is_counted": _Field("bool", ("floors", "runs")),
-    # The rule.
-    "deceleration_mps2": _Field("float64"),
-    "build_up_s": _Field("float64"),
-    "latency_s": _Field("float64"),
-    "n_confirmations": _Field("int64"),
-    "frame_rate_hz": _Field("float64"),
-    "track_memory_s": _Field("float64", is_optional=True),  # infinite where it is missing
-}
+class _Fields(Struct, frozen=True):
+    """All arrays by name, from ``data/instance.toml``: of a problem, and of :class:`Mounts`."""
+
+    problem: dict[str, _Field]
+    mounts: dict[str, _Field]
 
 
-_MOUNT_FIELDS: Mapping[str, _Field] = {
-    "mount_site": _Field("str", ("poses",)),
-    "mount_position_m": _Field("float64", ("poses", "3")),
-    "mount_yaw_deg": _Field("float64", ("poses",)),
-    "mount_pitch_deg": _Field("float64", ("poses",)),
-    "mount_latency_s": _Field("float64", ("poses",)),  # NaN: that of the rule
-    "mount_sensor": _Field("int64", ("poses",)),  # row of sensors
-    "sensors": _Field("str", ("sensors",)),  # JSON of a model's fields, with name and kind
-    "scene_name": _Field("str"),
-    "scene_sha256": _Field("str"),
-}
-"""Arrays of :class:`Mounts`. All of them are there, or none."""
+_ALL_FIELDS = read_data("placement", "instance.toml", _Fields)
+_FIELDS, _MOUNT_FIELDS = _ALL_FIELDS.problem, _ALL_FIELDS.mounts
 _ATTRIBUTES = {name: name.removeprefix("mount_") for name in _MOUNT_FIELDS} | {
     "mount_site": "sites",
     "mount_sensor": "sensor_index",

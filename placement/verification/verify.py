@@ -14,6 +14,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import asdict
 
 from ..candidates import CandidatePose
 from ..layout import Stage
@@ -111,8 +112,8 @@ def verify_certificate(
         checks.append(Check(f"floor {floor.name}", reached >= floor.share - EPSILON, text))
     limits = simple_limits(problem, stored.stages)
     proofs = []
-    for stage, is_proven in zip(stored.stages, stored.is_proven, strict=True):
-        objective = Objective(stage.name)
+    for stage, claim in zip(stored.stages, stored.claims, strict=True):
+        objective, is_proven = Objective(stage.name), claim.is_proven
         value, limit = float(stage_values(problem, objective, chosen)[0]), limits[objective]
         checks += _stage_checks(stage, objective, is_proven, value, limit)
         is_simple = objective.excess(limit, stage.objective) <= objective.tolerance
@@ -157,17 +158,19 @@ def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> lis
     table, axis = problem.table, problem.table.axis
     n_windows = np.maximum(np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0).sum()
     sizes = (table.n_poses, axis.n_frames, int(n_windows), axis.n_runs)
-    before = tuple(pair[0] for pair in stored.presolve.values())
+    presolve: dict[str, tuple[int, int]] = asdict(stored.presolve)
+    before = tuple(pair[0] for pair in presolve.values())
     # Where a track must be held on to, presolve adds columns to those of the frames.
-    shrinks = [a >= b for name, (a, b) in stored.presolve.items() if name != "n_frames"]
+    shrinks = [a >= b for name, (a, b) in presolve.items() if name != "n_frames"]
     has_words = is_so and stored.model.get("in_words") == words_of(problem, names)
     says = "another " + ", ".join(wrong) if wrong else "what is asked"
-    proof = "complete" if stored.all_proven else "incomplete"
+    proof = "complete" if stored.is_proven else "incomplete"
+    is_said = stored.is_proven == all(claim.is_proven for claim in stored.claims)
     shown = ", ".join(f"{n} {noun}" for n, noun in zip(before, _SIZES, strict=True))
     return [
         Check("model in words", has_words, "as asked" if has_words else "other words than this"),
         Check("model", not wrong, f"the certificate says {says}"),
-        Check("proof", stored.all_proven == all(stored.is_proven), f"claimed to be {proof}"),
+        Check("proof", is_said, f"claimed to be {proof}"),
         Check("stages", is_so, ", ".join(names) + ("" if is_so else ": not those that are asked")),
         Check("presolve", before == sizes and all(shrinks), f"from {shown}"),
     ]
@@ -181,13 +184,13 @@ def _pose_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list
         text = f"row {missing[0]} of {table.n_poses}" if missing else "a row twice"
         return [Check("poses", False, text)]
     wrong = [
-        f"row {row} is {table.pose_ids[row]}, not {name}"
-        for row, name in zip(rows, stored.pose_ids, strict=True)
-        if table.pose_ids[row] != name
+        f"row {one.row} is {table.pose_ids[one.row]}, not {one.pose}"
+        for one in stored.layout
+        if table.pose_ids[one.row] != one.pose
     ]
     return [
         Check("poses", True, f"rows {', '.join(map(str, rows))} of {table.n_poses}"),
-        _check("pose names", wrong, ", ".join(stored.pose_ids)),
+        _check("pose names", wrong, ", ".join(one.pose for one in stored.layout)),
     ]
 
 

@@ -29,7 +29,6 @@ from .views import (
     VruViews,
     build_places,
     build_views,
-    count_in_rows,
     look,
 )
 
@@ -314,7 +313,7 @@ def cast_sight(
     _add_hidden_by_bodies(
         *(world, eye, world.standing, body, near_views[row], row, blocked), near_m=near_m
     )
-    n_blocked = count_in_rows(blocked)
+    n_blocked = blocked.sum(axis=1)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
@@ -332,7 +331,7 @@ def cast_sight(
     faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
 
     is_visible = faces_eye & ~blocked
-    n_visible, n_facing = count_in_rows(is_visible), count_in_rows(faces_eye)
+    n_visible, n_facing = is_visible.sum(axis=1), faces_eye.sum(axis=1)
     is_seen = n_visible > 0
     entry_of_row: IntArray = np.full(len(near_views) + 1, -1)  # one more, for frames without a row
     entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
@@ -348,7 +347,7 @@ def cast_sight(
     shown_rows = np.concatenate([np.flatnonzero(is_seen), rows[is_more]])
     shown = np.concatenate([is_visible[is_seen], left_visible[is_more]])
     is_whole = n_visible[is_seen] == n_facing[is_seen]
-    n_shown = np.concatenate([n_visible[is_seen], count_in_rows(left_visible[is_more])])
+    n_shown = np.concatenate([n_visible[is_seen], left_visible[is_more].sum(axis=1)])
     return Sight(
         view_index=near_views[shown_rows],
         is_visible=shown,

@@ -400,21 +400,6 @@ def box_bodies(
 
 
 @kernel
-def pack_frames(
-    detected: Array, weather_of_frame: Array, entry_of_frame: Array, packed: Array
-) -> None:
-    """Bits of the frames (k, n_bytes), lowest first, from `detected` (k, n_weathers, n_entries).
-
-    A frame whose entry is -1 shows nothing.
-    """
-    for row in range(len(packed)):  # sensors and frames
-        for frame in range(len(entry_of_frame)):
-            entry = entry_of_frame[frame]
-            if entry >= 0 and detected[row, weather_of_frame[frame], entry]:
-                packed[row, frame >> 3] |= np.uint8(1 << (frame & 7))
-
-
-@kernel
 def count_echoes(
     rotations: Array,
     is_near: Array,
@@ -456,29 +441,3 @@ def count_echoes(
                     total[weather] += expected[weather, point] / level
             for weather in range(n_weathers):
                 detected[row, weather, entry] = total[weather] >= needed[entry]
-
-
-@kernel
-def farthest_samples(samples: Array, first: Array, n: int) -> Array:
-    """Indices (n,) of samples (m, 3): one by one the farthest from all points so far.
-
-    The points `first` (k, 3) are there from the beginning.
-    """
-    distance = np.empty(len(samples))
-    for i in range(len(samples)):
-        distance[i] = np.inf
-    chosen = np.empty(n, np.int64)
-    for step in range(len(first) + n):  # points that are there, then those that are chosen
-        if step < len(first):
-            point = first[step]
-        else:
-            farthest = 0
-            for i in range(1, len(samples)):
-                if distance[i] > distance[farthest]:
-                    farthest = i
-            chosen[step - len(first)] = farthest
-            point = samples[farthest]
-        for i in range(len(samples)):  # how far each sample now is from all points
-            x, y, z = samples[i, 0] - point[0], samples[i, 1] - point[1], samples[i, 2] - point[2]
-            distance[i] = min(distance[i], np.sqrt(x * x + y * y + z * z))
-    return chosen

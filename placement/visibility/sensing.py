@@ -73,13 +73,10 @@ class Sensing:
 
         As bits, the first frame in the lowest.
         """
-        from .point_kernels import pack_frames
-
-        weather_of_frame = self.world.views.weather_of_frame
-        packed = np.zeros((len(candidates), -(-len(weather_of_frame) // 8)), dtype=np.uint8)
-        detected = self.detected(candidates)
-        pack_frames(detected, weather_of_frame, self.sight.entry_of_frame, packed)
-        return packed
+        # One entry more, of which nothing is seen: that of frames whose entry is -1.
+        detected = np.pad(self.detected(candidates), ((0, 0), (0, 0), (0, 1)))
+        frames = detected[:, self.world.views.weather_of_frame, self.sight.entry_of_frame]
+        return np.packbits(frames, axis=1, bitorder="little")
 
     def evidence(self, candidates: Sequence[CandidatePose]) -> Iterator[tuple[IntArray, Evidence]]:
         """Evidence of all cameras that see enough of an entry, at full contrast.

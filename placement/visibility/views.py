@@ -52,8 +52,6 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
     import trimesh
     from scipy.spatial import cKDTree
 
-    from .point_kernels import farthest_samples
-
     shape = actor.shapes[shape_index]
     mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
     samples, faces = trimesh.sample.sample_surface(mesh, _SAMPLES_PER_POINT * n_points, seed=seed)
@@ -77,6 +75,22 @@ def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -
         hull_index=freeze(_hull_corners(points)),
         radius_m=float(np.linalg.norm(points - points.mean(axis=0), axis=1).max()),
     )
+
+
+def farthest_samples(samples: FloatArray, first: FloatArray, n: int) -> IntArray:
+    """Indices (n,) of samples (m, 3): one by one the farthest from all points so far.
+
+    The points `first` (k, 3) are there from the beginning.
+    """
+    distance, chosen = np.full(len(samples), np.inf), np.empty(n, dtype=np.int64)
+    for step in range(len(first) + n):
+        if step < len(first):
+            point = first[step]
+        else:
+            chosen[step - len(first)] = distance.argmax()
+            point = samples[chosen[step - len(first)]]
+        distance = np.minimum(distance, np.linalg.norm(samples - point, axis=1))
+    return chosen
 
 
 def _hull_corners(points_m: FloatArray) -> IntArray:
@@ -261,8 +275,3 @@ def look(
 ) -> BoolArray:
     """Hidden points of rows: found, or those of a cache; see :meth:`HiddenPoints.look`."""
     return find(rows) if cache is None else cache.look(eye, rows, find, foreseen=foreseen)
-
-
-def count_in_rows(rows: BoolArray) -> IntArray:
-    """How many of each row (n, m) are set, (n,); as bits, in less than half of numpy's time."""
-    return np.asarray(np.bitwise_count(np.packbits(rows, axis=1)).sum(axis=1, dtype=np.int64))

@@ -119,6 +119,9 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
             omissions.add("roads", f"road {road_id}", why)
         else:
             roads[road_id] = read_road(element, where, offset)
+            if element.find("lateralProfile/shape") is not None:
+                why = "roads are taken to be straight across, but for their superelevation"
+                omissions.add("shapes of cross sections", f"road {road_id} shape", why)
     if not roads:
         refuse(where, "no road", "a document with roads")
     for road_id, road in roads.items():

@@ -14,7 +14,6 @@ from ...lines import along_m, length_m, steps_m, true_runs
 from ..source_map import MapLane
 from .roads import (
     MAX_COORDINATE_M,
-    CrossSections,
     LaneRecord,
     LaneSection,
     PiecewiseCubic,
@@ -65,22 +64,19 @@ class SampledSection:
     points_m: FloatArray  # (n, 3), of the reference line
     left: FloatArray  # (n, 2), unit vectors to the left of it
     rise: FloatArray  # (n,), by which the surface rises towards it: sine of the superelevation
-    shape: CrossSections  # above that
     lanes: dict[int, SampledLane]  # by number
 
     def points_at(self, t_m: FloatArray) -> FloatArray:
         """Points (n, 3) of the surface some metres to the left of the reference line."""
         points = self.points_m.copy()
         points[:, :2] += t_m[:, None] * self.left
-        points[:, 2] += t_m * self.rise + self.shape.at(self.s_m, t_m)
+        points[:, 2] += t_m * self.rise
         return points
 
     def surface_m(self) -> FloatArray:
-        """Points (m, 3) of the surface: on the reference line and both edges, or at all lanes."""
+        """Points (m, 3) of the surface: on the reference line and both edges."""
         edges = [lane.outer_m for lane in self.lanes.values()] or [np.zeros(len(self.s_m))]
         sides = [np.zeros(len(self.s_m)), np.min(edges, axis=0), np.max(edges, axis=0)]
-        if len(self.shape.stations_m):
-            sides += edges
         return np.concatenate([self.points_at(t_m) for t_m in sides])
 
 
@@ -134,7 +130,6 @@ def _sample_section(
         points_m=np.column_stack([points, height]),
         left=np.stack([-np.sin(heading), np.cos(heading)], axis=1),
         rise=np.sin(evaluate(ds, road.bank.rebased(starts, inside)[interval])),
-        shape=road.shape,
         lanes={
             lane.number: SampledLane(
                 record=lane, inner_m=t_m[inner_of[lane.number]], outer_m=t_m[lane.number]
@@ -154,7 +149,7 @@ def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray
     cubics: list[PiecewiseCubic] = [road.offset, road.elevation, road.bank]
     for lane in (*section.left, *section.right):
         cubics += [lane.width, lane.border]
-    starts_m = [road.line.starts_m, road.shape.stations_m, *(cubic.starts_m for cubic in cubics)]
+    starts_m = [road.line.starts_m, *(cubic.starts_m for cubic in cubics)]
     inner = np.concatenate(starts_m)
     inner = inner[(inner > section.start_m) & (inner < section.end_m)]
     starts = np.unique(np.append(inner, section.start_m))

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -402,10 +402,10 @@ def read_cubics(
         tuple(take_number(element, key, here) for key in (start_key, *"abcd"))
         for element, here in numbered(parent, tag, where)
     ]
-    return build_cubics([(first_m + start_m, *cubic) for start_m, *cubic in rows])
+    return _build_cubics([(first_m + start_m, *cubic) for start_m, *cubic in rows])
 
 
-def build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
+def _build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
     """From rows of start, a, b, c, d."""
     table = np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64).reshape(-1, 5)
     is_last = np.append(np.diff(table[:, 0]) > 0.0, True)[: len(table)]
@@ -420,41 +420,6 @@ class RoadLink:
     kind: str = ""  # "road", "junction"; empty: nothing
     id: str = ""
     contact: str = ""  # end of the other road: "start" or "end"
-
-
-# ---------- how the surface rises and falls across
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CrossSections:
-    """Heights across a road at some stations; between two of them in proportion."""
-
-    stations_m: FloatArray  # (n,); ascending; none: the road is a line across
-    # height over the distance t to the left of the reference line, one for each station
-    profiles: tuple[PiecewiseCubic, ...]
-
-    def at(self, s_m: FloatArray, t_m: FloatArray) -> FloatArray:
-        """Heights at stations, some metres to the left of the reference line, (k,)."""
-        height = np.zeros(len(s_m))
-        if not len(self.stations_m):
-            return height
-        place = np.interp(s_m, self.stations_m, np.arange(len(self.stations_m)))
-        for index, profile in enumerate(self.profiles):
-            share = np.maximum(1.0 - np.abs(place - index), 0.0)
-            near = share > 0.0
-            height[near] += share[near] * profile.at(np.maximum(t_m[near], profile.starts_m[0]))
-        return height
-
-
-def read_cross_sections(lateral: Element | None, where: str) -> CrossSections:
-    """The shapes of a road's lateral profile; none if all of them are flat."""
-    rows: dict[float, list[tuple[float, ...]]] = defaultdict(list)
-    for piece, here in numbered(lateral, "shape", where):
-        row = tuple(take_number(piece, key, here) for key in ("t", *"abcd"))
-        rows[take_number(piece, "s", here)].append(row)
-    if not any(value for pieces in rows.values() for row in pieces for value in row[1:]):
-        rows.clear()
-    stations = sorted(rows)
-    profiles = tuple(build_cubics(rows[station]) for station in stations)
-    return CrossSections(stations_m=np.array(stations, dtype=np.float64), profiles=profiles)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -499,7 +464,6 @@ class Road:
     before: RoadLink  # at its start
     after: RoadLink  # at its end
     bank: PiecewiseCubic  # roll around the reference line, its left side upwards. [rad]
-    shape: CrossSections  # above the line across that the bank makes
     element: Element  # for objects and signals
     limits: SpeedLimits = ()
 
@@ -525,7 +489,7 @@ class Road:
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
         bank_m = t_m * np.sin(self.bank.at(s_m))
-        height_m = self.elevation.at(s_m) + self.base_m + bank_m + self.shape.at(s_m, t_m)
+        height_m = self.elevation.at(s_m) + self.base_m + bank_m
         return np.column_stack([points + t_m[:, None] * left, height_m]), heading
 
     def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
@@ -560,7 +524,7 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
     rule = element.get("rule", "RHT").upper()
     if rule not in ("RHT", "LHT"):
         raise InputError(f"{where}.rule", rule, "RHT or LHT")
-    lanes, lateral = element.find("lanes"), element.find("lateralProfile")
+    lanes = element.find("lanes")
     before, after = read_links(element)
     return Road(
         id=road_id,
@@ -576,8 +540,7 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
         sections=_read_sections(lanes, where, length_m),
         before=before,
         after=after,
-        bank=read_cubics(lateral, "superelevation", where),
-        shape=read_cross_sections(lateral, where),
+        bank=read_cubics(element.find("lateralProfile"), "superelevation", where),
         element=element,
         limits=_read_limits(element.findall("type"), where),
     )

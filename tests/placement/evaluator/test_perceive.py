@@ -8,7 +8,6 @@ from geometry.actors import MovingActor, PlacedActor, pick_actor
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.poses import Pose, to_world
-from geometry.raycast import open3d_problem
 from geometry.sensors import project_points
 from geometry.study_scene import load_study_scene
 from placement.evaluator.perceive import perceive_frames
@@ -289,19 +288,6 @@ def test_mirrored_world_gives_mirrored_boxes(build_scene, build_run, camera, blo
         flipped = np.column_stack([320.0 - b[:, 2], b[:, 1], 320.0 - b[:, 0], b[:, 3]])
         flipped[~b.any(axis=1)] = 0.0
         assert np.abs(a - flipped).max() <= 1.0
-
-
-@pytest.mark.skipif(open3d_problem() is not None, reason="Open3D cannot load here")
-def test_both_ray_libraries_agree_with_the_boxes(build_scene, build_run, camera):
-    runs = _random_runs(build_run, np.random.default_rng(11), n_frames=6)
-    scene = build_scene(*HOUSES)
-    boxes = perceive_frames(build_surroundings(scene, runs), (MOUNTS[0], camera))
-    for library in ("embree", "open3d"):
-        surroundings = build_surroundings(scene, runs, library=library)
-        for frame in range(len(surroundings.vru_poses)):
-            view = render_frame(surroundings, frame, MOUNTS[0], camera)
-            assert np.abs(boxes.amodal_px[frame] - view.amodal_box_px).max() <= 1.0
-            assert np.abs(boxes.visible_px[frame] - view.visible_box_px).max() <= 1.0
 
 
 def test_two_vuts_are_refused(build_scene, build_run, block):

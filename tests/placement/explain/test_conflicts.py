@@ -41,7 +41,7 @@ def wishes(draw: st.DrawFn) -> tuple[PlacementProblem, Separation | None]:
     problem = draw(questions())
     limits = problem.limits
     if not draw(st.booleans()):
-        return problem, None
+        return replace(problem, limits=replace(limits, rivals=limits.rivals[:0])), None
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     separation = Separation(
         distance_m=20.0,
@@ -83,8 +83,6 @@ def meets(
         if separation is not None and (at_site > limits.site_capacity).any():
             return False
         return not any(at_site[one] and at_site[other] for one, other in limits.rivals)
-    if kind == "forced":
-        return set(np.flatnonzero(limits.is_forced).tolist()) <= set(poses)
     if kind == "forbidden":
         return not limits.is_forbidden[list(poses)].any()
     if kind == "forced_sites":
@@ -95,19 +93,21 @@ def meets(
 def met_together(
     problem: PlacementProblem, separation: Separation | None, demands: Iterable[Demand]
 ) -> list[Poses]:
-    """All sets of poses that meet some demands."""
+    """All sets of poses that meet some demands, and have what is there already."""
     demands = list(demands)
     survives = any(demand.kind == "survive" for demand in demands)
+    forced = set(np.flatnonzero(problem.limits.is_forced).tolist())
     return [
         poses
         for poses in sets_of(problem.table.n_poses)
-        if all(meets(problem, separation, d, poses, survives=survives) for d in demands)
+        if forced <= set(poses)
+        and all(meets(problem, separation, d, poses, survives=survives) for d in demands)
     ]
 
 
-def check_conflicts(problem, separation, **options):
+def check_conflicts(problem, separation):
     demands = Wish(problem, separation).demands
-    found = find_conflicts(problem, separation=separation, **options)
+    found = find_conflicts(problem, separation=separation)
     feasible = [poses for poses in sets_of(problem.table.n_poses) if is_feasible(problem, poses)]
     assert met_together(problem, separation, demands) == feasible
     assert (len(found) == 0) == (len(feasible) > 0)
@@ -181,17 +181,10 @@ def least(problem, separation, demand, others, allowed):
             for poses in allowed
         )
     if kind == "separation":
-        if separation is None:
-            return min(
-                sum({one, other} <= used for one, other in limits.rivals.tolist()) for used in sites
-            )
         return max(
             nearest(limits, separation, poses, used)
             for poses, used in zip(allowed, sites, strict=True)
         )
-    if kind == "forced":
-        forced = set(np.flatnonzero(limits.is_forced).tolist())
-        return min(len(forced - set(poses)) for poses in allowed)
     if kind == "forbidden":
         return min(
             len({limits.site_index[pose] for pose in poses if limits.is_forbidden[pose]})
@@ -224,29 +217,6 @@ def test_conflicts_are_smallest_and_relaxations_are_least(wish):
     check_conflicts(*wish)
 
 
-@given(wish=wishes())
-def test_models_find_the_same_conflicts_without_enumeration(wish):
-    check_conflicts(*wish, max_sets=0)
-
-
-@given(wish=wishes())
-def test_what_is_forced_is_a_fact_where_that_is_asked(wish):
-    problem, separation = wish
-    given = [demand for demand in Wish(problem, separation).demands if demand.kind == "forced"]
-    found = find_conflicts(problem, separation=separation, keeps_forced=True)
-    free = [demand for demand in Wish(problem, separation).demands if demand not in given]
-    is_feasible_at_all = bool(met_together(problem, separation, [*given, *free]))
-    assert (len(found) == 0) == (is_feasible_at_all or not met_together(problem, separation, given))
-    for conflict in found:
-        assert not met_together(problem, separation, [*given, *conflict.demands])
-        for demand in conflict.demands:
-            fewer = [other for other in conflict.demands if other != demand]
-            assert met_together(problem, separation, [*given, *fewer])
-        for relaxation in conflict.relaxations:
-            if relaxation.suffices:
-                assert is_feasible(relaxed(problem, relaxation, separation), relaxation.pose_index)
-
-
 @given(problem=problems())
 def test_what_can_be_met_has_no_conflict(problem):
     assert find_conflicts(problem) == ()
@@ -257,7 +227,7 @@ def test_the_whole_is_the_sum_of_its_demands(wish):
     problem, separation = wish
     whole = Wish(problem, separation)
     part = whole.part(whole.everything)
-    for poses in sets_of(problem.table.n_poses)[:60]:
+    for poses in met_together(problem, separation, [])[:60]:
         assert is_feasible(part, poses) == is_feasible(problem, poses)
         met = whole.met_by(poses, frozenset())
         assert is_feasible(whole.part(met), poses)
@@ -268,7 +238,7 @@ def test_the_whole_is_the_sum_of_its_demands(wish):
 def test_nothing_is_claimed_when_time_is_up(wish):
     problem, separation = wish
     demands = Wish(problem, separation).demands
-    for conflict in find_conflicts(problem, separation=separation, time_limit_s=0.0, max_sets=0):
+    for conflict in find_conflicts(problem, separation=separation, time_limit_s=0.0):
         assert not met_together(problem, separation, conflict.demands)
         for relaxation in conflict.relaxations:
             others = conflict.demands if not relaxation.suffices else demands

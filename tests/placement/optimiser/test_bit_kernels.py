@@ -66,40 +66,6 @@ def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed: int) -> None:
     np.testing.assert_array_equal(unpack_words(joined, 100), expected)
 
 
-@given(SEEDS, st.sampled_from([0.0, 0.02, 0.5]))
-def test_rows_with_a_bit_within_a_mask_are_found(seed: int, share: float) -> None:
-    rng = np.random.default_rng(seed)
-    bits, mask = rng.random((20, 130)) < 0.03, rng.random(130) < share
-    found = np.ones(20, dtype=bool)
-    kernels.have_bits(pack_words(bits), pack_words(mask), found)
-    np.testing.assert_array_equal(found, (bits & mask).any(axis=1))
-
-
-@given(SEEDS)
-def test_mixed_numbers_are_equal_for_rows_that_are_equal_within_a_mask(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(0, 3, (30, 2)).astype(np.uint64)
-    mask = np.array([1, rng.integers(0, 4)], dtype=np.uint64)
-    mixed = np.empty(30, dtype=np.uint64)
-    kernels.mix_rows(rows, mask, mixed)
-    for one, other in combinations(range(30), 2):
-        is_equal = ((rows[one] ^ rows[other]) & mask == 0).all()
-        assert (mixed[one] == mixed[other]) == is_equal  # others differ, so few rows are compared
-
-
-@given(SEEDS, st.integers(1, 3))
-def test_rows_whose_mixed_numbers_collide_are_still_told_apart(seed: int, n_kinds: int) -> None:
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(0, 3, (25, 2)).astype(np.uint64)
-    mask = np.full(2, ~np.uint64(0))
-    mixed = (rows.sum(axis=1) % np.uint64(n_kinds)).astype(np.uint64)
-    slots, number = np.full(64, -1), np.empty(25, dtype=np.int64)
-    n_distinct = kernels.number_rows(rows, mask, mixed, slots, number)
-    distinct = list(dict.fromkeys(map(tuple, rows.tolist())))
-    assert n_distinct == len(distinct)
-    assert number.tolist() == [distinct.index(row) for row in map(tuple, rows.tolist())]
-
-
 def is_used_up(
     sees: BoolArray, site: IntArray, may: BoolArray, capacity: IntArray, pose: int, max_units: int
 ) -> bool:

@@ -15,9 +15,9 @@ from placement.optimiser import (
     placement_value,
     presolve,
 )
-from placement.optimiser.bit_kernels import mix_rows, number_rows, transpose_chosen
+from placement.optimiser.bit_kernels import transpose_chosen
 from placement.optimiser.bitsets import set_values
-from placement.optimiser.presolve import is_dominated, pack_words, unpack_words
+from placement.optimiser.presolve import distinct_rows, is_dominated, pack_words, unpack_words
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]
@@ -79,15 +79,11 @@ def test_rows_are_numbered_by_their_first_appearance(n_rows: int, n_words: int, 
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, 4, (n_rows, n_words)).astype(np.uint64)
     mask = rng.integers(0, 4, n_words).astype(np.uint64)
-    slots, number = np.full(256, -1), np.empty(n_rows, dtype=np.int64)
-    mixed = np.empty(n_rows, dtype=np.uint64)
-    mix_rows(rows, mask, mixed)
-    n_distinct = number_rows(rows, mask, mixed, slots, number)
+    first, number = distinct_rows(rows, mask)
     seen = [tuple(row) for row in (rows & mask).tolist()]
     distinct = list(dict.fromkeys(seen))
-    assert n_distinct == len(distinct)
     assert number.tolist() == [distinct.index(row) for row in seen]
-    assert slots[:n_distinct].tolist() == [seen.index(row) for row in distinct]
+    assert first.tolist() == [seen.index(row) for row in distinct]
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))

@@ -37,7 +37,7 @@ def test_a_certificate_can_be_read_again(problem, document, tmp_path):
     assert [stage.objective for stage in stored.stages] == [
         stage.objective for stage in solution.certificate.stages
     ]
-    assert stored.all_proven
+    assert stored.is_proven
 
 
 def test_an_infinite_gap_survives_json(problem, tmp_path):

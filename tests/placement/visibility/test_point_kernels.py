@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
-from hypothesis import strategies as st
 from numpy_sensing import NumpySensing
 from strategies import angles_deg, cameras, numbers, pitches_deg
 
@@ -14,7 +13,6 @@ from geometry.poses import Pose
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
-from placement.visibility.point_kernels import pack_frames
 from placement.visibility.sensing import build_sensing, cast_for
 
 WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
@@ -164,14 +162,3 @@ def test_any_camera_gets_the_verdicts_of_numpy(world, mount, camera, yaw_deg, pi
     sensing = _sensing(world, [look], DETECTORS["far-sighted"])
     expected = NumpySensing(sensing).detected(look)
     assert np.array_equal(sensing.detected([look])[0], expected)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 70))
-def test_frames_are_packed_as_numpy_packs_them(seed, n_frames):
-    rng = np.random.default_rng(seed)
-    detected = rng.random((3, 2, 5)) < 0.5
-    weather, entry = rng.integers(0, 2, n_frames), rng.integers(-1, 5, n_frames)
-    packed = np.zeros((3, -(-n_frames // 8)), dtype=np.uint8)
-    pack_frames(detected, weather, entry, packed)
-    padded = np.pad(detected, ((0, 0), (0, 0), (0, 1)))[:, weather, entry]
-    assert np.array_equal(packed, np.packbits(padded, axis=1, bitorder="little"))

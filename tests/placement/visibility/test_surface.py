@@ -5,8 +5,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from geometry.actors import load_actors
 from placement.visibility.build import N_POINTS
-from placement.visibility.point_kernels import farthest_samples
-from placement.visibility.views import build_surface
+from placement.visibility.views import build_surface, farthest_samples
 
 BODIES = (("adult", 0), ("adult", 2), ("child", 3), ("cyclist", 1))
 
