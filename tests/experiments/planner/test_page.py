@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from browser_pages import ENGINES, start_browser
+from partial_pages import blank_pictures
 from plan_sessions import few_poses, start_server  # noqa: F401
 from shapely import box
 
@@ -45,6 +46,20 @@ def expect(locator):
 def browser(request, tmp_path_factory):
     with start_browser(request.param, folder=tmp_path_factory.mktemp("browser")) as opened:
         yield opened
+
+
+@pytest.fixture
+def drawn_pictures():
+    """What a camera sees is drawn; without this it is grey, as most tests do not look at it."""
+
+
+@pytest.fixture(autouse=True)
+def grey_pictures(request):
+    if "drawn_pictures" in request.fixturenames:
+        yield
+    else:
+        with blank_pictures():
+            yield
 
 
 @pytest.fixture
@@ -1151,7 +1166,7 @@ def pixels_of(page):
 
 
 def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands(
-    browser, serve, small_setting, tmp_path
+    browser, serve, small_setting, tmp_path, drawn_pictures
 ):
     unit = load_carlancap_layout().units[7]
 
