@@ -894,6 +894,7 @@ def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting,
     assert [type(answer) for answer in answers] == [dict, Cancelled, Cancelled, dict]
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_report_and_sheet_are_those_of_the_command_line(open_client, few_runs, monkeypatch):
     client = open_client(load_carlancap_layout().units[:1])
     sheet = client.get(f"/{TOKEN}/sheet.pdf")
