@@ -90,7 +90,7 @@ def pytest_runtest_teardown(item, nextitem):
 def pytest_addoption(parser):
     """Options of tests/faults/test_fuzz.py."""
     group = parser.getgroup("fuzz", "damaged files")
-    group.addoption("--fuzz-seconds", default=5.0, type=float, help="for all readers together")
+    group.addoption("--fuzz-seconds", default=3.0, type=float, help="for all readers together")
     group.addoption("--fuzz-seed", default=0, type=int, help="another one: other damages")
     group.addoption("--fuzz-keep", default="", help="folder for files that were found")
 

@@ -119,8 +119,9 @@ class Solid:
         return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12))
 
 
+@lru_cache(maxsize=256)
 def build_body(shape: Shape) -> Solid:
-    """A road user at one instant of its gait, in its body frame."""
+    """A road user at one instant of its gait, in its body frame; every evaluation has the same."""
     from scipy.spatial import ConvexHull  # loaded when something is drawn
 
     hull = ConvexHull(shape.vertices_m).vertices
@@ -144,13 +145,19 @@ def build_static(
     standing: Mesh, obstruction: Sequence[PlacedActor], *, middle_m: FloatArray
 ) -> Solid:
     """Everything that stands still: a scene's mesh with the same origin, and parked bodies."""
+    parked = _build_parked(tuple(obstruction), tuple(middle_m.tolist()))
+    return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)))
+
+
+@lru_cache(maxsize=8)
+def _build_parked(obstruction: tuple[PlacedActor, ...], middle_m: tuple[float, float]) -> Mesh:
+    """Parked bodies; layouts that are judged one after the other meet the same ones."""
     vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
     for body in obstruction:
         shape = body.actor.shapes[0]
         triangles.append(shape.triangles.astype(np.int64) + sum(map(len, vertices)))
         vertices.append(to_world(shape.vertices_m, body.pose) - [*middle_m, 0.0])
-    parked = Mesh(vertices_m=np.concatenate(vertices), triangles=np.concatenate(triangles))
-    return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)))
+    return Mesh(vertices_m=np.concatenate(vertices), triangles=np.concatenate(triangles))
 
 
 # ---------- surroundings of runs

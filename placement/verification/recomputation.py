@@ -232,27 +232,30 @@ def _margins_of_bits(problem: "PlacementProblem", bits: NDArray[np.uint8]) -> Fl
     its memory, be it by the next frame that is seen or by the last moment.
     """
     axis, rule = problem.table.axis, problem.rule
-    start, length = axis.run_start[:-1], np.diff(axis.run_start)
     moment_s = axis.last_brake_time_s - rule.latency_s
+    run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
+    is_in_time = axis.time_s <= moment_s[run_of_frame] + EPSILON  # times of a run ascend
+    length = np.bincount(run_of_frame[is_in_time], minlength=axis.n_runs)
+    order = np.argsort(-length, kind="stable")  # runs that have a frame come before all others
+    start, last_s, moment_s = axis.run_start[order], axis.last_brake_time_s[order], moment_s[order]
     margin_s = np.full((len(bits), axis.n_runs), -np.inf)
     in_a_row = np.zeros((len(bits), axis.n_runs), dtype=np.int32)
     seen_s = np.full((len(bits), axis.n_runs), -np.inf)  # when last
     for position in range(int(length.max())):
-        runs = np.flatnonzero(length > position)  # those that have such a frame
-        runs = runs[axis.time_s[start[runs] + position] <= moment_s[runs] + EPSILON]
+        runs = slice(int(np.count_nonzero(length > position)))
         frame = start[runs] + position
-        is_seen = (bits[:, frame // 8] >> (frame % 8).astype(np.uint8)) & 1
+        time_s = axis.time_s[frame]
+        is_seen = (bits[:, frame // 8] & (1 << frame % 8).astype(np.uint8)) > 0
         in_a_row[:, runs] = (in_a_row[:, runs] + 1) * is_seen
-        is_late = axis.time_s[frame] - seen_s[:, runs] > rule.track_memory_s + EPSILON
-        lives = (margin_s[:, runs] > -np.inf) & ~(is_late & (is_seen == 1))
-        alive_s = np.where(lives, margin_s[:, runs], -np.inf)
-        left_s = axis.last_brake_time_s[runs] - (axis.time_s[frame] + rule.latency_s)
+        is_late = time_s - seen_s[:, runs] > rule.track_memory_s + EPSILON
+        alive_s = np.where(is_late & is_seen, -np.inf, margin_s[:, runs])
+        left_s = last_s[runs] - (time_s + rule.latency_s)
         # The first confirmation of a track leaves the most time.
         confirms = in_a_row[:, runs] >= rule.n_confirmations
         margin_s[:, runs] = np.maximum(alive_s, np.where(confirms, left_s, -np.inf))
-        seen_s[:, runs] = np.where(is_seen == 1, axis.time_s[frame], seen_s[:, runs])
+        seen_s[:, runs] = np.where(is_seen, time_s, seen_s[:, runs])
     margin_s[seen_s < moment_s - rule.track_memory_s - EPSILON] = -np.inf
-    return margin_s
+    return margin_s[:, np.argsort(order)]
 
 
 def _blocks(problem: "PlacementProblem", sets: IntArray) -> Iterator[IntArray]:

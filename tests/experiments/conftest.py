@@ -25,8 +25,8 @@ from placement import pipeline
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-FEW_WORLDS = 4
-"""That choose between the layout found and greedy choice's, in place of 60."""
+FEW_WORLDS = 2
+"""That choose between the layout found and greedy choice's, and judge layouts, in place of 60."""
 
 
 @pytest.fixture(scope="session")
@@ -36,8 +36,8 @@ def small_setting():
 
 @pytest.fixture(scope="session")
 def tables(tmp_path_factory):
-    """The cache of detection tables, which most tests share."""
-    return tmp_path_factory.mktemp("tables")
+    """The cache of detection tables, which most tests of all processes share."""
+    return make_once(tmp_path_factory, "tables", lambda folder: None)
 
 
 @pytest.fixture
@@ -46,6 +46,7 @@ def few_runs(small_setting, tables, monkeypatch):
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
     lay_runs_of(monkeypatch, small_setting)
     monkeypatch.setattr(pipeline, "N_JUDGED", FEW_WORLDS)
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", FEW_WORLDS)
     monkeypatch.setattr(poses, "load_candidate_grid", build_small_grid)
     monkeypatch.setattr(baselines, "load_candidate_grid", build_small_grid)
     return small_setting

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from babel.messages.extract import extract_from_file
 from babel.messages.pofile import read_po
-from kept_backdrops import kept_backdrop
 from made_up_language import Bracketed, left_over
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
@@ -259,9 +258,8 @@ def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, as
     assert not page.exists() or not visible_words(page.read_text())
 
 
-@pytest.mark.usefixtures("bracketed")
+@pytest.mark.usefixtures("bracketed", "with_blank_pictures")
 def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
-    monkeypatch.setattr("placement.imaging.picture.build_backdrop", kept_backdrop)
     monkeypatch.setattr(sheet, "build_setting", lambda *given, **options: small_setting)
     texts = []
     keep = PdfPages.savefig

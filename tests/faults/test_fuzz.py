@@ -11,6 +11,7 @@ import random
 import sys
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -168,6 +169,12 @@ def test_every_reader_is_registered() -> None:
     assert found - covered - set(NO_USERS_FILES) == set()
 
 
+@cache
+def _functions_of(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return {one.name for one in tree.body if isinstance(one, ast.FunctionDef)}
+
+
 def test_every_registered_reader_exists() -> None:
     """To import all of them takes long: their files are looked into."""
     for reader in READERS.values():
@@ -175,6 +182,4 @@ def test_every_registered_reader_exists() -> None:
             module, _, function = name.rpartition(".")
             path = ROOT / module.replace(".", "/")
             path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-            text = path.read_text(encoding="utf-8")
-            defined = [one.name for one in ast.parse(text).body if isinstance(one, ast.FunctionDef)]
-            assert function in defined, name
+            assert function in _functions_of(path), name

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -294,6 +294,7 @@ def _recall_rows(m: Measured, words: str, one: Watched) -> list[list[str]]:
 _HDL_LINES, _HDL_FOV_DEG, _HDL_POINTS_PER_S = 64, 26.8, 1.3e6
 
 
+@cache
 def lidar_reach_m() -> float:
     """Distance up to which KITTI's LiDAR returns as many points as this project's rule asks for.
 

@@ -723,7 +723,15 @@ def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never)
 @pytest.mark.system
 def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
     page_of = tiny / "city" / "report.html"
-    with start_browser() as browser, open_page(browser, page_of.as_uri()) as page:
+    with start_browser() as browser:
+        check_who_gets_what(browser, page_of.as_uri())
+        with open_page(browser, page_of.as_uri(), java_script_enabled=False) as page:
+            assert not page.is_visible("#sums")
+            assert page.is_visible("text=The first 3 steps; 2 of them fit into the budget")
+
+
+def check_who_gets_what(browser, address):
+    with open_page(browser, address) as page:
         assert page.is_visible("#sum-chosen")
         assert page.locator("#sum-map span:visible").count() == 2
         slider = page.locator("#sum")
@@ -737,9 +745,3 @@ def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
         page.click("#junctions ~ * a[href^='junctions/']")
         page.wait_for_url("**/junctions/*/report.html")
         assert page.is_visible("text=Look closer")
-    with (
-        start_browser() as browser,
-        open_page(browser, page_of.as_uri(), java_script_enabled=False) as page,
-    ):
-        assert not page.is_visible("#sums")
-        assert page.is_visible("text=The first 3 steps; 2 of them fit into the budget")

@@ -29,9 +29,24 @@ def drive(script, tmp_path, monkeypatch, *arguments):
     return out, world
 
 
+PER_FRAME = (
+    "time_s",
+    "vut_position_m",
+    "vut_yaw_deg",
+    "vru_position_m",
+    "vru_yaw_deg",
+    "vru_shape",
+)
+
+
+def end_of(run, n_frames=40):
+    """Its last frames: the server draws millions of pixels in each."""
+    return replace(run, **{name: getattr(run, name)[-n_frames:] for name in PER_FRAME})
+
+
 @pytest.mark.parametrize("blueprint", RUNS)
 def test_a_script_records_the_run_that_it_was_made_from(blueprint, tmp_path, monkeypatch):
-    run = find_run(RUNS[blueprint], SCENE)
+    run = end_of(find_run(RUNS[blueprint], SCENE))
     if "0048" in blueprint and run.encounter.vru.name != "child":
         pytest.fail("the case has no child any more")
     out, world = drive(to_carla_run(TWO, SCENE, run), tmp_path, monkeypatch, "--map", "Town05")
@@ -57,7 +72,7 @@ def test_a_server_that_fails_gets_its_settings_back(tmp_path, monkeypatch):
 def test_a_folder_that_is_not_empty_is_refused(tmp_path, monkeypatch):
     (tmp_path / "recording").mkdir()
     (tmp_path / "recording" / "old").write_text("")
-    run = find_run("CPNC-50/east/40", SCENE)
+    run = end_of(find_run("CPNC-50/east/40", SCENE))
     with pytest.raises(SystemExit, match="got a folder that is not empty; expected a new one"):
         drive(to_carla_run(TWO, SCENE, run), tmp_path, monkeypatch)
 

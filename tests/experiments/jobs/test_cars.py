@@ -20,7 +20,7 @@ from experiments.progress import StageProgress
 from geometry.errors import InputError
 from placement import candidates as poses
 from placement import pipeline
-from placement.compute import Compute
+from placement.compute import Compute, silent
 from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import apr_one_failed, headline_apr
 from placement.evaluator import evaluate_layout, with_sight
@@ -38,12 +38,17 @@ from placement.sampling.uncertainty import load_drawn
 pytestmark = pytest.mark.usefixtures("without_figures")
 
 
+def cached(progress=silent):
+    """Tables of worlds that were asked about before are not built again."""
+    return Compute(workers=2, cache_folder=cache_folder(), progress=progress)
+
+
 def asked(out, **options):
     progress = StageProgress()
     result = placement.run_placement(
         Question(budget=2, **options),
         out=out,
-        compute=Compute(workers=2, cache_folder=cache_folder(), progress=progress),
+        compute=cached(progress),
         command="place-rsus",
         progress=progress,
     )
@@ -62,7 +67,7 @@ def answers(small_setting, tables, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PLACE_RSUS_CACHE", str(tables))
         lay_runs_of(patch, small_setting)
-        patch.setattr(pipeline, "N_JUDGED", 4)
+        patch.setattr(pipeline, "N_JUDGED", 2)
         patch.setattr(poses, "load_candidate_grid", build_small_grid)
         patch.setattr(baselines, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
@@ -126,10 +131,12 @@ def test_the_table_has_what_the_evaluator_sees_from_the_car(small_study):
 
 
 def test_blind_cars_are_asked_about_as_before(small_study):
-    without, blind = assemble(Question(budget=2)), assemble(Question(budget=2, cars="0"))
+    without, blind, see = (
+        assemble(question, compute=cached())
+        for question in (Question(budget=2), *(Question(budget=2, cars=cars) for cars in "01"))
+    )
     assert without.problem.seen_by_vut is blind.problem.seen_by_vut is None
     assert with_sight(small_study) is small_study
-    see = assemble(Question(budget=2, cars="1"))
     assert see.problem.table.n_poses == blind.problem.table.n_poses
     assert see.problem.seen_by_vut is not None
 
@@ -144,7 +151,7 @@ def test_comparisons_follow(small_study, tmp_path):
             Question(cars=cars),
             layouts=[first, layout],
             out=tmp_path / cars,
-            compute=Compute(workers=2, progress=progress),
+            compute=cached(progress),
             command="place-rsus compare",
             progress=progress,
         )
@@ -202,7 +209,7 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
         change = {"detector": load_detector("response")}
         change["table_detector"] = load_planning_detector("response")
         lay_runs_of(monkeypatch, replace(small_study, **change))
-    assembly = assemble(question)
+    assembly = assemble(question, compute=cached())
     seen = assembly.problem.seen_by_vut
     n_frames = small_study.axis.n_frames
     assert seen.shape == (2 * n_frames,)
@@ -229,7 +236,7 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
 def test_a_share_of_the_cars_sees_in_sampled_worlds(small_study, tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
     problems = {
-        cars: assemble(Question(budget=2, cars=cars, samples=2)).problem
+        cars: assemble(Question(budget=2, cars=cars, samples=2), compute=cached()).problem
         for cars in ("blind", "0.3", "see")
     }
     for chosen in ([], [0], [1, 4]):

@@ -115,8 +115,8 @@ def test_sampled_worlds_are_explained_and_lose_the_messages_asked_for(
 @pytest.mark.usefixtures("small_study", "without_figures")
 def test_the_number_of_worlds_is_told_and_gives_the_same_answer(tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
-    monkeypatch.setattr(certify, "N_JUDGED", 4)
-    monkeypatch.setattr(pipeline, "N_JUDGED", 4)
+    monkeypatch.setattr(certify, "N_JUDGED", 2)
+    monkeypatch.setattr(pipeline, "N_JUDGED", 2)
     found = place(tmp_path / "auto", samples="auto")
     growth = found["sampled"]["growth"]
     assert found["sampled"]["chosen_in"] == growth["taken"]

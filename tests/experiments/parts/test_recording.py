@@ -1,4 +1,5 @@
 import json
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from oracles import naive_confirmed
 
 from experiments.cli.recording import recording_text
 from experiments.jobs.verify import run_verification
+from experiments.parts import recording as part
 from experiments.parts.recording import RecordedResult, run_recorded_placement, run_recording
 from experiments.progress import StageProgress
 from experiments.results.record import to_plain
@@ -119,7 +121,9 @@ def test_every_partys_apr_is_that_of_the_definition(tmp_path):
 
 @pytest.mark.parametrize("fusion", ["any", "single"])
 @pytest.mark.parametrize(("seed", "share"), [(1, 0.4), (2, 0.5), (3, 0.6)])
-def test_no_other_choice_of_units_prevents_more(tmp_path, fusion, seed, share):
+def test_no_other_choice_of_units_prevents_more(tmp_path, monkeypatch, fusion, seed, share):
+    # Hundreds of files are read once for all budgets.
+    monkeypatch.setattr(part, "read_recording", cache(part.read_recording))
     detected, speeds = _write(tmp_path / "data", _random(seed, share))
     for budget in (1, 2, 3, N_UNITS):
         summary = _place(tmp_path / "data", budget_units=budget, fusion=fusion)

@@ -19,6 +19,7 @@ from experiments.parts.schema import SCHEMA_FILE, schema_text
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
 from placement import candidates as poses
+from placement import pipeline
 from placement.explain.agreement import Disagreement
 from placement.layout import RESULT_SCHEMAS, Layout, load_carlancap_layout
 from placement.setting import Radio
@@ -252,10 +253,12 @@ def test_evaluations_and_comparisons_are_as_the_schema_says(run, tmp_path, layou
 @pytest.mark.usefixtures("without_figures")
 def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     """Every key of it is needed or known, and every number is a number."""
-    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
+    monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
+    monkeypatch.setattr(pipeline, "N_JUDGED", 2)
     monkeypatch.setattr(placement, "find_baseline", build_small_baseline)
     monkeypatch.setattr(poses, "load_candidate_grid", build_small_grid)
-    options = ("--budget", 2, "--samples", 2, "--cases", "CPNCO-50,CBLA", "--speeds", "30,40")
+    cases = ("--cases", "CPNCO-50,CBLA", "--speeds", "30,40", "--along-arms", "0")
+    options = ("--budget", 2, "--samples", 2, *cases)
     summary = written(run, tmp_path / "out", *options)
     assert messages(summary) == []
     assert plain(load_result(tmp_path / "out").summary) == summary

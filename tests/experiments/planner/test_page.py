@@ -17,6 +17,7 @@ from browser_pages import ENGINES, start_browser
 from city_maps import write_city
 from made_up_language import Bracketed, left_over
 from osm_text import OsmText
+from partial_pages import blank_pictures
 from PIL import Image
 from plan_sessions import few_poses, start_server  # noqa: F401
 from pyproj import Transformer
@@ -60,6 +61,20 @@ def expect(locator):
 def browser(request, tmp_path_factory):
     with start_browser(request.param, folder=tmp_path_factory.mktemp("browser")) as opened:
         yield opened
+
+
+@pytest.fixture
+def drawn_pictures():
+    """What a camera sees is drawn; without this it is grey, as most tests do not look at it."""
+
+
+@pytest.fixture(autouse=True)
+def grey_pictures(request):
+    if "drawn_pictures" in request.fixturenames:
+        yield
+    else:
+        with blank_pictures():
+            yield
 
 
 @pytest.fixture
@@ -1174,7 +1189,7 @@ def pixels_of(page):
 
 
 def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands(
-    browser, serve, small_setting, tmp_path
+    browser, serve, small_setting, tmp_path, drawn_pictures
 ):
     unit = load_carlancap_layout().units[7]
 

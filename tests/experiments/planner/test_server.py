@@ -19,6 +19,7 @@ from osm_text import OsmText, crossing
 from PIL import Image
 from plan_sessions import InThread, few_poses, small_session, small_work  # noqa: F401
 from shapely import box
+from small_results import lay_runs_of
 
 pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 pytest.importorskip("httpx2", reason="starlette's test client needs httpx2")
@@ -46,6 +47,8 @@ from placement.compute import Compute
 from placement.ground import load_private_ground
 from placement.layout import load_carlancap_layout, load_layout
 from placement.question import Question
+from scenarios.runs import build_frame_axis
+from scenarios.weights import weight_per_run
 
 TOKEN = "a-token"
 HOST = "127.0.0.1:8000"
@@ -58,9 +61,9 @@ def open_client(tmp_path, small_setting, few_poses):  # noqa: F811
     """A client of a session with some units, and the line to it."""
     clients = []
 
-    def make(units=(), **given):
+    def make(units=(), *, setting=small_setting, **given):
         variants = [Variant(name="mine", units=tuple(units))] if units else []
-        session = small_session(tmp_path, small_setting, variants=variants, **given)
+        session = small_session(tmp_path, setting, variants=variants, **given)
         app = build_app(session, token=TOKEN, hosts=frozenset({HOST}))
         client = TestClient(app, base_url=f"http://{HOST}")
         client.__enter__()
@@ -230,23 +233,27 @@ def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
 
 
 LENSES = {
-    "brown-conrady": ("k1 = -0.12, p1 = 0.001", 90.0, "fov_range_deg = [50.0, 100.0]"),
-    "fisheye": ("k1 = -0.02, k2 = 0.003", 190.0, "roll_deg = 3.0"),
+    "brown-conrady": (480, "k1 = -0.12, p1 = 0.001", 90.0, "fov_range_deg = [50.0, 100.0]"),
+    "fisheye": (960, "k1 = -0.02, k2 = 0.003", 190.0, "roll_deg = 3.0"),
 }
 
 
 @pytest.mark.parametrize("model", LENSES)
 def test_a_camera_with_a_lens_is_planned_seen_and_judged(
-    open_client, join, few_runs, tmp_path, model
+    open_client, join, few_runs, tmp_path, monkeypatch, model
 ):
-    terms, fov_deg, more = LENSES[model]
+    runs = tuple(run for run in few_runs.runs if run.case.name == "CBLA")
+    setting = replace(few_runs, runs=runs, axis=build_frame_axis(runs, weight_per_run(runs)))
+    lay_runs_of(monkeypatch, setting)
+    height_px, terms, fov_deg, more = LENSES[model]
     path = tmp_path / "own.toml"
     path.write_text(
-        f"[cameras.bent]\nwidth_px = 1280\nheight_px = 960\nhorizontal_fov_deg = {fov_deg}\n"
+        f"[cameras.bent]\nwidth_px = {4 * height_px // 3}\nheight_px = {height_px}\n"
+        f"horizontal_fov_deg = {fov_deg}\n"
         "frame_rate_hz = 10.0\nnear_m = 0.5\nprice_eur = 900.0\n"
         f'lens = {{model = "{model}", {terms}}}\n{more}\n'
     )
-    client = open_client(asked={"sensors": str(path)})
+    client = open_client(setting=setting, asked={"sensors": str(path)})
     line = join(client)
     line.send(do="add", site="corner-ne", sensor="bent")
     (unit,) = line.state()["units"]
@@ -266,7 +273,8 @@ def test_a_camera_with_a_lens_is_planned_seen_and_judged(
         progress=StageProgress(),
     )
     assert exact["record"] == json.loads(to_json_text(result.evaluation))
-    run_id = few_runs.axis.run_ids[0]
+    assert result.evaluation.rsu_all.all > 0.0
+    run_id = setting.axis.run_ids[0]
     picture = client.get(f"/{TOKEN}/picture", params={"run": run_id, "unit": "U1", "frame": "-5"})
     assert picture.content[:2] == b"\xff\xd8"
     assert client.get(f"/{TOKEN}/sheet.pdf").content.startswith(b"%PDF")
@@ -888,6 +896,7 @@ def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting,
     assert [type(answer) for answer in answers] == [dict, Cancelled, Cancelled, dict]
 
 
+@pytest.mark.usefixtures("with_blank_pictures")
 def test_report_and_sheet_are_those_of_the_command_line(open_client, few_runs, monkeypatch):
     client = open_client(load_carlancap_layout().units[:1])
     sheet = client.get(f"/{TOKEN}/sheet.pdf")

@@ -7,12 +7,10 @@ import pytest
 from click.testing import CliRunner
 from scipy.special import ndtr
 
+from experiments.study.reality import __main__ as command
 from experiments.study.reality import report, response
-from experiments.study.reality.__main__ import main
 from experiments.study.reality.projection import (
     body_boxes,
-    measure_flags,
-    measure_pets_heights,
     nearest_pinhole,
     pets_tracks,
     tilted,
@@ -153,14 +151,22 @@ def folder(tmp_path_factory):
     return place
 
 
-@pytest.fixture(autouse=True)
-def two_sequences(monkeypatch):
-    for module in (report, response):
-        monkeypatch.setattr(module, "KITTI_SEQUENCES", (0, 16))
+@pytest.fixture(scope="module", autouse=True)
+def two_sequences():
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (report, response):
+            patch.setattr(module, "KITTI_SEQUENCES", (0, 16))
+        yield
 
 
-def test_bodies_that_this_camera_drew_have_the_height_that_it_predicts(folder):
-    heights = measure_pets_heights(folder)
+@pytest.fixture(scope="module")
+def measured(folder):
+    """All that the command measures."""
+    return report.measure(folder)
+
+
+def test_bodies_that_this_camera_drew_have_the_height_that_it_predicts(measured):
+    heights = measured.heights
     assert np.quantile(heights.ratio, [0.05, 0.5, 0.95]) == pytest.approx(1.0, abs=0.02)
     assert abs(heights.tilt_deg.value) <= 0.1
 
@@ -188,24 +194,24 @@ def test_a_camera_tilted_down_shows_the_same_point_higher_up(folder):
     )
 
 
-def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(folder):
-    flags = measure_flags(folder)
+def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(folder, measured):
+    flags = measured.flags
     assert [flag.agreed for flag in flags] == [1.0] * 7
     assert min(flag.agreed_pinhole for flag in flags) < 1.0
     assert len(read_wildtrack(folder / "OpenTraj/datasets/Wild-Track/annotations_positions")) == 7
 
 
-def test_what_was_drawn_is_counted(folder):
+def test_what_was_drawn_is_counted(folder, measured):
     det = folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt"
     n_found = len(det.read_text().splitlines())
-    watched = response.watch_pets(folder)
+    watched = measured.pole
     assert int(watched.sightings.is_found.sum()) == n_found
     assert len(watched.sightings) == N_PEOPLE * N_FRAMES
     everybody = response.recall_of(watched.sightings, "all")
     assert everybody.measured.value == pytest.approx(n_found / (N_PEOPLE * N_FRAMES))
     groups = response.recalls(watched, watched.distance_m, (0.0, 21.0, np.inf), "m")
     assert [group.tracks for group in groups] == [5, 5]
-    car = response.watch_kitti(folder, name="car-2019", class_name="pedestrian")
+    car = measured.car
     assert sorted(set(car.hidden_level.tolist())) == [0, 1, 2]
     assert car.halves["sequence"].sum() == 200
 
@@ -232,9 +238,11 @@ def test_phi_is_that_of_two_states_and_their_chances():
     assert found.value == pytest.approx(0.5, abs=0.06)
 
 
-def test_the_command_writes_page_figures_and_tables(folder, tmp_path):
+def test_the_command_writes_page_figures_and_tables(folder, measured, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "measure", {folder: measured}.__getitem__)
     result = CliRunner().invoke(
-        main, [str(folder), "--out", str(tmp_path / "out"), "--tables", str(tmp_path / "tables")]
+        command.main,
+        [str(folder), "--out", str(tmp_path / "out"), "--tables", str(tmp_path / "tables")],
     )
     assert result.exit_code == 0, result.output
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -254,6 +262,6 @@ def test_the_command_writes_page_figures_and_tables(folder, tmp_path):
 
 
 def test_a_missing_recording_is_told_in_one_line(tmp_path):
-    result = CliRunner().invoke(main, [str(tmp_path), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(command.main, [str(tmp_path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert "PETS2009-S2L1.xml: got No such file or directory" in result.output

@@ -108,17 +108,19 @@ def opencv_rays(camera):
 
 def depths(ways, near, corners):
     """Depths (n,) at which rays (n, 3), one deep, first meet triangles (m, 3, 3), by Cramer."""
-    first = np.full(len(ways), np.inf)
-    for a, b, c in corners[(corners[..., 2] > 0.0).any(axis=1)]:
-        across = np.cross(ways, c - a)
-        volume = across @ (b - a)
+    first, lengths = np.full(len(ways), np.inf), np.linalg.norm(ways, axis=1)[:, None]
+    corners = corners[(corners[..., 2] > 0.0).any(axis=1)]
+    n_parts = 1 + len(ways) * len(corners) // 200_000
+    for a, b, c in (np.moveaxis(part, 1, 0) for part in np.array_split(corners, n_parts)):
+        # (ways x (c - a)) . x is ways . ((c - a) x x)
+        q = np.cross(-a, b - a)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u = -(across @ a) / volume
-            q = np.cross(-a, b - a)
-            v = (ways @ q) / volume
-            t = ((c - a) @ q) / volume
-        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t * np.linalg.norm(ways, axis=1) >= near)
-        first[hit] = np.minimum(first[hit], t[hit])
+            volume = ways @ np.cross(c - a, b - a).T
+            u = -(ways @ np.cross(c - a, a).T) / volume
+            v = (ways @ q.T) / volume
+            t = ((c - a) * q).sum(axis=1) / volume
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t * lengths >= near)
+        first = np.minimum(first, np.where(hit, t, np.inf).min(axis=1, initial=np.inf))
     return first
 
 
@@ -153,11 +155,10 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
             others.append((surroundings.vehicles[kind], at))
         body = corners_in_camera(vru, surroundings.vru_poses[frame], MOUNT)
         depth = depths(ways, small.near_m, body)
-        before = np.full(len(ways), np.inf)
-        for solid, at in others:
-            before = np.minimum(
-                before, depths(ways, small.near_m, corners_in_camera(solid, at, MOUNT))
-            )
+        before, hit = np.full(len(ways), np.inf), np.isfinite(depth)
+        for solid, at in others if hit.any() else []:
+            corners = corners_in_camera(solid, at, MOUNT)
+            before[hit] = np.minimum(before[hit], depths(ways[hit], small.near_m, corners))
         for name, mask in (
             ("amodal_px", np.isfinite(depth)),
             ("visible_px", np.isfinite(depth) & ~(before < depth - 1e-3)),
