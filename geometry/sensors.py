@@ -67,6 +67,11 @@ class CameraModel:
             why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
         expected = f"0 < degrees < {most_deg:g}{why}"
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)
+        if self.bent is not None:
+            shown = self.bent.shown_at(0.5 * math.radians(self.horizontal_fov_deg))
+            check(
+                "lens", math.isfinite(self.bent.angle_of(shown)), "terms that it can be drawn with"
+            )
         for field, low, high in (("pixel_aspect", 0.5, 2.0), ("roll_deg", -180.0, 180.0)):
             value = getattr(self, field)
             check(field, value is None or low <= value <= high, f"{low:g} .. {high:g}")
