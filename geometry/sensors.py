@@ -80,6 +80,7 @@ class CameraModel:
             check("principal_point", is_inside, "[x, y] in the picture, 0 .. 1")
         for field in ("frame_rate_hz", "near_m"):
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
+        check("frame_rate_hz", self.frame_rate_hz >= limits.least_frame_rate_hz, limits.frame_rate)
         is_price = 0.0 <= self.price_eur <= limits.price_eur
         check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
         if self.fov_range_deg is not None:
@@ -327,9 +328,15 @@ def _angles_rad(rays: FloatArray, camera: CameraModel) -> FloatArray:
 # ---------- largest values of sensors and sites
 class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     camera_pixels: int
+    least_frame_rate_hz: float
     lidar_points_per_frame: int
     price_eur: float
     capacity_units: int
+
+    @property
+    def frame_rate(self) -> str:
+        """What is expected of frame rates, in words."""
+        return f"at least {self.least_frame_rate_hz:g}: so often all units are taken to look"
 
 
 @cache
