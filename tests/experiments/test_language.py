@@ -34,6 +34,7 @@ from experiments.language import (
 )
 from experiments.parts import latency as latency_part
 from experiments.parts import section, sheet
+from experiments.parts.alternatives import doubt_sentences
 from experiments.report.page import page_environment
 from geometry.catalogue import load_cameras, load_lidars
 from geometry.files import load_data
@@ -44,6 +45,7 @@ from geometry.weather import load_weathers
 from placement.detectors import ResponseDetector, load_detector
 from placement.detectors.built_in import DETECTOR_NAMES, LIDAR_NAMES
 from placement.detectors.evidence import VRU_CLASSES
+from placement.explain.alternatives import ByRuns
 from placement.optimiser.problem import Objective
 from placement.setting import Radio
 from placement.wishes import assumed_prices, load_prices
@@ -380,3 +382,11 @@ def test_words_of_scripts_are_in_the_page():
     assert set(asked) <= set(words)
     with speaking("en"):
         assert not page_environment().get_template("words.html.j2").render().strip()
+
+
+def test_counted_runs_stand_in_german_where_the_nominative_does():
+    both = ByRuns(units=("a",), runs_avoided=65, runs_avoided_here=64, is_proven=True)
+    for found in (both, replace(both, is_proven=False)):
+        with speaking("de"):
+            (text,) = doubt_sentences((), found, n_runs=107)
+        assert "65, diese hier 64 (insgesamt 107 Läufe, auf" in text
