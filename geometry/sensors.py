@@ -80,7 +80,8 @@ class CameraModel:
             check("principal_point", is_inside, "[x, y] in the picture, 0 .. 1")
         for field in ("frame_rate_hz", "near_m"):
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
-        check("frame_rate_hz", self.frame_rate_hz >= limits.least_frame_rate_hz, limits.frame_rate)
+        often = f"at least {limits.least_frame_rate_hz:g}: so often all units are taken to look"
+        check("frame_rate_hz", self.frame_rate_hz >= limits.least_frame_rate_hz, often)
         is_price = 0.0 <= self.price_eur <= limits.price_eur
         check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
         if self.fov_range_deg is not None:
@@ -332,11 +333,6 @@ class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     lidar_points_per_frame: int
     price_eur: float
     capacity_units: int
-
-    @property
-    def frame_rate(self) -> str:
-        """What is expected of frame rates, in words."""
-        return f"at least {self.least_frame_rate_hz:g}: so often all units are taken to look"
 
 
 @cache
