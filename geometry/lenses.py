@@ -18,6 +18,7 @@ from .errors import InputError
 
 Powers = tuple[float, ...]  # coefficients of a polynomial, the highest power first
 _STEPS = 100
+_MOST_STEPS = 300  # of one radius: with large terms the first is far off
 _NEAR = 1.0e-13  # of a shown point: where Newton's method ends
 _LEAST_STEP = 1.0e-4  # share of a step of its
 _FOUND = 1.0e-10  # what is farther off is not shown
@@ -247,7 +248,7 @@ def _invert(powers: Powers, values: FloatArray, most: float) -> FloatArray:
     low, high = np.zeros_like(values), np.full_like(values, most)
     found = np.minimum(wanted, most)
     near = 1.0 + wanted
-    for _ in range(_STEPS):
+    for _ in range(_MOST_STEPS):
         lacks = np.polyval(powers, found) - wanted
         if not (abs(lacks) > _NEAR * near).any():
             break

@@ -56,6 +56,8 @@ class LidarModel:
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
         check("range_noise_m", 0.0 <= self.range_noise_m < math.inf, "a number, at least 0")
         limits = load_limits()
+        often = f"at least {limits.least_frame_rate_hz:g}: so often all units are taken to look"
+        check("frame_rate_hz", self.frame_rate_hz >= limits.least_frame_rate_hz, often)
         is_price = 0.0 <= self.price_eur <= limits.price_eur
         check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
         check("near_m", self.near_m < self.range_m, "metres, less than range_m")

@@ -67,6 +67,11 @@ class CameraModel:
             why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
         expected = f"0 < degrees < {most_deg:g}{why}"
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)
+        if self.bent is not None:
+            shown = self.bent.shown_at(0.5 * math.radians(self.horizontal_fov_deg))
+            check(
+                "lens", math.isfinite(self.bent.angle_of(shown)), "terms that it can be drawn with"
+            )
         for field, low, high in (("pixel_aspect", 0.5, 2.0), ("roll_deg", -180.0, 180.0)):
             value = getattr(self, field)
             check(field, value is None or low <= value <= high, f"{low:g} .. {high:g}")
@@ -75,6 +80,8 @@ class CameraModel:
             check("principal_point", is_inside, "[x, y] in the picture, 0 .. 1")
         for field in ("frame_rate_hz", "near_m"):
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
+        often = f"at least {limits.least_frame_rate_hz:g}: so often all units are taken to look"
+        check("frame_rate_hz", self.frame_rate_hz >= limits.least_frame_rate_hz, often)
         is_price = 0.0 <= self.price_eur <= limits.price_eur
         check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
         if self.fov_range_deg is not None:
@@ -322,6 +329,7 @@ def _angles_rad(rays: FloatArray, camera: CameraModel) -> FloatArray:
 # ---------- largest values of sensors and sites
 class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     camera_pixels: int
+    least_frame_rate_hz: float
     lidar_points_per_frame: int
     price_eur: float
     capacity_units: int

@@ -153,6 +153,7 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
 EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
+_FARTHEST_M = 20_000.0  # beyond the horizon of every pole: the file is of another place
 _MAX_COORDINATE_M = 1.0e8  # of the world frame: more than twice around the earth
 _MAX_PLACES = 64  # of sensors, from which is known what lies open
 
@@ -172,7 +173,7 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
 
     A column "name" or "id" names an area. Raises InputError if the file cannot be read, has no
-    polygon, or lies on earth while the scene does not.
+    polygon, is of another place, or lies on earth while the scene does not.
     """
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
@@ -198,7 +199,12 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         # make_valid() takes neither what is not finite nor what is beyond any place.
         if not (np.abs(shapely.get_coordinates(world)) < _MAX_COORDINATE_M).all():
             refuse(feature.where, "coordinates that cannot be", "a polygon")
-        areas.append((name, shapely.make_valid(world)))
+        area = shapely.make_valid(world)
+        away_m = float(shapely.distance(area, shapely.MultiPoint(scene.outline_m)))
+        if away_m > _FARTHEST_M:
+            got = f"an area {away_m / 1000.0:,.0f} km away from the junction"
+            refuse(feature.where, got, f"areas within {_FARTHEST_M / 1000.0:g} km of it")
+        areas.append((name, area))
     if not areas:
         refuse(str(path), "no polygon", "areas that cameras must not look into")
     return build_private_ground(areas)

@@ -124,7 +124,14 @@ def build_explained_record(
 
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
-    """Sentences on the units that something depends on."""
+    """Sentences on the units that something depends on, and on what is counted."""
+    sentences, saved = _dependence(explained), [part.only_runs for part in explained.contributions]
+    if any("#" in run for runs in saved for run in runs):
+        sentences.append(tr("Runs count once in each of the sampled worlds."))
+    return sentences
+
+
+def _dependence(explained: ExplainedRecord) -> list[str]:
     parts = explained.contributions
     needed = [part for part in parts if part.only_runs]
     if all(part.without.apr + part.marginal_apr <= 0.0 for part in parts):

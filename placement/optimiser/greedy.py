@@ -47,11 +47,11 @@ def forced_units(reduced: ReducedProblem) -> IntArray:
 def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     """Add poses to `units` one by one, the best first, as long as there is room.
 
-    With few or cheap units as the goal it stops when the floors are reached.
+    With few or cheap units as the goal it stops when the floors are reached, one unit at least.
     """
     is_enough = reduced.objectives[0].is_minimised
     while len(units) < reduced.limits.max_units:
-        if is_enough and set_values(reduced, units[None, :]).lacking[0] == 0.0:
+        if is_enough and len(units) and set_values(reduced, units[None, :]).lacking[0] == 0.0:
             break
         free = np.flatnonzero(fitting(reduced.limits, units))
         if not len(free):

@@ -35,6 +35,7 @@ from experiments.language import (
 )
 from experiments.parts import latency as latency_part
 from experiments.parts import section, sheet
+from experiments.parts.alternatives import doubt_sentences
 from experiments.planner.server import page_html, page_messages
 from experiments.report.page import page_environment
 from geometry.files import load_data
@@ -45,6 +46,7 @@ from geometry.weather import load_weathers
 from placement.detectors import ResponseDetector, load_detector
 from placement.detectors.built_in import DETECTOR_NAMES, LIDAR_NAMES
 from placement.detectors.evidence import VRU_CLASSES
+from placement.explain.alternatives import ByRuns
 from placement.optimiser.problem import Objective
 from placement.setting import Radio
 from placement.wishes import assumed_prices, load_prices
@@ -400,3 +402,11 @@ def test_what_the_planner_refuses_is_known():
         left = {text: {*left_over(said(text))} - {"json"} for text in texts}
     assert len(left) > 60
     assert not {text: words for text, words in left.items() if words}
+
+
+def test_counted_runs_stand_in_german_where_the_nominative_does():
+    both = ByRuns(units=("a",), runs_avoided=65, runs_avoided_here=64, is_proven=True)
+    for found in (both, replace(both, is_proven=False)):
+        with speaking("de"):
+            (text,) = doubt_sentences((), found, n_runs=107)
+        assert "65, diese hier 64 (insgesamt 107 Läufe, auf" in text

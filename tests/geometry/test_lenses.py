@@ -7,6 +7,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from strategies import cameras, numbers, poses
 
+from geometry.catalogue import pick_camera
 from geometry.errors import InputError
 from geometry.lenses import (
     BrownConrady,
@@ -17,7 +18,7 @@ from geometry.lenses import (
     project_distorted,
 )
 from geometry.poses import camera_rotation
-from geometry.sensors import is_shown, picture_rays, project_points, shown_points
+from geometry.sensors import is_shown, picture_rays, pixel_grid, project_points, shown_points
 
 TERMS = st.tuples(*[numbers(-0.4, 0.4)] * 2, *[numbers(-0.02, 0.02)] * 2, numbers(-0.2, 0.2))
 LENSES = st.one_of(
@@ -182,6 +183,15 @@ def test_to_undistort_what_is_distorted_finds_the_ray_again(lens, seed):
 def test_what_is_too_far_out_for_numbers_is_not_shown():
     assert np.isnan(BrownConrady(k1=0.1, k3=0.2).angle_of(1e300))
     assert np.isnan(TsaiRadial(kappa=-0.1).shown_radius(np.array([1e300]))).all()
+
+
+def test_large_terms_show_the_whole_picture_and_endless_ones_are_refused():
+    lens = BrownConrady(k3=1e9)
+    assert lens.angle_of(lens.shown_at(0.9)) == pytest.approx(0.9)
+    wide = replace(pick_camera("carla-ncap-rgb", "name"), lens=lens)
+    assert np.isfinite(pixel_grid(replace(wide, width_px=64, height_px=36))).all()
+    with pytest.raises(InputError, match=r"carla-ncap-rgb.lens: got .*1e\+300.*; expected terms"):
+        replace(wide, lens=BrownConrady(k1=1e300))
 
 
 @given(LENSES, numbers(0.05, 0.9))

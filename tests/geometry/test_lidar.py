@@ -280,6 +280,10 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
         ({"near_m": 0.0}, "near_m: got 0.0; expected a positive number"),
         ({"near_m": 300.0}, "near_m: got 300.0; expected metres, less than range_m"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz: got 0.0; expected a positive number"),
+        (
+            {"frame_rate_hz": 5.0},
+            "frame_rate_hz: got 5.0; expected at least 10: so often all units are taken to look",
+        ),
         ({"range_noise_m": -0.1}, "range_noise_m: got -0.1; expected a number, at least 0"),
         ({"price_eur": math.nan}, "price_eur: got nan; expected euros, 0 to 1,000,000,000"),
         (

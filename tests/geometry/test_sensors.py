@@ -85,6 +85,11 @@ def test_what_lies_behind_the_camera_has_no_pixel(camera):
             "cam.horizontal_fov_deg: got nan; expected 0 < degrees < 180",
         ),
         ({"frame_rate_hz": 0.0}, "cam.frame_rate_hz: got 0.0; expected a positive number"),
+        (
+            {"frame_rate_hz": 5.0},
+            "cam.frame_rate_hz: got 5.0; expected at least 10: so often "
+            "all units are taken to look",
+        ),
         ({"near_m": math.inf}, "cam.near_m: got inf; expected a positive number"),
         ({"price_eur": -1.0}, "cam.price_eur: got -1.0; expected euros, 0 to 1,000,000,000"),
         (

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars
 from geometry.poses import Pose
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
-from placement.ground import build_private_ground, private_shares
+from placement.ground import build_private_ground, load_private_ground, private_shares
 
+YARD = Path(__file__).parents[2] / "docs/maps/school_yard.geojson"
 CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
@@ -69,6 +72,14 @@ def test_areas_that_cannot_be_are_refused():
         build_private_ground([("line", Polygon())])
     with pytest.raises(InputError, match="square metres; expected at most 20,000"):
         build_private_ground([("park", box(0, 0, 1000, 1000))])
+
+
+def test_areas_of_another_place_are_refused():
+    told = (
+        r"school_yard.geojson.*: got an area [0-9,]+ km away from the junction; expected areas with"
+    )
+    with pytest.raises(InputError, match=told):
+        load_private_ground(YARD, load_study_scene())
 
 
 def test_the_pole_that_carries_a_camera_hides_nothing():

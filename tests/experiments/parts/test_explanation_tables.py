@@ -90,6 +90,11 @@ def test_units_that_something_hangs_on_are_counted():
     assert contribution_sentences(explained(contributions=[idle, idle])) == [
         "These units avoid nothing."
     ]
+    in_worlds = explained(contributions=[alone | {"only_runs": ["r1#0", "r1#1"]}])
+    assert contribution_sentences(in_worlds) == [
+        "Everything that is avoided depends on this one unit.",
+        "Runs count once in each of the sampled worlds.",
+    ]
     table = contribution_table(both, {"a": "#1"})
     assert table.rows[0] == [
         "#1", "4", "40.0 %", "50.0 %", "0.25", "1.50", "0.30", "0.90",

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
-from placement.optimiser import PlacementProblem, presolve, solve_greedy
+from placement.optimiser import Floor, PlacementProblem, presolve, solve_greedy, solve_placement
 from placement.optimiser.allowed_sets import is_allowed
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.greedy import (
@@ -110,6 +110,16 @@ def test_poses_without_a_chance_are_drawn_only_by_greedy_choice(
     found = search_from_many_starts(reduced, limit, chance=lambda: chance)
     assert found is not None
     assert to_full(reduced, found) == tuple(sorted(to_full(reduced, found)))
+
+
+def test_greedy_choice_has_a_unit_where_a_target_needs_none() -> None:
+    from small_tables import avoiding_problem
+
+    none_asked = Floor(name="target", share=0.0)
+    problem = avoiding_problem(["100", "011"], budget_units=2)
+    few = replace(problem, goal="fewest", floors=(none_asked,))
+    assert solve_greedy(few) == (1,)
+    assert solve_placement(few).pose_index == (1,)
 
 
 def test_greedy_search_gives_rows_of_the_table_in_order() -> None:
