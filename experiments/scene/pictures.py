@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from geometry.scene import Scene, road_area
 from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
 from ..figures.labels import Label, arm_names, draw_labels
 from ..figures.plan import draw_scene
+from ..report.page import page_environment
 from . import CAUSES
 
 _COLOURS = {
@@ -235,21 +235,10 @@ def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dic
     }
 
 
-@cache
-def _junction_templates() -> Any:
-    from jinja2 import PackageLoader
-
-    from ..report.page import page_environment
-
-    environment = page_environment().overlay(loader=PackageLoader(__package__, ""))
-    environment.globals |= {"causes": CAUSES}
-    return environment
-
-
 def junction_chooser(shown: dict[str, Any]) -> str:
     """A :func:`junction_map` as HTML, for ``junction_map.js``; texts in it are escaped."""
-    module = _junction_templates().get_template("junction_map.html.j2").module
-    return str(module.chooser(shown))
+    module: Any = page_environment().get_template("junction_map.html.j2").module
+    return str(module.chooser(shown, CAUSES))
 
 
 def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str) -> str:
@@ -257,12 +246,9 @@ def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, c
 
     It loads nothing. `command` makes a scene of a junction whose id follows.
     """
-    page: str = (
-        _junction_templates()
-        .get_template("junctions.html.j2")
-        .render(name=maps[0].name, shown=junction_map(maps, surveyed), command=command)
-    )
-    return page
+    shown = junction_map(maps, surveyed)
+    template = page_environment().get_template("junctions.html.j2")
+    return template.render(name=maps[0].name, shown=shown, causes=CAUSES, command=command)
 
 
 def new_map_axes(

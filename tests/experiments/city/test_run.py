@@ -725,12 +725,12 @@ def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
     page_of = tiny / "city" / "report.html"
     with start_browser() as browser, open_page(browser, page_of.as_uri()) as page:
         assert page.is_visible("#sum-chosen")
-        assert page.locator("#sum-map span:visible").count() == 2
+        assert page.locator("#sum-map .mark:visible").count() == 2
         slider = page.locator("#sum")
         slider.press("End")
         assert page.inner_text("#sum-says").startswith("3 sensors (junctions: 3) prevent 100.0 %")
         assert page.locator("#sum-gets li").count() == 3
-        assert page.locator("#sum-map span:visible").count() == 3
+        assert page.locator("#sum-map .mark:visible").count() == 3
         assert not page.is_visible("#sum-chosen")
         slider.press("Home")
         assert page.locator("#sum-gets li").count() == 0
