@@ -9,7 +9,6 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -131,28 +130,22 @@ def plan(out: Path) -> None:
 @main.command()
 @click.argument("city", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--find", default="", help="Typed into the search.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("results/plan"), show_default=True
-)
-def junctions(city: Path, find: str, out: Path) -> None:
+def junctions(city: Path, find: str) -> None:
     """Photograph the map of a city on which the planner's junction is chosen."""
-    question = Question(scene=str(city), cases="CPNC-50", along_arms="0", speeds="50")
-    setting = build_setting(replace(question, scene=""), load_scene(city))
-    map_file = MapFile(path=city, name=city.name)
-    nothing = Variant(name="nothing")
+    question = Question(cases="CPNC-50", along_arms="0", speeds="50")
+    setting, file = build_setting(question, load_scene(city)), MapFile(path=city, name=city.name)
     with (
         tempfile.TemporaryDirectory() as folder,
-        _serve(setting, question, nothing, Path(folder), map_file=map_file) as address,
+        _serve(setting, question, Variant(name=""), Path(folder), map_file=file) as address,
         _browser() as browser,
     ):
         page = browser.new_page(viewport={"width": 1280, "height": 900})
         page.set_default_timeout(_PATIENCE_MS)
         page.goto(address)
         page.click("#another-junction")
-        page.wait_for_selector("#map-choice .junction-chooser")
         page.fill("#map-choice .map-find", find)
         page.wait_for_timeout(400)
-        _save(page, out / "junctions.png")
+        _save(page, Path("results/plan/junctions.png"))
 
 
 @main.command()

@@ -46,7 +46,6 @@ _BEYOND = 0.08  # of the span of the junctions, around them
 _LEAST_M = 120.0
 _NAMED_M, _NAMED_AGAIN_M = 45.0, 250.0  # a street's name from a junction; and again
 _FINEST_M, _MOST_STEPS = 0.5, 8000  # of streets drawn in SVG: metres, and parts of its width
-_FEW, _MOST_WIDTHS = 12, 3.0  # junctions in a figure of the usual width; its widest
 HALO = withStroke(linewidth=2.5, foreground="white")
 
 
@@ -150,30 +149,6 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
     colour[on_road] = _ROAD
     picture[is_hit] = colour * light[:, None]
     return np.asarray(np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3))
-
-
-def plot_junctions(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> Axes:
-    """Streets and buildings of maps with all junctions of the first, numbered in their order."""
-    places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
-    widths = float(np.clip(np.sqrt(len(surveyed) / _FEW), 1.0, _MOST_WIDTHS))
-    axes = new_map_axes(maps, places, width_in=WIDTH_IN * widths)
-    axes.plot(*places.T, "o", markersize=11.0, color=BLUE, zorder=5)
-    for number, place in enumerate(places, start=1):
-        x, y = place
-        axes.text(x, y, str(number), c="white", size=6.0, ha="center", va="center", zorder=6)
-    names = [
-        Label(
-            text=one.junction.name or one.junction.id,
-            point_m=(float(x), float(y)),
-            toward_deg=0.0,
-            gap=7.0,
-            size=6.5,
-            is_kept=False,
-        )
-        for one, (x, y) in zip(surveyed, places, strict=True)
-    ]
-    draw_labels(axes, names, marks_m=places)
-    return axes
 
 
 class StreetMap(NamedTuple):

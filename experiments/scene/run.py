@@ -45,10 +45,10 @@ from ..figures.axes import to_png
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder, write_files
 from ..results.record import Record
-from .pictures import junctions_page, plot_junctions, plot_scene_plan, plot_scene_view
+from .pictures import junctions_page, plot_scene_plan, plot_scene_view
 
 PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
-JUNCTIONS_NAME, JUNCTIONS_PAGE = "junctions.png", "junctions.html"
+JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
 _DIGITS = 3  # a millimetre
 IMPORT_VERSION = 2
@@ -192,18 +192,9 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
 
 
 def run_import(
-    files: Sequence[str],
-    options: ImportOptions,
-    *,
-    bbox: str,
-    out: Path,
-    progress: StageProgress,
-    read: tuple[list[SourceMap], tuple[Surveyed, ...]] | None = None,
+    files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
-    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError.
-
-    `read`: what :func:`geometry.maps.importing.read_maps` has given for the same files before.
-    """
+    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError."""
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
     progress.kept = f"nothing was written to {out}"
@@ -216,7 +207,7 @@ def run_import(
             scene, sources = load_study_scene(), tuple[str, ...]()
             result = build_scene_result(scene)
         else:
-            imported = import_scene(paths, options, read=read, progress=progress)
+            imported = import_scene(paths, options, progress=progress)
             scene, sources = imported.scene, imported.sources
             result = build_scene_result(scene)
             only, chosen = result.junctions[0], imported.chosen.junction
@@ -353,10 +344,7 @@ def _pictures_of_map(
     maps: Sequence[SourceMap], listed: Sequence[Surveyed], command: str
 ) -> dict[str, bytes]:
     page = junctions_page(maps, listed, command=f"{command} --junction")
-    return {
-        JUNCTIONS_NAME: to_png(plot_junctions(maps, listed)),
-        JUNCTIONS_PAGE: page.encode(),
-    }
+    return {JUNCTIONS_PAGE: page.encode()}
 
 
 def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
