@@ -105,8 +105,8 @@ def build_sums(
     these in the map: metres from its upper left corner.
     """
     places = np.array(positions_m).reshape(-1, 2)
-    streets = build_street_map(maps, places)
-    spots = streets.place(places)
+    streets, placed = build_street_map(maps, places)
+    spots = placed(places)
     index = {one.folder: number for number, one in enumerate(result.junctions)}
     is_done = sum(one.weight for one in result.junctions if not one.reason)
     got: dict[int, int] = {}
@@ -128,10 +128,7 @@ def build_sums(
         before = now
     used = sorted({number for stop in stops for number in stop["sets"]})
     return {
-        "streets": {
-            **{"size_m": streets.size_m, "streets": streets.streets},
-            **{"names": [], "junctions": []},
-        },
+        "streets": streets | {"names": [], "junctions": []},
         "stops": stops,
         "shown": {
             "spots": {number: spots[number].tolist() for number in used},
