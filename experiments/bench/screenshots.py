@@ -1,6 +1,7 @@
 """Pictures of pages as browsers show them: ``python -m experiments.bench.screenshots``.
 
-``plan`` photographs the planner's page, ``report REPORT.html`` a report.
+``plan`` photographs the planner's page, ``junctions MAP`` the map on which its junction is chosen,
+``report REPORT.html`` a report.
 """
 
 import json
@@ -16,6 +17,7 @@ import numpy as np
 
 from geometry.frames import to_geographic
 from geometry.scene import Scene
+from geometry.scene_files import load_scene
 from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.layout import load_carlancap_layout
@@ -25,7 +27,7 @@ from placement.setting import Setting, build_setting
 from ..language import speaking
 from ..parts.section import with_palette
 from ..planner.plan import Plan, Variant
-from ..planner.session import Session
+from ..planner.session import MapFile, Session
 from ..planner.tasks import Work
 
 _PATIENCE_MS = 300_000
@@ -52,13 +54,17 @@ def _browser() -> Iterator[Any]:
 
 
 @contextmanager
-def _serve(setting: Setting, question: Question, variant: Variant, folder: Path) -> Iterator[str]:
+def _serve(
+    setting: Setting, question: Question, variant: Variant, folder: Path, **given: Any
+) -> Iterator[str]:
     """Serve the page of a plan from a folder for the session's files; gives its address."""
     from ..planner.server import RunningServer
 
     work = Work(question=question, scratch=folder, compute=Compute())
     server = RunningServer(
-        lambda: Session(work, setting, begun=Plan(variants=(variant,))), host="127.0.0.1", port=0
+        lambda: Session(work, setting, begun=Plan(variants=(variant,)), **given),
+        host="127.0.0.1",
+        port=0,
     )
     server.start()
     try:
@@ -119,6 +125,27 @@ def plan(out: Path) -> None:
             page.wait_for_selector("#plan .seen", state="attached")
             _save(page, out / "desktop-private-ground.png")
             page.close()
+
+
+@main.command()
+@click.argument("city", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--find", default="", help="Typed into the search.")
+def junctions(city: Path, find: str) -> None:
+    """Photograph the map of a city on which the planner's junction is chosen."""
+    question = Question(cases="CPNC-50", along_arms="0", speeds="50")
+    setting, file = build_setting(question, load_scene(city)), MapFile(path=city, name=city.name)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        _serve(setting, question, Variant(name=""), Path(folder), map_file=file) as address,
+        _browser() as browser,
+    ):
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.set_default_timeout(_PATIENCE_MS)
+        page.goto(address)
+        page.click("#another-junction")
+        page.fill("#map-choice .map-find", find)
+        page.wait_for_timeout(400)
+        _save(page, Path("results/plan/junctions.png"))
 
 
 @main.command()

@@ -24,14 +24,13 @@ from ..figures.axes import (
     Style,
     finish_axes,
     new_axes,
-    root_figure,
 )
 from ..figures.labels import Label, draw_labels
 from ..language import localized, tr, trn
 from ..parts.section import Bullets, Code, Html, Section, build_picture
 from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
-from ..scene.pictures import new_map_axes, plot_scene_plan
+from ..scene.pictures import build_street_map, new_map_axes, plot_scene_plan
 from .answer import CityFrontRecord, CityJunctionRecord, CityResult, says
 
 MAX_ROWS = 400
@@ -99,18 +98,15 @@ def render_city_report(
 def build_sums(
     maps: Sequence[SourceMap], positions_m: Sequence[FloatArray], result: CityResult
 ) -> dict[str, Any]:
-    """What each sum of money or number of sensors buys, for a slider beside an empty map.
+    """What each sum of money or number of sensors buys, for a slider beside a map of streets.
 
     ``stops`` are the steps of the city's front and the choice itself: what each says, and what it
     changes at junctions, by their index, against the stop before. ``spots`` are the places of
-    these in the map: % of its width and height.
+    these in the map: metres from its upper left corner.
     """
     places = np.array(positions_m).reshape(-1, 2)
-    axes = new_map_axes(maps, places)
-    picture = build_picture(axes, title="", caption="", alt=tr("Streets and buildings of the maps"))
-    width, height = root_figure(axes).canvas.get_width_height()
-    x, y = axes.transData.transform(places).T
-    spots = np.round(np.column_stack([100.0 * x / width, 100.0 - 100.0 * y / height]), 2)
+    streets, placed = build_street_map(maps, places)
+    spots = placed(places)
     index = {one.folder: number for number, one in enumerate(result.junctions)}
     is_done = sum(one.weight for one in result.junctions if not one.reason)
     got: dict[int, int] = {}
@@ -132,7 +128,7 @@ def build_sums(
         before = now
     used = sorted({number for stop in stops for number in stop["sets"]})
     return {
-        "picture": picture,
+        "streets": streets | {"names": [], "junctions": []},
         "stops": stops,
         "shown": {
             "spots": {number: spots[number].tolist() for number in used},

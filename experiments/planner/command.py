@@ -21,7 +21,6 @@ from ..progress import Interrupted, StageProgress, tell
 if TYPE_CHECKING:
     from geometry.scene import Scene
 
-    from .numbers import TileServer
     from .plan import Plan
     from .session import MapFile
 
@@ -69,7 +68,11 @@ def plan(
             f"--host: got {host}; expected --i-know beside it: others could change the plan"
         )
     asked = question
-    tile_server = _tile_server(tiles, tiles_attribution)
+    tile_server = None
+    if tiles:  # refused before anything is read
+        from .numbers import read_tile_server
+
+        tile_server = read_tile_server(tiles, tiles_attribution)
     question = begin(progress, question, quiet=quiet)
     progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
     from geometry.errors import InputError
@@ -122,14 +125,6 @@ def plan(
             tell(f"place-rsus: {problem}", err=True)
         saved = [] if server.session is None else server.session.saved_files()
         tell(say(ended[bool(saved)], files=tr(" and ").join(saved)))
-
-
-def _tile_server(template: str, attribution: str) -> "TileServer | None":
-    if not template:
-        return None
-    from .numbers import read_tile_server
-
-    return read_tile_server(template, attribution)
 
 
 def _map_file(question: Question) -> "MapFile | None":

@@ -373,8 +373,8 @@ class Pages:
                 names = {one["id"]: one["name"] for one in found["junctions"]}
                 if junction not in names:
                     raise InputError("junction", junction, f"one of {sent.name}")
-                path = session.work.scratch / f"scene-{next(self._numbers)}.zip"
-                await session.open_junction(sent, junction, path, names[junction])
+                path = str(session.work.scratch / f"scene-{next(self._numbers)}")
+                await session.open_scene(path, names[junction], of=sent, junction=junction)
         except TaskError as error:
             plain = tr(CAUSES[error.cause]) if error.cause in CAUSES else str(error)
             raise TaskError(plain.replace(str(sent.path), sent.name)) from None
@@ -397,13 +397,9 @@ class Pages:
 def _to_choose_from(file: MapFile) -> JSONResponse:
     """What is in a file: a scene, or the junctions of a map with the page to choose one."""
     found = file.found or {}
-    brief = {key: found[key] for key in ("name", "isScene")}
-    brief["junctions"] = [
-        {key: one[key] for key in ("id", "name", "arms", "lanes")} for one in found["junctions"]
-    ]
-    if not found["isScene"]:
-        brief["chooser"] = junction_chooser(found)
-    return JSONResponse({"map": file.name, **brief})
+    brief = {key: found[key] for key in ("name", "isScene", "junctions")}
+    chooser = {} if found["isScene"] else {"chooser": junction_chooser(found)}
+    return JSONResponse({"map": file.name, **brief, **chooser})
 
 
 def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:

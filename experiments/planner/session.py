@@ -787,34 +787,31 @@ class Session:
         self.map_file = replace(file, found=found)
         return self.map_file
 
-    async def open_junction(self, file: MapFile, junction: str, path: Path, title: str) -> None:
-        """Cut a junction out of a map, and go on there; as :meth:`open_scene`."""
-        self._opening = reader = self._reader
-        try:
-            given = str(file.path), junction, str(path)
-            stages = self._stages("scene")
-            await reader.call("import_junction", *given, on_progress=stages, **file.options)
-        finally:
-            is_stopped, self._opening = self._opening is None, None
-            self._do("scene", "")
-        if is_stopped:
-            raise Cancelled
-        await self.open_scene(str(path), title)
+    async def open_scene(
+        self, path: str, title: str = "", *, of: MapFile | None = None, junction: str = ""
+    ) -> None:
+        """Go on in another scene, from nothing; Undo leads back.
 
-    async def open_scene(self, path: str, title: str = "") -> None:
-        """Go on in another scene, from nothing; Undo leads back. TaskError: it has no runs.
-
-        Where the plan has a file, that of the new scene gets another one.
+        It is read, or cut out of a map around a junction. Where the plan has a file, that of the
+        new scene gets another one. TaskError: it cannot be made, or has no runs. Cancelled.
         """
+        stages = self._stages("scene")
         work = replace(self.work, question=replace(self.work.question, scene=path))
-        self._opening = exact = self._make_worker(work)
+        exact = self._make_worker(work)
         try:
-            setting: Setting = await exact.call("open_setting", on_progress=self._stages("scene"))
+            if of is not None:
+                self._opening = reader = self._reader
+                given = str(of.path), junction, path
+                await reader.call("import_junction", *given, on_progress=stages, **of.options)
+                if self._opening is not reader:  # it was stopped, or another one is asked for
+                    raise Cancelled
+            self._opening = exact
+            setting: Setting = await exact.call("open_setting", on_progress=stages)
             save = None if self.workspace.save is None else free_path(self.workspace.save)
             workspace, notice = await asyncio.to_thread(
                 build_workspace, work, setting, title=title, save=save
             )
-            if self._opening is not exact:  # it was stopped, or another one is asked for by now
+            if self._opening is not exact:
                 raise Cancelled
         except BaseException:
             exact.stop()

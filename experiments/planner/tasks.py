@@ -21,7 +21,7 @@ from geometry.files import reading
 from geometry.frames import parse_crs
 from geometry.maps.georeferences import transform
 from geometry.scene import Site
-from geometry.scene_files import has_scene, load_scene
+from geometry.scene_files import has_scene, load_scene, save_scene
 from placement.candidates import CandidatePose, build_grid, own_models
 from placement.compute import Compute, Progress
 from placement.evaluation import Evaluation
@@ -316,20 +316,14 @@ class Tasks:
         sites: str = "auto",
         keeps_left: bool | None = None,
     ) -> None:
-        """Cut a junction out of a map, into a ZIP file; `sites` is as of ``--sites``."""
-        from geometry.maps.importing import ImportOptions, ReadingOptions
+        """Cut a junction out of a map, into a folder; `sites` is as of ``--sites``."""
+        from geometry.maps.importing import ImportOptions, choose_junction, cut_scene
 
-        from ..scene.run import run_import
-
-        reading = ReadingOptions(keeps_left=keeps_left)
-        run_import(
-            [path],
-            ImportOptions(junction=junction, sites=sites, reading=reading),
-            bbox="",
-            out=Path(out),
-            progress=_Forwarding(self._progress),
-            read=self._read_map(path, keeps_left),
-        )
+        maps, junctions = self._read_map(path, keeps_left)
+        chosen = choose_junction(maps[0], junctions, name=junction)
+        imported = cut_scene(maps, chosen, ImportOptions(sites=sites), progress=self._progress)
+        Path(out).mkdir()
+        save_scene(Path(out), imported.scene, sources=imported.sources)
 
 
 class _Forwarding(StageProgress):

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 
 from geometry.files import write_atomically
 from placement.evaluation import Evaluation
@@ -50,7 +50,9 @@ _FOLDED = (
 def page_environment() -> Environment:
     """How all pages are made from templates: text of others is shown as text."""
     environment = Environment(
-        loader=PackageLoader("experiments.report"),
+        loader=ChoiceLoader(
+            [PackageLoader("experiments.report"), PackageLoader("experiments.scene", "")]
+        ),
         autoescape=True,
         undefined=StrictUndefined,
         extensions=["jinja2.ext.do"],

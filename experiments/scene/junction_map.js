@@ -19,7 +19,7 @@ function openStreetMap(root) {
     map.setAttribute("viewBox", view.join(" "));
     const unit = Math.max(view[2] / map.clientWidth, view[3] / map.clientHeight);
     if (!Number.isFinite(unit) || unit <= 0) return; // nothing is shown yet
-    map.querySelectorAll("circle").forEach((one) => { one.setAttribute("r", MARK_PX * unit); one.setAttribute("stroke-width", 1.5 * unit); });
+    map.querySelectorAll(":scope > circle").forEach((one) => { one.setAttribute("r", MARK_PX * unit); one.setAttribute("stroke-width", 1.5 * unit); });
     map.querySelectorAll(".mark").forEach((one) => one.setAttribute("transform", `translate(${one.dataset.x} ${one.dataset.y}) scale(${unit})`));
     const [half, tall] = [map.clientWidth * unit / 2, map.clientHeight * unit / 2];
     const [east, south] = [view[0] + view[2] / 2, view[1] + view[3] / 2];

@@ -1,9 +1,8 @@
 """Pictures: plan and view of a scene, and the junctions of a map."""
 
 import re
-from collections.abc import Sequence
-from functools import cache
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import shapely
@@ -24,6 +23,7 @@ from geometry.scene import Scene, road_area
 from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
 from ..figures.labels import Label, arm_names, draw_labels
 from ..figures.plan import draw_scene
+from ..report.page import page_environment
 from . import CAUSES
 
 _COLOURS = {
@@ -46,7 +46,6 @@ _BEYOND = 0.08  # of the span of the junctions, around them
 _LEAST_M = 120.0
 _NAMED_M, _NAMED_AGAIN_M = 45.0, 250.0  # a street's name from a junction; and again
 _FINEST_M, _MOST_STEPS = 0.5, 8000  # of streets drawn in SVG: metres, and parts of its width
-_FEW, _MOST_WIDTHS = 12, 3.0  # junctions in a figure of the usual width; its widest
 HALO = withStroke(linewidth=2.5, foreground="white")
 
 
@@ -152,33 +151,27 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
     return np.asarray(np.clip(picture, 0.0, 1.0).reshape(_HEIGHT_PX, _WIDTH_PX, 3))
 
 
-class StreetMap(NamedTuple):
-    """Streets of maps as an SVG path, metres to the right and down from a corner."""
+def build_street_map(
+    maps: Sequence[SourceMap], places_m: FloatArray
+) -> tuple[dict[str, Any], Callable[[FloatArray], FloatArray]]:
+    """Driving lanes of maps as an SVG path, with room for places (n, 2) of the first map's system.
 
-    corner_m: FloatArray  # (2,), in the first map's system
-    size_m: tuple[float, float]
-    streets: str
-
-    def place(self, points_m: FloatArray) -> FloatArray:
-        """Points (..., 2 or 3) of the first map's system on the page, (..., 2)."""
-        return np.asarray(np.round((points_m[..., :2] - self.corner_m) * [1.0, -1.0], 1))
-
-
-def build_street_map(maps: Sequence[SourceMap], places_m: FloatArray) -> StreetMap:
-    """Driving lanes of maps, and room for places (n, 2) in the first map's system."""
+    And the function that takes points (..., 2 or 3) of that system to metres to the right and down
+    from the map's upper left corner.
+    """
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     around = _BEYOND * (high - low) + _LEAST_M
     corner_m = np.array([low[0] - around[0], high[1] + around[1]])
-    width_m, height_m = np.round(high - low + 2.0 * around, 1).tolist()
-    empty = StreetMap(corner_m, (width_m, height_m), "")
-    finest_m = max(_FINEST_M, max(width_m, height_m) / _MOST_STEPS)
-    lines = [
-        shapely.simplify(shapely.LineString(empty.place(line_m)), finest_m)
-        for source in maps
-        for line_m in _driving_lines(source, maps[0].crs)
-    ]
-    ways = ("L".join(f"{x:g},{y:g}" for x, y in shapely.get_coordinates(one)) for one in lines)
-    return empty._replace(streets="".join(f"M{way}" for way in ways))
+
+    def place(points_m: FloatArray) -> FloatArray:
+        return np.asarray(np.round((points_m[..., :2] - corner_m) * [1.0, -1.0], 1))
+
+    size_m = np.round(high - low + 2.0 * around, 1)
+    finest_m = max(_FINEST_M, size_m.max() / _MOST_STEPS)
+    lines = (line_m for source in maps for line_m in _driving_lines(source, maps[0].crs))
+    ways = [shapely.simplify(shapely.LineString(place(line_m)), finest_m) for line_m in lines]
+    paths = ("L".join(f"{x:g},{y:g}" for x, y in shapely.get_coordinates(way)) for way in ways)
+    return {"size_m": size_m.tolist(), "streets": "".join(f"M{path}" for path in paths)}, place
 
 
 def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dict[str, Any]:
@@ -187,10 +180,10 @@ def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dic
     Each has the cause for which it cannot be used, a key of ``CAUSES``, or none.
     """
     places = np.array([one.junction.position_m for one in surveyed]).reshape(-1, 2)
-    street_map = build_street_map(maps[:1], places)
+    streets, placed = build_street_map(maps[:1], places)
     names: dict[tuple[str, int, int], dict[str, Any]] = {}
     for road in (road for one in surveyed for road in one.junction.roads):
-        x, y = street_map.place(road.point_m + _NAMED_M * road.direction).tolist()
+        x, y = placed(road.point_m + _NAMED_M * road.direction).tolist()
         turn_deg = -np.degrees(np.arctan2(road.direction[1], road.direction[0]))
         upright_deg = (turn_deg + 90.0) % 180.0 - 90.0
         place = {"name": road.name, "x": x, "y": y, "turn_deg": round(upright_deg)}
@@ -203,29 +196,15 @@ def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dic
             **{"signals": one.n_signals, "crossings": one.n_crossings},
             "cause": "" if one.n_driven else "no lane" if one.arms else "no road",
         }
-        for one, (x, y) in zip(surveyed, street_map.place(places).tolist(), strict=True)
+        for one, (x, y) in zip(surveyed, placed(places).tolist(), strict=True)
     ]
-    return {
-        **{"size_m": street_map.size_m, "streets": street_map.streets},
-        **{"names": [*names.values()], "junctions": junctions},
-    }
-
-
-@cache
-def _junction_templates() -> Any:
-    from jinja2 import PackageLoader
-
-    from ..report.page import page_environment
-
-    environment = page_environment().overlay(loader=PackageLoader(__package__, ""))
-    environment.globals |= {"causes": CAUSES}
-    return environment
+    return {**streets, "names": [*names.values()], "junctions": junctions}
 
 
 def junction_chooser(shown: dict[str, Any]) -> str:
     """A :func:`junction_map` as HTML, for ``junction_map.js``; texts in it are escaped."""
-    module = _junction_templates().get_template("junction_map.html.j2").module
-    return str(module.chooser(shown))
+    module: Any = page_environment().get_template("junction_map.html.j2").module
+    return str(module.chooser(shown, CAUSES))
 
 
 def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str) -> str:
@@ -233,12 +212,9 @@ def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, c
 
     It loads nothing. `command` makes a scene of a junction whose id follows.
     """
-    page: str = (
-        _junction_templates()
-        .get_template("junctions.html.j2")
-        .render(name=maps[0].name, shown=junction_map(maps, surveyed), command=command)
-    )
-    return page
+    shown = junction_map(maps, surveyed)
+    template = page_environment().get_template("junctions.html.j2")
+    return template.render(name=maps[0].name, shown=shown, causes=CAUSES, command=command)
 
 
 def new_map_axes(

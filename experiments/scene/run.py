@@ -192,18 +192,9 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
 
 
 def run_import(
-    files: Sequence[str],
-    options: ImportOptions,
-    *,
-    bbox: str,
-    out: Path,
-    progress: StageProgress,
-    read: tuple[list[SourceMap], tuple[Surveyed, ...]] | None = None,
+    files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
 ) -> SceneResult:
-    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError.
-
-    `read`: what :func:`geometry.maps.importing.read_maps` has given for the same files before.
-    """
+    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError."""
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
     progress.kept = f"nothing was written to {out}"
@@ -216,7 +207,7 @@ def run_import(
             scene, sources = load_study_scene(), tuple[str, ...]()
             result = build_scene_result(scene)
         else:
-            imported = import_scene(paths, options, read=read, progress=progress)
+            imported = import_scene(paths, options, progress=progress)
             scene, sources = imported.scene, imported.sources
             result = build_scene_result(scene)
             only, chosen = result.junctions[0], imported.chosen.junction

@@ -429,17 +429,10 @@ def read_maps(
 
 
 def import_scene(
-    paths: Sequence[Path],
-    options: ImportOptions,
-    *,
-    read: tuple[list[SourceMap], tuple[Surveyed, ...]] | None = None,
-    progress: Progress = silent,
+    paths: Sequence[Path], options: ImportOptions, *, progress: Progress = silent
 ) -> ImportedScene:
-    """Make a scene from map files; InputError: no such junction, lane into it, or site.
-
-    `read`: what :func:`read_maps` has given for the same files and options before.
-    """
-    maps, junctions = read or read_maps(paths, options.reading, progress=progress)
+    """Make a scene from map files; InputError: no such junction, lane into it, or site."""
+    maps, junctions = read_maps(paths, options.reading, progress=progress)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
     imported = cut_scene(maps, chosen, options, progress=progress)
     if len(junctions) > 1 and not options.junction and options.at is None:

@@ -396,6 +396,7 @@ def test_what_the_planner_refuses_is_known():
                 texts |= {words_of(node.value)} if named else set()
     texts -= {None}
     options = {"--port", "--cars", "a free port", "blind or see: the page tells each run once"}
+    options |= {"--tiles", "an address such as https://HOST/{z}/{x}/{y}.png"}
     assert options < texts  # of the command line, in English
     texts -= {*options, "0 to 1"}  # numbers of variants, which the page gives
     with speaking("de", Bracketed()):

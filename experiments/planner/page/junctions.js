@@ -140,8 +140,9 @@ export function createJunctions({ notice, scene, hasUnits, send }) {
   // The map that the scene is of, if it was named, and which junction of it was taken.
   function readScene({ map, assumed, title }) {
     find("another-junction").hidden = !map;
-    find("junction-note").hidden = !map || !assumed.length;
-    find("junction-note").textContent = tr("{junction} in {map}: {assumed}.", { junction: title, map, assumed: assumed[0] });
+    const isAssumed = Boolean(map && assumed.length);
+    find("junction-note").hidden = !isAssumed;
+    find("junction-note").textContent = isAssumed ? tr("{junction} in {map}: {assumed}.", { junction: title, map, assumed: assumed[0] }) : "";
   }
 
   return { read, doing, readScene };

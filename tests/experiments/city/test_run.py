@@ -733,12 +733,12 @@ def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
 def check_who_gets_what(browser, address):
     with open_page(browser, address) as page:
         assert page.is_visible("#sum-chosen")
-        assert page.locator("#sum-map span:visible").count() == 2
+        assert page.locator("#sum-map .mark:visible").count() == 2
         slider = page.locator("#sum")
         slider.press("End")
         assert page.inner_text("#sum-says").startswith("3 sensors (junctions: 3) prevent 100.0 %")
         assert page.locator("#sum-gets li").count() == 3
-        assert page.locator("#sum-map span:visible").count() == 3
+        assert page.locator("#sum-map .mark:visible").count() == 3
         assert not page.is_visible("#sum-chosen")
         slider.press("Home")
         assert page.locator("#sum-gets li").count() == 0

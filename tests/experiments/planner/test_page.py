@@ -1687,7 +1687,7 @@ def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting,
             page.keyboard.press("Control+c")
             look(page, "locks and copies")
             drop(page, "crossing.osm", CROSSING.read_text())
-            page.locator("#map-dialog").wait_for()
+            page.locator("#map-choice .junction-chooser").wait_for()
             look(page, "a map")
             page.keyboard.press("Escape")
             server.stop()
