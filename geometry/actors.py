@@ -37,6 +37,14 @@ class Shape:
         return f"Shape({len(self.triangles)} triangles)"
 
 
+def box_shape(length_m: float, width_m: float, height_m: float) -> Shape:
+    """A box that stands on the ground, its middle above the origin."""
+    import trimesh
+
+    box = trimesh.creation.box(extents=(length_m, width_m, height_m))
+    return Shape(vertices_m=box.vertices + [0.0, 0.0, 0.5 * height_m], triangles=box.faces)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actor:
     """A body with its bounding box; lengths in metres, in the body frame."""

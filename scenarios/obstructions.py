@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 
-from geometry.actors import Actor, PlacedActor, Shape, park_row
+from geometry.actors import Actor, PlacedActor, box_shape, park_row
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.junction import CONNECTING
 from geometry.poses import Pose
@@ -291,15 +291,6 @@ def _sides(corners_m: FloatArray) -> FloatArray:
 
 
 # ---------- obstructions
-# Two triangles on each of a box's six sides, outward, for corners numbered as in `_build_wall`.
-_BOX_TRIANGLES = np.array(
-    [
-        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
-    ]
-)  # fmt: skip
-
-
 def hide(
     encounter: Encounter,
     obstruction: Obstruction,
@@ -410,13 +401,11 @@ def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
 
 @cache
 def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
-    unit = [[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)]
-    corners = np.array(unit) * [length_m, thickness_m, height_m]
     return Actor(
         name=f"wall {length_m:g} x {thickness_m:g} x {height_m:g} m",
         class_name="wall",
         length_m=length_m,
         width_m=thickness_m,
         height_m=height_m,
-        shapes=(Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),),
+        shapes=(box_shape(length_m, thickness_m, height_m),),
     )

@@ -1,6 +1,8 @@
-"""Speed of the main job and of its parts, measured in one run: ``python -m experiments.bench``.
+"""Speed as ratios to named references, measured in one run: ``python -m experiments.bench``.
 
-Each part runs in a process of its own, and is ended when its time is up.
+Absolute times depend on the machine and its load; the ratios depend on them little, because both
+sides are measured in turn. Each part runs in a process of its own, and is ended when its time is
+up.
 """
 
 import json
@@ -12,52 +14,72 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, milp
+from threadpoolctl import threadpool_limits
 
-from geometry.raycast import caster_name
+from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.raycast import FloatRays, Open3dCaster, RayCaster, caster_name
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, load_carlancap_layout
-from placement.optimiser import Effort, PlacementProblem, presolve, solve_placement
+from placement.optimiser import Effort, PlacementProblem, presolve, run_margins_s, solve_placement
+from placement.optimiser.problem import Fusion
 from placement.question import Question
 from placement.setting import Setting, build_setting
-from placement.visibility.build import build_detection_table
+from placement.visibility.build import N_POINTS, build_detection_table
+from placement.visibility.casting import World, build_world, cast_sight
 from placement.wishes import Wishes, build_problem
 
 Figures = dict[str, float | str | None]
 """Measured figures by their names."""
+Rays = tuple[FloatRays, FloatRays]
+"""Origins and vectors, (n, 3) float32 each."""
+Calls = list[tuple[Callable[..., object], Any]]
 
 _REPEATS = 5
 _WORKERS = os.cpu_count() or 1
+_OWN_CASES = "CPNC-50,CBNA,CBLA"  # the study's: rays are measured on their 104 runs
 _INSIDE = "PLACE_RSUS_BENCH_PART"  # set in the processes that measure
+_N_MOUNTS = 24
+_MAX_DISTANCE_M = 60.0
 _EVERY_MOUNT = 4  # of which the table's verdicts are counted
 _N_OTHERS = 6  # cameras, with the study's twelve
 _TRACK_MEMORIES_S = (np.inf, 1.0)
 _BUDGET_TIME_S = 20.0
 
 
-def seconds_of(work: Callable[[], object]) -> float:
-    """Median of the seconds of some repeats, after a first one that does not count."""
-    seconds = []
-    for _ in range(_REPEATS + 1):
-        began_s = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - began_s)
-    return statistics.median(seconds[1:])
+def seconds_of(*works: Callable[[], object], repeats: int = _REPEATS) -> FloatArray:
+    """Seconds (n_works, n_repeats) of works in turn, after a run of each that does not count."""
+    seconds = np.zeros((len(works), repeats + 1))
+    for repeat in range(repeats + 1):
+        for row, work in enumerate(works):
+            began_s = time.perf_counter()
+            work()
+            seconds[row, repeat] = time.perf_counter() - began_s
+    return seconds[:, 1:]
+
+
+def ratio(ours: Callable[[], object], theirs: Callable[[], object], **options: int) -> float:
+    """Median of the ratios of their seconds, pair by pair."""
+    ours_s, theirs_s = seconds_of(ours, theirs, **options)
+    return float(np.median(ours_s / theirs_s))
 
 
 @cache
-def _setting() -> Setting:
-    return build_setting(Question(), load_study_scene())
+def _setting(cases: str = "") -> Setting:
+    question = Question(cases=cases, along_arms="0") if cases else Question()
+    return build_setting(question, load_study_scene())
 
 
 @cache
@@ -66,12 +88,150 @@ def _candidates() -> tuple[CandidatePose, ...]:
     return build_candidates(load_study_scene(), grid, extra=study.units)
 
 
+def bare_embree(
+    vertices_m: FloatArray, triangles: Any, rays: Sequence[Rays]
+) -> Callable[[], object]:
+    """The library's own query of all rays in one call, with everything prepared that can be."""
+    origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
+    vertices = np.ascontiguousarray(vertices_m, dtype=np.float32)
+    if caster_name() == "open3d":
+        import open3d
+
+        scene = open3d.t.geometry.RaycastingScene()
+        to_tensor: Any = open3d.core.Tensor
+        scene.add_triangles(to_tensor(vertices), to_tensor(triangles.astype(np.uint32)))
+        tensor = to_tensor(np.hstack([origins, vectors]))
+        threads = Open3dCaster.n_threads
+        return lambda: scene.test_occlusions(tensor, tnear=0.0, tfar=1.0, nthreads=threads)
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    embree = EmbreeScene()
+    mesh = TriangleMesh(embree, vertices, triangles.astype(np.int32))
+    ends = np.ones(len(origins), dtype=np.float32)
+    return lambda: (mesh, embree.run(origins, vectors, dists=ends, query="OCCLUDED"))
+
+
+class _Recorder:
+    """A caster that records the rays it is asked for, and the calls by mount."""
+
+    def __init__(self, caster: RayCaster, calls: list[Calls]) -> None:
+        self.caster, self.calls = caster, calls
+        self.rays: list[Rays] = []
+
+    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        self.rays.append((np.array(origins_m), np.array(vectors_m)))
+        self.calls[-1].append((self.caster.is_blocked, self.rays[-1]))
+        return self.caster.is_blocked(origins_m, vectors_m)
+
+    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+        self.rays.append((np.array(origins_m), np.array(vectors_m)))
+        return self.caster.first_hit(origins_m, vectors_m)
+
+    def first_triangle(
+        self, origins_m: FloatRays, vectors_m: FloatRays
+    ) -> tuple[FloatRays, IntArray]:
+        return self.caster.first_triangle(origins_m, vectors_m)
+
+
+def measure_casting() -> Figures:
+    """Number of the table's rays, and their time against bare Embree.
+
+    Ours are cast as when the table is built; bare Embree gets them in one call per scene and
+    thread.
+    """
+    setting = _setting(_OWN_CASES)
+    world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
+    mounts = list({tuple(c.pose.position_m): c for c in _candidates()}.values())[:_N_MOUNTS]
+    of_mounts: list[Calls] = []
+    cast_to = _record(world, setting, mounts, of_mounts)
+
+    def in_order(calls: Calls) -> None:
+        for call, given in calls:
+            call(*given)
+
+    def against_bare(n_threads: int) -> float:
+        ours: Calls = [(in_order, (calls,)) for calls in of_mounts]
+        theirs: Calls = [
+            (bare_embree(vertices, np.asarray(triangles), [part]), ())
+            for vertices, triangles, recorder in cast_to
+            for part in _split(recorder.rays, n_threads)
+        ]
+        return ratio(*(partial(_run_together, calls, n_threads) for calls in (ours, theirs)))
+
+    with threadpool_limits(1):
+        ratios = {n_threads: against_bare(n_threads) for n_threads in dict.fromkeys((1, _WORKERS))}
+    n_rays = sum(len(origins) for *_, recorder in cast_to for origins, _ in recorder.rays)
+    n_views = sum(int((_distance_m(world, one) <= _MAX_DISTANCE_M).sum()) for one in mounts)
+    n_points = n_views * world.views.axes_m.shape[2]
+    return {
+        "rays cast": n_rays,
+        "rays: cast / points looked at": n_rays / n_points,
+        "rays: casting / bare Embree, one thread (at most 1.2)": ratios[1],
+        "rays: casting / bare Embree, all processors (at most 1.2)": ratios[_WORKERS],
+    }
+
+
+def _record(
+    world: World, setting: Setting, mounts: Sequence[CandidatePose], calls: list[Calls]
+) -> list[tuple[FloatArray, Any, _Recorder]]:
+    """Cast from all mounts with recorders; meshes of the world with those that were asked."""
+    scene = _Recorder(world.shared.caster, calls)
+    parked = [_Recorder(caster, calls) for caster in world.standing.casters]
+    bodies = [_Recorder(body, calls) for body in world.shared.bodies]
+    vut = _Recorder(world.vehicles.casters[0], calls)
+    recording = replace(
+        world,
+        shared=replace(world.shared, caster=scene, bodies=tuple(bodies)),
+        standing=replace(world.standing, casters=tuple(parked)),
+        vehicles=replace(world.vehicles, casters=(vut,)),
+    )
+    for mount in mounts:
+        calls.append([])
+        near_m, reach_m = mount.sensor.near_m, _MAX_DISTANCE_M
+        at_m = mount.pose.position_m
+        cast_sight(recording, at_m, near_m=near_m, max_distance_m=reach_m, for_lidar=False)
+    shapes = [
+        *zip((actor.shapes[0] for actor in world.standing.actors), parked, strict=True),
+        *(
+            (surface.actor.shapes[surface.shape_index], body)
+            for surface, body in zip(world.surfaces, bodies, strict=True)
+        ),
+        (world.vehicles.actors[0].shapes[0], vut),
+    ]
+    meshes = [
+        (setting.scene.vertices_m - world.origin_m, setting.scene.triangles, scene),
+        *((shape.vertices_m, shape.triangles, recorder) for shape, recorder in shapes),
+    ]
+    return [mesh for mesh in meshes if mesh[2].rays]
+
+
+def _distance_m(world: World, mount: CandidatePose) -> FloatArray:
+    """From a mount to the middle of each view's footprint, (n_views,)."""
+    offset_m = mount.pose.position_m - world.origin_m
+    ground_m = world.views.position_m - offset_m[:2]
+    to_view_m = np.column_stack([ground_m, offset_m[2] - world.views.up_m])
+    distance_m: FloatArray = np.linalg.norm(to_view_m, axis=1)
+    return distance_m
+
+
+def _split(rays: Sequence[Rays], n_parts: int) -> Iterator[Rays]:
+    origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
+    yield from zip(np.array_split(origins, n_parts), np.array_split(vectors, n_parts), strict=True)
+
+
+def _run_together(calls: Calls, n_threads: int) -> None:
+    with ThreadPoolExecutor(n_threads) as pool:
+        for done in [pool.submit(call, *given) for call, given in calls]:
+            done.result()
+
+
 def measure_table() -> Figures:
     """Verdicts of the table per second, over the whole build for some mounts."""
     setting, candidates = _setting(), _candidates()
     positions = list(dict.fromkeys(tuple(c.pose.position_m) for c in candidates))[::_EVERY_MOUNT]
     some = [c for c in candidates if tuple(c.pose.position_m) in set(positions)]
-    seconds = seconds_of(lambda: _table(setting, some, Compute()))
+    seconds = float(np.median(seconds_of(lambda: _table(setting, some, Compute()))))
     per_second = len(some) * setting.axis.n_frames / seconds
     return {"table: million verdicts per second (before 3.4; at least 30)": per_second / 1e6}
 
@@ -89,15 +249,15 @@ def measure_evaluation() -> Figures:
     layout, compute = Layout(name="bench", units=units), Compute(workers=_WORKERS)
     seconds = seconds_of(lambda: evaluate_layout(layout, setting, compute=compute))
     name = f"evaluator: {len(setting.runs)} runs, {len(units)} cameras and VUT"
-    return {f"{name}: seconds (at most 5)": seconds}
+    return {f"{name}: seconds (at most 5)": float(np.median(seconds))}
 
 
-def _problem(budget: int) -> PlacementProblem:
+def _problem(budget: int, fusion: Fusion = "any") -> PlacementProblem:
     """The question of so many units, on a table that is built for it."""
     setting, candidates = _setting(), _candidates()
     table = _table(setting, candidates, Compute(workers=_WORKERS))
     wishes = Wishes(budget_units=budget)
-    return build_problem(setting, candidates, table, wishes=wishes)
+    return build_problem(setting, candidates, table, wishes=wishes, fusion=fusion)
 
 
 def measure_optimiser(budget: int) -> Figures:
@@ -130,6 +290,43 @@ def measure_budgets(problem: PlacementProblem, *, units: Sequence[int] = (2, 3, 
     return figures
 
 
+def measure_single(budget: int) -> Figures:
+    """All stages where each unit confirms alone, against maximal covering by HiGHS alone."""
+    single = _problem(budget, fusion="single")
+    # A[c, r]: pose c avoids run r by itself.
+    poses = range(single.table.n_poses)
+    covers = np.stack([np.isfinite(run_margins_s(single, [pose])) for pose in poses])
+    best: dict[str, float] = {}
+
+    def ours() -> None:
+        best["ours"] = solve_placement(single).certificate.stages[0].objective
+
+    def direct() -> None:
+        best["HiGHS"] = _solve_mclp(covers, single)
+
+    found = ratio(ours, direct, repeats=1)  # HiGHS takes minutes
+    if not np.isclose(best["ours"], best["HiGHS"], atol=1e-6):
+        raise RuntimeError(f"optima differ: {best}")
+    return {"optimiser: all stages, single / bare HiGHS, APR only": found}
+
+
+def _solve_mclp(covers: BoolArray, problem: PlacementProblem) -> float:
+    """Maximal covering by SciPy's HiGHS without any presolve of ours; returns the APR."""
+    n_poses, n_runs = covers.shape
+    weight = problem.table.axis.weight
+    chosen = np.concatenate([np.ones(n_poses), np.zeros(n_runs)])
+    cover = np.hstack([-covers.T.astype(float), np.eye(n_runs)])
+    most = LinearConstraint(chosen, ub=float(problem.limits.max_units))
+    result = milp(
+        -np.concatenate([np.zeros(n_poses), weight]),
+        integrality=chosen,
+        bounds=Bounds(0.0, 1.0),
+        constraints=[most, LinearConstraint(cover, ub=0.0)],
+    )
+    solution: Any = result.x
+    return float(solution[n_poses:] @ weight)
+
+
 def measure_command(budget: int) -> Figures:
     """The main job cold and warm, its memory, and the start-up."""
     with tempfile.TemporaryDirectory() as folder:
@@ -157,9 +354,11 @@ def measure_command(budget: int) -> Figures:
 
 PARTS: dict[str, Callable[[int], Figures]] = {
     "command": measure_command,
+    "rays": lambda _: measure_casting(),
     "table": lambda _: measure_table(),
     "evaluator": lambda _: measure_evaluation(),
     "optimiser": measure_optimiser,
+    "single": measure_single,
 }
 """Functions of the budget of units that measure, by name."""
 
@@ -199,7 +398,7 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
 )
 @click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
 def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
-    """Measure the whole command, table, evaluator and optimiser.
+    """Measure the whole command, rays, evaluator and optimiser.
 
     Figures of parts that are not measured this time stay in the file as they are.
     """

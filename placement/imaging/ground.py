@@ -10,8 +10,10 @@ from functools import cache, lru_cache
 from itertools import chain, pairwise
 
 import numpy as np
+import shapely
 
 from geometry.arrays import FloatArray
+from geometry.lines import along_m
 from geometry.raycast import FloatRays
 from geometry.scene import Lane, Scene
 
@@ -68,7 +70,7 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
 
 def _neighbour(scene: Scene, lane: Lane, side: float) -> tuple[Lane | None, bool]:
     """The neighbour of a lane at its middle; True if it leads the same way."""
-    at_m = 0.5 * _lengths(lane.centreline_m)[-1]
+    at_m = 0.5 * along_m(lane.centreline_m)[-1]
     point, ahead = _at(lane.centreline_m, at_m, side * (0.5 * lane.width_m + _NEIGHBOUR_M))
     for other in scene.lanes:
         if other is lane:
@@ -87,7 +89,7 @@ def _stop_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
     if not len(scene.outline_m):
         return
     for lane in scene.lanes:
-        end_m = _lengths(lane.centreline_m)[-1] - 0.5 * marks["stop_line_m"]
+        end_m = along_m(lane.centreline_m)[-1] - 0.5 * marks["stop_line_m"]
         point, ahead = _at(lane.centreline_m, end_m, 0.0)
         if lane.kind == "driving" and polygon_distance(point, scene.outline_m) < _MOUTH_M:
             half_width_m = 0.5 * lane.width_m - 0.15
@@ -113,15 +115,9 @@ def _rectangle(
     return [*middle.tolist(), float(np.arctan2(ahead[1], ahead[0])), half_length, half_width]
 
 
-def _lengths(line: FloatArray) -> FloatArray:
-    """Arc length at each point of a line."""
-    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
 def _at(line: FloatArray, length_m: float, offset_m: float) -> tuple[FloatArray, FloatArray]:
     """Point at an offset from a line, left positive, and the line's direction there."""
-    lengths = _lengths(line)
+    lengths = along_m(line)
     piece = int(np.clip(np.searchsorted(lengths, length_m) - 1, 0, len(line) - 2))
     step = line[piece + 1] - line[piece]
     if not step.any():  # a point that is there twice: the nearest other step
@@ -134,12 +130,12 @@ def _at(line: FloatArray, length_m: float, offset_m: float) -> tuple[FloatArray,
 
 
 def _solid(line: FloatArray) -> list[tuple[float, float]]:
-    lengths = _lengths(line).tolist()
+    lengths = along_m(line).tolist()
     return [(start - _OVERLAP_M, end + _OVERLAP_M) for start, end in pairwise(lengths)]
 
 
 def _dashes(line: FloatArray, dash_m: float, gap_m: float) -> list[tuple[float, float]]:
-    starts = np.arange(0.5 * gap_m, _lengths(line)[-1] - dash_m, dash_m + gap_m)
+    starts = np.arange(0.5 * gap_m, along_m(line)[-1] - dash_m, dash_m + gap_m)
     return [(start, start + dash_m) for start in starts.tolist()]
 
 
@@ -366,23 +362,9 @@ def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArra
 
 
 def polygon_distance(points_m: FloatArray, polygon_m: FloatArray) -> FloatArray:
-    """Distance of points (..., 2) from the edge of a polygon (n, 2), in metres.
-
-    Negative inside by the even-odd rule.
-    """
-    x, y = points_m[..., 0], points_m[..., 1]
-    square = np.full(x.shape, np.inf)
-    is_inside = np.zeros(x.shape, dtype=bool)
-    for (x0, y0), (x1, y1) in zip(
-        polygon_m.tolist(), np.roll(polygon_m, -1, axis=0).tolist(), strict=True
-    ):
-        edge_x, edge_y = x1 - x0, y1 - y0
-        length2 = edge_x**2 + edge_y**2
-        if length2 == 0.0:
-            continue
-        share = np.clip(((x - x0) * edge_x + (y - y0) * edge_y) / length2, 0.0, 1.0)
-        square = np.minimum(square, (x - x0 - share * edge_x) ** 2 + (y - y0 - share * edge_y) ** 2)
-        if y0 != y1:
-            is_between = (y0 > y) != (y1 > y)
-            is_inside ^= is_between & (x < x0 + (y - y0) / (y1 - y0) * edge_x)
-    return np.asarray(np.where(is_inside, -1.0, 1.0) * np.sqrt(square))
+    """Distance of points (..., 2) from the edge of a polygon (n, 2), in metres, negative inside."""
+    polygon = shapely.Polygon(polygon_m)
+    shapely.prepare(polygon)
+    distance = shapely.distance(shapely.points(points_m), polygon.exterior)
+    is_inside = shapely.contains_xy(polygon, points_m[..., 0], points_m[..., 1])
+    return np.asarray(np.where(is_inside, -distance, distance))

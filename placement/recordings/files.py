@@ -237,15 +237,11 @@ def _once(text: str, n_fields: int) -> tuple[str, int]:
 
 def _distinct(path: Path, names: Sequence[str]) -> tuple[list[Fields], int]:
     """Distinct lines of a file, cut into fields, and how many lines repeat others."""
-    lines = [line.strip() for line in read_text(path, "text").splitlines()]
-    first = {line: number for number, line in reversed([*enumerate(lines, start=1)]) if line}
-    rows = []
-    for line, number in sorted(first.items(), key=lambda item: item[1]):
-        words = line.split()
-        if len(words) != len(names):
-            raise InputError(f"{path}:{number}", line, f"{len(names)} fields: {' '.join(names)}")
-        rows.append(Fields(path, number, words, names))
-    return rows, sum(map(bool, lines)) - len(rows)
+    rows = list(read_lines(path, names, separator=None))
+    first: dict[tuple[str, ...], Fields] = {}
+    for row in rows:
+        first.setdefault(tuple(row.words.values()), row)
+    return list(first.values()), len(rows) - len(first)
 
 
 def _class(row: Fields, form: RecordingFormat) -> str:

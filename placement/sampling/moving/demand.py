@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated, Any
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
 from msgspec import Meta, Struct
 
-from geometry.actors import Actor, Shape, pick_actor
+from geometry.actors import Actor, box_shape, pick_actor
 from geometry.errors import InputError, check_one_of, located, refuse
 from geometry.files import (
     Table,
@@ -140,13 +139,6 @@ def _read_kind(entry: Table, where: str) -> DrivingKind:
 
 # ---------- bodies of vehicles in files of traffic
 _SIZES = ("length_m", "width_m", "height_m")
-# Two triangles on each side, outward; corner x + 2 y + 4 z of a box has these bits.
-_BOX_TRIANGLES = np.array(
-    [
-        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
-    ]
-)  # fmt: skip
 
 
 def read_body(entry: Table, where: str) -> Actor:
@@ -164,11 +156,9 @@ def read_body(entry: Table, where: str) -> Actor:
             raise InputError(f"{where}.actor", actor.name, "a parked vehicle")
         return actor
     sizes_m = {key: take_number(entry, key, where) for key in _SIZES}
-    bits = np.array([[index & 1, index >> 1 & 1, index >> 2] for index in range(8)])
-    corners = (bits - [0.5, 0.5, 0.0]) * [*sizes_m.values()]
     name = take_text(entry, "name", where)
-    shapes = (Shape(vertices_m=corners, triangles=_BOX_TRIANGLES),)
     with located(f"{where}: "):
+        shapes = (box_shape(**sizes_m),)
         return Actor(name=name, class_name="parked vehicle", **sizes_m, shapes=shapes)
 
 

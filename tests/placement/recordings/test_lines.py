@@ -84,9 +84,9 @@ def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("car 1 2 3 4", f"F:1: got 'car 1 2 3 4'; expected {LABEL}"),
-        ("car 1 2 3 4 5 6", f"F:1: got 'car 1 2 3 4 5 6'; expected {LABEL}"),
-        (" 1 2 3 4 5", f"F:1: got '1 2 3 4 5'; expected {LABEL}"),  # CARLA's empty base type
+        ("car 1 2 3 4", f"F:1: got 5 fields; expected {LABEL}"),
+        ("car 1 2 3 4 5 6", f"F:1: got 7 fields; expected {LABEL}"),
+        (" 1 2 3 4 5", f"F:1: got 5 fields; expected {LABEL}"),  # CARLA's empty base type
         ("\n\ntram 1 2 3 4 5", f"F:3: actor_type: got 'tram'; expected one of {TYPES}"),
         ("car nan 2 3 4 5", "F:1: min_x: got 'nan'; expected a finite number"),
         ("car 1 inf 3 4 5", "F:1: min_y: got 'inf'; expected a finite number"),
@@ -110,7 +110,7 @@ def test_a_wrong_label_is_named_with_its_line_and_field(tmp_path, content, messa
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("0 car 1 2 3 4", f"F:1: got '0 car 1 2 3 4'; expected {EVAL}"),
+        ("0 car 1 2 3 4", f"F:1: got 6 fields; expected {EVAL}"),
         ("0 person 1 2 3 4 1", f"F:1: actor_type: got 'person'; expected one of {TYPES}"),
         ("0 car 1 2 3 nan 1", "F:1: max_y: got 'nan'; expected a finite number"),
         ("0 car 1 2 3 4 1.5", "F:1: confidence: got '1.5'; expected a finite number, 0 .. 1"),
