@@ -36,14 +36,14 @@ from ..parts.section import Table
 from ..parts.study_cases import StudyCases
 from ..results.numbers import first_of, layout_words, number, percent, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
-from .terminal import basis, more_reasons
+from .terminal import basis, first_reasons
 
 _MAX_UNITS, _MAX_SHORT_UNITS = 24, 12
 _NAME_WIDTH = 40
 _VUT_ALONE = mark("VUT alone")
 _EVALUATED = mark("Evaluated by full perception and emergency braking:")
 _NO_RUNS = mark("none")
-_MOST_ASSUMED, _MOST_REASONS, _MAX_DISAGREEMENTS = 4, 5, 5
+_MOST_ASSUMED, _MAX_DISAGREEMENTS = 4, 5
 _Apr = PartyAprRecord | Score
 
 
@@ -245,10 +245,6 @@ def _said(*sentences: str) -> Part:
 def _head(result: Result) -> list[Part]:
     """The head: runs that are not avoided, better layouts, what was left out or assumed."""
     groups = result.road_users
-    reasons = [*result.driven[1 : 1 + _MOST_REASONS]]
-    n_reasons = len(result.driven) - 1 - len(reasons)
-    if n_reasons > 0:
-        reasons.append(more_reasons(n_reasons))
     return [
         _said(
             answer.lead(result),
@@ -257,7 +253,7 @@ def _head(result: Result) -> list[Part]:
         ),
         _said(*answer.preferred(result), *answer.planned_only(result)),
         _said(*result.driven[:1], *result.without_effect),
-        Part(notes=reasons),
+        Part(notes=first_reasons(result.driven)),
         *([_said(*road_users.words(groups))] if groups else []),
         *([Part(table=road_users.table(groups))] if groups and len(groups.groups) > 1 else []),
         *assumption_parts(result),

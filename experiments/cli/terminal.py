@@ -102,17 +102,15 @@ def basis(result: Any) -> dict[str, Any]:
 
 def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:
     """How many possible runs are driven, reasons of most others, and what changes nothing."""
-    lines = sentences(*driven[:1])
-    lines += sentences(*driven[1 : 1 + _MOST_REASONS], indent=2, hanging=2)
+    reasons = sentences(*first_reasons(driven), indent=2, hanging=2)
+    return [*sentences(*driven[:1]), *reasons, *sentences(*without_effect)]
+
+
+def first_reasons(driven: Sequence[str]) -> list[str]:
+    """Reasons why most of the other possible runs are not driven, and how many are not printed."""
     n_left = len(driven) - 1 - _MOST_REASONS
-    if n_left > 0:
-        lines.append(f"  {more_reasons(n_left)}")
-    return lines + sentences(*without_effect)
-
-
-def more_reasons(n_left: int) -> str:
-    """How many reasons are not printed."""
-    return say("terminal.more_reasons", n_left)
+    more = [say("terminal.more_reasons", n_left)] if n_left > 0 else []
+    return [*driven[1 : 1 + _MOST_REASONS], *more]
 
 
 def table(
