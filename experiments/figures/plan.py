@@ -47,7 +47,7 @@ ASSUMED_STYLE: Style = SITE_STYLE | {"marker": "D", "markeredgecolor": VERMILION
 """Of sites that the map does not have, or not there."""
 _LINE_STYLES = ("-", "--", "-.", ":")
 _LEGEND_ROW_IN = 0.17
-_MAX_NAME, _MAX_OTHER_NAME = 24, 40  # letters that the legend has room for
+_MAX_NAME = 38  # letters that the legend has room for
 _PATHS: dict[str, tuple[str, Any, float]] = {  # name, dashes, width
     "vut": (mark("car under test (VUT)"), "-", 1.3),
     "pedestrian": (mark("pedestrian, to the collision point"), (0, (1.2, 1.2)), 1.8),
@@ -316,9 +316,9 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
     ]
     camera: Style = {"marker": Path(_DART, closed=True), "linestyle": "none", "markersize": 8.0}
     few = len(layout.units) <= labels.MAX_LABELLED_UNITS
-    what = mark("{layout}: camera, and the ground it looks at")
+    what = mark("{layout}: camera and its view")
     if not few:
-        what = mark("{layout}: cameras at a place, and what they look at")
+        what = mark("{layout}: cameras and their views")
     own = shortened(layout_words(layout.name), _MAX_NAME)
     rings = [is_ring(unit.sensor) for unit in layout.units]
     units = [] if all(rings) else [line(label=literal(tr(what, layout=own)), **_FOUND, **camera)]
@@ -326,9 +326,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         label = literal(tr("{layout}: LiDAR that scans all round", layout=own))
         units.append(line(label=label, markersize=8.0, **_FOUND, **_ROUND_MARKER))
     for name in dict.fromkeys(other.name for other in others):
-        label = literal(
-            tr("{layout}: camera", layout=shortened(layout_words(name), _MAX_OTHER_NAME))
-        )
+        label = literal(tr("{layout}: camera", layout=shortened(layout_words(name), _MAX_NAME)))
         units.append(line(label=label, **_OTHER, **camera))
     shown = {instance.class_name for instance in setting.scene.instances} - {"traffic light"}
     things = [
