@@ -23,7 +23,6 @@ from geometry.scene import Scene, road_area
 from ..figures.axes import BLUE, WIDTH_IN, finish_axes, literal, new_axes, show_square
 from ..figures.labels import Label, arm_names, draw_labels
 from ..figures.plan import draw_scene
-from ..report.page import page_environment
 from . import CAUSES
 
 _COLOURS = {
@@ -201,10 +200,15 @@ def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dic
     return {**streets, "names": [*names.values()], "junctions": junctions}
 
 
+def _template(name: str) -> Any:
+    from ..report.page import page_environment
+
+    return page_environment().get_template(name)
+
+
 def junction_chooser(shown: dict[str, Any]) -> str:
     """A :func:`junction_map` as HTML, for ``junction_map.js``; texts in it are escaped."""
-    module: Any = page_environment().get_template("junction_map.html.j2").module
-    return str(module.chooser(shown, CAUSES))
+    return str(_template("junction_map.html.j2").module.chooser(shown, CAUSES))
 
 
 def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str) -> str:
@@ -212,9 +216,9 @@ def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, c
 
     It loads nothing. `command` makes a scene of a junction whose id follows.
     """
-    shown = junction_map(maps, surveyed)
-    template = page_environment().get_template("junctions.html.j2")
-    return template.render(name=maps[0].name, shown=shown, causes=CAUSES, command=command)
+    shown = {"name": maps[0].name, "shown": junction_map(maps, surveyed), "causes": CAUSES}
+    page: str = _template("junctions.html.j2").render(**shown, command=command)
+    return page
 
 
 def new_map_axes(
