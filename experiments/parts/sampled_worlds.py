@@ -34,8 +34,8 @@ _LEAST_SPAN_POINTS = 1.0
 _ROW_IN, _PAIR_ROW_IN = 0.27, 0.4
 _PLANNED = mark(
     "The plan knows nothing of chance: in {n} sampled worlds greedy choice's layout prevents "
-    "{points:.2f} points more than the one found in the plan (95 %: {low:.2f} to {high:.2f}), so "
-    "it is the answer."
+    "{points:.2f} points more (95 %: {low:.2f} to {high:.2f}) than the one found, so it is the "
+    "answer."
 )
 _SURPASSED = mark(
     "Greedy choice's layout is the answer, not the one found, which is better in the {chosen} "
