@@ -114,7 +114,9 @@ def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
     star = tr("* of this layout; not optimised: --all-stages does.")
     columns = say("front.columns_by_cost" if front.by == "cost" else "front.columns")
-    return [f"{star} {columns}" if front.optimised == "first" else columns]
+    fewer = mark("Where more units add nothing, a layout has fewer than its row allows.")
+    is_fewer = any(len(point.layout) < point.units for point in front.points)
+    return [f"{star} {columns}" if front.optimised == "first" else columns] + [tr(fewer)] * is_fewer
 
 
 def _proof(point: FrontPointRecord) -> str:

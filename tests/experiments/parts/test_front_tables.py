@@ -13,6 +13,7 @@ from experiments.parts.front import (
     FrontRecord,
     describe_front,
     front_section,
+    notes,
     plot_front,
 )
 from experiments.parts.front import (
@@ -60,6 +61,16 @@ def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
     assert "p&lt;0&gt;" in page
     for sentence in summary["sentences"]:
         assert sentence in bullets_of(part)
+
+
+def test_a_row_with_fewer_units_than_it_allows_says_so(candidates):
+    enough = avoiding_problem(["11", "11", "11"], budget_units=3)
+    front = describe_front(pareto_front(enough, max_units=3), enough, candidates)
+    assert [len(point.layout) for point in front.points] == [1, 2, 2]
+    note = "Where more units add nothing, a layout has fewer than its row allows."
+    assert notes(front)[1:] == [note]
+    problem, full = front_of(3)
+    assert len(notes(describe_front(full, problem, candidates))) == 1
 
 
 def test_a_front_survives_its_plain_object(candidates):
