@@ -4,6 +4,7 @@ import json
 import re
 import string
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
@@ -61,6 +62,7 @@ class Upside(Messages):
         return self.find(one if count == 1 else many)
 
 
+@cache
 def messages_of_code():
     """Each message with the places where it stands; of plurals both forms."""
     found = {}
@@ -79,6 +81,7 @@ def messages_of_code():
     return found
 
 
+@cache
 def translations():
     found = {}
     for path in CATALOGUES:
