@@ -190,8 +190,8 @@ def validate_openscenario(text: str) -> None:
         element = ET.fromstring(text)
     except ET.ParseError as error:
         raise InputError("OpenSCENARIO", Unquoted(error), expected) from None
-    lxml = importlib.import_module("lxml.etree")
     quick = _schema("lxml.etree")
+    lxml = importlib.import_module("lxml.etree")
     if quick.validate(lxml.fromstring(text.encode(), lxml.XMLParser(resolve_entities=False))):
         return
     for problem in _schema("xmlschema").iter_errors(element):  # says where, but takes long

@@ -36,8 +36,8 @@ def small_setting():
 
 @pytest.fixture(scope="session")
 def tables(tmp_path_factory):
-    """The cache of detection tables, which most tests of all processes share."""
-    return make_once(tmp_path_factory, "tables", lambda folder: None)
+    """The cache of detection tables, which most tests share."""
+    return tmp_path_factory.mktemp("tables")
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ import json
 import re
 import string
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
@@ -65,6 +66,7 @@ class Upside(Messages):
         return self.find(one if count == 1 else many)
 
 
+@cache
 def messages_of_code():
     """Each message with the places where it stands; of plurals both forms."""
     found = {}
@@ -85,6 +87,7 @@ def messages_of_code():
     return found
 
 
+@cache
 def translations():
     found = {}
     for path in CATALOGUES:
