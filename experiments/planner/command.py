@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from geometry.scene import Scene
 
     from .plan import Plan
+    from .server import RunningServer
     from .session import MapFile
 
 _ASKED = (
@@ -104,27 +105,32 @@ def plan(
             port=port,
             keeps_open=keep_open,
         )
-        server.start()
         progress.stop()
-        try:
-            ends = tr("Ctrl-C ends it.") if keep_open else say("plan.ends_closed")
-            tell(tr("The page is at {address}", address=server.address) + f"\n{ends}")
-            if host != _LOCAL:
-                tell(say("plan.not_alone", host=host), err=True)
-            if opens:
-                webbrowser.open(_redirect(server.address, Path(folder)))
-            server.wait()
-            ended = "plan.closed", "plan.closed_saved"
-        except Interrupted as interrupted:
-            if interrupted.signum != signal.SIGINT:
-                raise
-            ended = "plan.ended", "plan.ended_saved"
-        finally:
-            problem = server.stop()
-        if problem:
-            tell(f"place-rsus: {problem}", err=True)
-        saved = [] if server.session is None else server.session.saved_files()
-        tell(say(ended[bool(saved)], files=tr(" and ").join(saved)))
+        _serve_page(server, opens=opens, folder=Path(folder))
+
+
+def _serve_page(server: "RunningServer", *, opens: bool, folder: Path) -> None:
+    """Serve until the page is closed or by Ctrl-C; a page that leads to it is in the folder."""
+    server.start()
+    try:
+        ends = tr("Ctrl-C ends it.") if server.keeps_open else say("plan.ends_closed")
+        tell(tr("The page is at {address}", address=server.address) + f"\n{ends}")
+        if server.host != _LOCAL:
+            tell(say("plan.not_alone", host=server.host), err=True)
+        if opens:
+            webbrowser.open(_redirect(server.address, folder))
+        server.wait()
+        ended = "plan.closed", "plan.closed_saved"
+    except Interrupted as interrupted:
+        if interrupted.signum != signal.SIGINT:
+            raise
+        ended = "plan.ended", "plan.ended_saved"
+    finally:
+        problem = server.stop()
+    if problem:
+        tell(f"place-rsus: {problem}", err=True)
+    saved = [] if server.session is None else server.session.saved_files()
+    tell(say(ended[bool(saved)], files=tr(" and ").join(saved)))
 
 
 def _map_file(question: Question) -> "MapFile | None":

@@ -484,14 +484,14 @@ class RunningServer:
     def __init__(
         self, make_session: Callable[[], Session], *, host: str, port: int, keeps_open: bool = True
     ) -> None:
-        self._keeps_open = keeps_open
+        self.keeps_open = keeps_open
         try:
             self._socket = socket.create_server((host, port))
         except (OSError, OverflowError) as error:
             where = getattr(error, "strerror", None) or error
             raise InputError("--port", Unquoted(f"{host}:{port}: {where}"), "a free port") from None
         self.port: int = self._socket.getsockname()[1]
-        self._host = host
+        self.host = host
         self.token = secrets.token_urlsafe(24)
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         self.address = f"http://{shown}:{self.port}/{self.token}/"
@@ -541,7 +541,7 @@ class RunningServer:
 
     async def _serve(self) -> None:
         self.session = self._make_session()
-        hosts = allowed_hosts(self._host, self.port)
+        hosts = allowed_hosts(self.host, self.port)
         config = uvicorn.Config(
             build_app(self.session, token=self.token, hosts=hosts),
             log_level="critical",
@@ -558,7 +558,7 @@ class RunningServer:
         watching.cancel()
 
     async def _end_when_alone(self, session: Session, server: uvicorn.Server) -> None:
-        while not self._keeps_open:
+        while not self.keeps_open:
             await asyncio.sleep(0.5)
             if session.left_at_s is None:  # nobody came yet, or somebody is here
                 continue
