@@ -279,6 +279,7 @@ def cast_sight(
     near_m: float,
     max_distance_m: float = np.inf,
     is_asked: BoolArray | None = None,
+    is_foreseen: BoolArray | None = None,
     for_lidar: bool = True,
 ) -> Sight:
     """Find the visible points from a mount position; entries without any are left out.
@@ -286,7 +287,9 @@ def cast_sight(
     Things nearer than `near_m` to the lens hide nothing; VRUs farther than `max_distance_m`, and
     views that are not asked for, (n_views,), are not looked at. Points that a body itself hides are
     of no account for a camera as long as nothing else hides anything: with `for_lidar` false, no
-    rays are cast for it, and all points of such a body are taken to be visible.
+    rays are cast for it, and all points of such a body are taken to be visible. Views that are
+    foreseen, (n_views,), may be asked for later, from the same eye: it costs less to find out about
+    them now, where that is cached.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
@@ -294,7 +297,8 @@ def cast_sight(
     distance = np.hypot(ground_distance, eye[2] - views.up_m)
     is_near = distance <= max_distance_m
     near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
-    blocked = _hidden_by_scene(world, eye, near_views, near_m=near_m)
+    foreseen = None if is_foreseen is None else np.flatnonzero(is_foreseen)
+    blocked = _hidden_by_scene(world, eye, near_views, foreseen, near_m=near_m)
     obstruction = views.obstruction_index[near_views]
     row, body = _find_between(world, eye, world.standing, near_views, obstruction)
     _add_hidden_by_bodies(
@@ -376,9 +380,14 @@ def _rays_to_own_points(surface: Surface, eyes_m: FloatArray) -> tuple[FloatRays
 
 
 def _hidden_by_scene(
-    world: World, eye_m: FloatArray, view_index: IntArray, *, near_m: float
+    world: World,
+    eye_m: FloatArray,
+    view_index: IntArray,
+    foreseen: IntArray | None,
+    *,
+    near_m: float,
 ) -> BoolArray:
-    """Points hidden by what stands there in all runs, (n, n_points)."""
+    """Points hidden by what stands there in all runs, (n, n_points); `foreseen`: more views."""
     from .ray_kernels import fill_rays
 
     shared = world.shared
@@ -396,7 +405,8 @@ def _hidden_by_scene(
         return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    return look(shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find)[row]
+    later = None if foreseen is None else world.views.place_index[foreseen]
+    return look(shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find, foreseen=later)[row]
 
 
 def _find_between(

@@ -21,6 +21,8 @@ from .casting import Sight, World, cast_sight
 _MIN_DEPTH_M = 0.01  # points next to or behind the lens are projected far outside the image
 _SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
 _SLACK_M = 1.0e-3  # of a sphere around a body
+_FORESEEN_RAD = 0.06  # by which mounts may be turned from world to world: three times one degree
+_WIDEST_RAD = 1.5  # half of a lens
 _PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
 
@@ -157,14 +159,23 @@ def cast_for(
         position_m,
         near_m=looks[0][0].sensor.near_m,
         is_asked=_may_detect(world, position_m, looks),
+        is_foreseen=(
+            None
+            if world.shared.hidden_by_scene is None
+            else _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
+        ),
         for_lidar=any(isinstance(candidate.sensor, LidarModel) for candidate, _ in looks),
     )
 
 
 def _may_detect(
-    world: World, position_m: FloatArray, looks: Sequence[tuple[CandidatePose, PlanningDetector]]
+    world: World,
+    position_m: FloatArray,
+    looks: Sequence[tuple[CandidatePose, PlanningDetector]],
+    *,
+    turned_rad: float = 0.0,
 ) -> BoolArray:
-    """Views that sensors at one mount may detect, (n_views,)."""
+    """Views that sensors at one mount may detect, (n_views,), maybe turned a little either way."""
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
     may_detect = np.zeros(len(views.yaw_deg), dtype=bool)
@@ -181,32 +192,32 @@ def _may_detect(
 
         candidates = [candidate for candidate in listed if not _has_lens(candidate)]
         for candidate in filter(_has_lens, listed):
-            may_detect |= _may_show(world, eye, candidate, height_px)
+            may_detect |= _may_show(world, eye, candidate, height_px, turned_rad)
         if not candidates:
             continue
         find_views(
             views.middle_m,
             views.radius_m,
             eye.astype(np.float32),
-            _lenses(candidates),
+            _lenses(candidates, turned_rad=turned_rad),
             len(candidates),
-            height_px,
+            height_px * (1.0 - turned_rad),  # boxes are a little larger farther from the axis
             may_detect,
         )
     return may_detect
 
 
 def _may_show(
-    world: World, eye: FloatArray, candidate: CandidatePose, height_px: float
+    world: World, eye: FloatArray, candidate: CandidatePose, height_px: float, turned_rad: float
 ) -> BoolArray:
-    """Views (n_views,) whose body may be so high through a lens."""
+    """Views (n_views,) whose body may be so high through a lens, maybe turned a little."""
     views, camera = world.views, candidate.sensor
     assert isinstance(camera, CameraModel)
     offsets = views.middle_m - eye
     away = np.linalg.norm(offsets, axis=1)
     spread = np.arcsin(np.minimum(1.0, (views.radius_m + _SLACK_M) / np.maximum(away, 1.0e-6)))
-    may_show = _in_cone(candidate, offsets, away, spread)
-    may_show &= 2.0 * spread * sharpest_px_per_rad(camera) >= height_px
+    may_show = _in_cone(candidate, offsets, away, spread + turned_rad)
+    may_show &= 2.0 * spread * sharpest_px_per_rad(camera) >= height_px * (1.0 - turned_rad)
     return may_show
 
 
@@ -305,14 +316,17 @@ def _box(
     )
 
 
-def _lenses(candidates: Sequence[CandidatePose]) -> NDArray[np.float32]:
-    """Cameras for ``point_kernels.box_bodies``."""
+def _lenses(candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0) -> NDArray[np.float32]:
+    """Cameras for ``point_kernels.box_bodies``, with images as large as if turned a little, too."""
     from .point_kernels import pack_lenses
 
     cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
     poses = [candidate.pose for candidate in candidates]
     focal = np.array([camera.focal_length_px for camera in cameras])
     size = np.array([(camera.width_px, camera.height_px) for camera in cameras], dtype=np.float64)
+    if turned_rad:
+        half = np.arctan(0.5 * size / focal[:, None]) + turned_rad
+        size = 2.0 * focal[:, None] * np.tan(np.minimum(half, _WIDEST_RAD))
     return pack_lenses(
         camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]), focal, size
     )

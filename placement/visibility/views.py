@@ -241,10 +241,12 @@ class HiddenPoints:
         self._of_eye: dict[object, tuple[BoolArray, NDArray[np.uint8]]] = {}
         self._most_eyes = _MOST_BYTES // max(1, n_rows * (1 + -(-n_points // 8)))
 
-    def look(self, eye: object, rows: IntArray, find: Find) -> BoolArray:
+    def look(
+        self, eye: object, rows: IntArray, find: Find, *, foreseen: IntArray | None = None
+    ) -> BoolArray:
         """Hidden points of rows (n,), distinct, seen from an eye by its name, (n, n_points).
 
-        `find` finds them.
+        `find` finds them. Where it has to, it is asked for the rows that are `foreseen`, too.
         """
         if eye not in self._of_eye:
             if len(self._of_eye) >= self._most_eyes:
@@ -252,13 +254,24 @@ class HiddenPoints:
             bits = np.zeros((self._n_rows, -(-self._n_points // 8)), dtype=np.uint8)
             self._of_eye.setdefault(eye, (np.zeros(self._n_rows, dtype=bool), bits))
         is_known, bits = self._of_eye[eye]
-        asked = rows[~is_known[rows]]
-        if len(asked):
+        if not is_known[rows].all():
+            is_asked = np.zeros(self._n_rows, dtype=bool)
+            is_asked[rows] = True
+            if foreseen is not None:
+                is_asked[foreseen] = True
+            asked = np.flatnonzero(is_asked & ~is_known)
             bits[asked] = np.packbits(find(asked), axis=1)
             is_known[asked] = True  # last: another thread may ask
         return np.unpackbits(bits[rows], axis=1, count=self._n_points).view(bool)
 
 
-def look(cache: HiddenPoints | None, eye: object, rows: IntArray, find: Find) -> BoolArray:
+def look(
+    cache: HiddenPoints | None,
+    eye: object,
+    rows: IntArray,
+    find: Find,
+    *,
+    foreseen: IntArray | None = None,
+) -> BoolArray:
     """Hidden points of rows: found, or those of a cache; see :meth:`HiddenPoints.look`."""
-    return find(rows) if cache is None else cache.look(eye, rows, find)
+    return find(rows) if cache is None else cache.look(eye, rows, find, foreseen=foreseen)

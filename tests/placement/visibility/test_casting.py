@@ -189,7 +189,8 @@ def test_worlds_that_share_a_scene_are_seen_as_each_alone(build_scene, build_run
         is_asked = rng.random(len(worlds[0].views.yaw_deg)) < 0.6
         for eye in eyes:
             cached, alone = (
-                cast_sight(world, eye, near_m=NEAR_M, is_asked=is_asked) for world in worlds
+                cast_sight(world, eye, near_m=NEAR_M, is_asked=is_asked, is_foreseen=is_asked)
+                for world in worlds
             )
             for name in ("view_index", "is_visible", "is_whole", "visible_share", "entry_of_frame"):
                 assert np.array_equal(getattr(cached, name), getattr(alone, name))

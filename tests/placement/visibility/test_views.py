@@ -14,10 +14,10 @@ def _truth(eye):
     return np.random.default_rng(eye).random((N_ROWS, N_POINTS)) < 0.5
 
 
-@given(st.lists(st.tuples(st.integers(0, 3), ROWS), max_size=8))
+@given(st.lists(st.tuples(st.integers(0, 3), ROWS, ROWS), max_size=8))
 def test_what_is_kept_is_what_was_found_and_nothing_is_found_twice(asked):
     kept, found = HiddenPoints(N_ROWS, N_POINTS), set()
-    for eye, rows in asked:
+    for eye, rows, foreseen in asked:
 
         def find(index, eye=eye):
             pairs = {(eye, row) for row in index.tolist()}
@@ -25,7 +25,12 @@ def test_what_is_kept_is_what_was_found_and_nothing_is_found_twice(asked):
             found.update(pairs)
             return _truth(eye)[index]
 
-        assert np.array_equal(kept.look(eye, rows, find), _truth(eye)[rows])
+        before = set(found)
+        assert np.array_equal(kept.look(eye, rows, find, foreseen=foreseen), _truth(eye)[rows])
+        if {(eye, row) for row in rows.tolist()} <= before:
+            assert found == before  # what is foreseen can wait
+        else:
+            assert {(eye, row) for row in foreseen.tolist()} <= found
 
 
 @settings(deadline=None)
