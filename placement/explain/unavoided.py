@@ -96,9 +96,12 @@ def _causes(
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
+    no_triangles = world.shared.triangles_m[:0]
     empty = replace(
         world,
-        shared=replace(world.shared, caster=nothing, hidden_by_scene=None),
+        shared=replace(
+            world.shared, caster=nothing, triangles_m=no_triangles, hidden_by_scene=None
+        ),
         standing=replace(world.standing, casters=(nothing,) * len(world.standing.casters)),
         vehicles=replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters)),
     )

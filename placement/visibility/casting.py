@@ -34,7 +34,7 @@ from .views import (
 
 AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
 _OFF_SURFACE_M = 1.0e-3
-_ROWS_TOGETHER = 4096  # whose rays are cast in one go
+_ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
 
 
 # ---------- bodies
@@ -159,6 +159,7 @@ class SharedScene:
 
     origin_m: FloatArray  # (3,): subtracted from all coordinates: rays have single precision. [m]
     caster: RayCaster  # what stands there in all runs
+    triangles_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
     places: Places  # where VRUs are looked at
     bodies: tuple[RayCaster, ...]  # their shapes in their own frame, of each of the surfaces
     vehicles: Bodies | None = None  # what drives, if that is the same in all of them
@@ -192,6 +193,13 @@ class World:
     def radius_m(self) -> float:
         """All points of any VRU lie this near to their mean, in metres."""
         return max(surface.radius_m for surface in self.surfaces)
+
+    @property
+    def height_limits_m(self) -> tuple[float, float]:
+        """Heights of the lowest and the highest point of any VRU, in metres."""
+        heights = [surface.points_m[:, 2] for surface in self.surfaces]
+        ground = self.views.up_m
+        return float(np.min(heights) + ground.min()), float(np.max(heights) + ground.max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -258,6 +266,7 @@ def build_shared_scene(
     return SharedScene(
         origin_m=origin,
         caster=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
+        triangles_m=(scene.vertices_m - origin)[scene.triangles],
         places=places,
         bodies=tuple(
             shape_caster(surface.actor.shapes[surface.shape_index], rays)
@@ -285,11 +294,11 @@ def cast_sight(
     """Find the visible points from a mount position; entries without any are left out.
 
     Things nearer than `near_m` to the lens hide nothing; VRUs farther than `max_distance_m`, and
-    views that are not asked for, (n_views,), are not looked at. Points that a body itself hides are
-    of no account for a camera as long as nothing else hides anything: with `for_lidar` false, no
-    rays are cast for it, and all points of such a body are taken to be visible. Views that are
-    foreseen, (n_views,), may be asked for later, from the same eye: it costs less to find out about
-    them now, where that is cached.
+    views that are not asked for, (n_views,), are not looked at. Rays are cast where something may
+    stand in their way. Points that a body itself hides are of no account for a camera as long as
+    nothing else hides anything: with `for_lidar` false, no rays are cast for it, and all points of
+    such a body are taken to be visible. Views that are foreseen, (n_views,), may be asked for
+    later, from the same eye: it costs less to find out about them now, where that is cached.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
@@ -388,21 +397,27 @@ def _hidden_by_scene(
     near_m: float,
 ) -> BoolArray:
     """Points hidden by what stands there in all runs, (n, n_points); `foreseen`: more views."""
-    from .ray_kernels import fill_rays
+    from .ray_kernels import N_AROUND, N_UP, fill_rays, find_unclear_points, mark_nearest
 
     shared = world.shared
-    axes_m = shared.places.axes_m
-    n_points = axes_m.shape[2]
+    places = shared.places
 
     def find(index: IntArray) -> BoolArray:
-        hidden = np.empty((len(index), n_points), dtype=bool)
-        for first in range(0, len(index), _ROWS_TOGETHER):
-            some = index[first : first + _ROWS_TOGETHER]
-            starts, vectors = (np.empty((len(some) * n_points, 3), np.float32) for _ in range(2))
-            fill_rays(axes_m, some, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
-            is_blocked = shared.caster.is_blocked(starts, vectors)
-            hidden[first : first + len(some)] = is_blocked.reshape(len(some), n_points)
-        return hidden
+        unclear = np.zeros((len(index), places.axes_m.shape[2]), dtype=bool)
+        if len(index) == 0:
+            return unclear
+        # Things farther than this are behind all bodies.
+        away_m = np.hypot(*(places.position_m[index] - eye_m[:2]).T)
+        farthest_m = float(np.hypot(away_m, eye_m[2] - places.up_m[index]).max())
+        far_m = farthest_m + 2.0 * world.radius_m + 1.0
+        nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
+        mark_nearest(nearest, shared.triangles_m, eye_m, near_m, far_m, *world.height_limits_m)
+        bodies = (places.axes_m, places.middle_m, places.radius_m, eye_m)
+        find_unclear_points(nearest, *bodies, index, unclear)
+        starts, vectors = (np.empty((np.count_nonzero(unclear), 3), np.float32) for _ in range(2))
+        fill_rays(places.axes_m, index, unclear, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
+        unclear[unclear] = shared.caster.is_blocked(starts, vectors)
+        return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
     later = None if foreseen is None else world.views.place_index[foreseen]

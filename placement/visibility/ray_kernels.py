@@ -1,4 +1,11 @@
-"""Numba kernels: rays from an eye to points of bodies, and which bodies they may meet."""
+"""Numba kernels: occlusion culling, and rays from an eye to points of bodies.
+
+All directions from the eye are sorted into cells: azimuth by the diamond angle, elevation by its
+sine, so that no trigonometric function is needed. Each cell knows how near the nearest thing in it
+may be. Triangles are cut into pieces of some degrees, and each piece counts in all cells between
+its least and greatest azimuth and elevation: a cell never knows too little, and where it knows
+nothing nearer than a point, the ray to that point would meet nothing.
+"""
 
 from typing import Any
 
@@ -9,6 +16,232 @@ from geometry.kernels import kernel
 
 Array = NDArray[Any]
 Point = tuple[float, float, float]
+
+N_AROUND = 1024  # cells of azimuth
+N_UP = 512  # cells of elevation
+_PIECE_SIN = 0.04  # sine of the angle within which a piece lies around its middle
+_SMALLEST_M = 0.005  # pieces are not cut any smaller
+_SLACK_M = 1.0e-3  # for rays in single precision
+_SLACK_SIN = 1.0e-5
+_MOST_CUTS = 64
+_BLOCK = 8  # cells along either side of a block whose nearest thing is looked at first
+
+
+@kernel
+def _diamond(x: float, y: float) -> float:
+    """Azimuth as a number from 0 to 4 that grows with the angle."""
+    size = abs(x) + abs(y)
+    if size == 0.0:
+        return 0.0
+    share = y / size
+    if x < 0.0:
+        return 2.0 - share
+    return share if share >= 0.0 else 4.0 + share
+
+
+@kernel
+def cell_around(x: float, y: float, n_around: int) -> int:
+    """Column of cells of an azimuth."""
+    return min(int(_diamond(x, y) * (0.25 * n_around)), n_around - 1)
+
+
+@kernel
+def cell_up(sine: float, n_up: int) -> int:
+    """Row of cells of an elevation."""
+    return max(0, min(int((sine + 1.0) * (0.5 * n_up)), n_up - 1))
+
+
+@kernel
+def _window(
+    x: float, y: float, z: float, radius: float, shape: tuple[int, int]
+) -> tuple[int, int, int, int]:
+    """Cells that a sphere touches, the eye outside of it: rows, columns; the end may be > N."""
+    n_up, n_around = shape
+    level = np.sqrt(x * x + y * y)
+    distance = np.sqrt(x * x + y * y + z * z)
+    sine = radius / distance
+    cosine = np.sqrt(max(0.0, 1.0 - sine * sine))
+    up, flat = z / distance, level / distance
+    low, high = up * cosine - flat * sine, up * cosine + flat * sine
+    if level <= radius:  # straight above or below: all azimuths
+        if z < 0.0:
+            low = -1.0
+        else:
+            high = 1.0
+        return cell_up(low, n_up), cell_up(high, n_up), 0, n_around - 1
+    turn = radius / level
+    keep = np.sqrt(1.0 - turn * turn)
+    first = cell_around(x * keep + y * turn, y * keep - x * turn, n_around)
+    last = cell_around(x * keep - y * turn, y * keep + x * turn, n_around)
+    if last < first:
+        last += n_around
+    return cell_up(low, n_up), cell_up(high, n_up), first, last
+
+
+@kernel
+def _piece_window(
+    corners: Any, x: float, y: float, sine: float, shape: tuple[int, int]
+) -> tuple[int, int, int, int]:
+    """Cells that a triangle touches, as `_window`: `sine` is that of its half angle at least.
+
+    Azimuth on a triangle is between those of its corners. Of a point p = sum of shares t of the
+    corners c, height / |p| is at most the greatest such ratio of a corner times sum t |c| / |p|,
+    which is 1 .. 1 / cos(the triangle's angle); and at least the least one likewise.
+    """
+    middle = _diamond(x, y)
+    left = right = 0.0
+    bottom, top = 1.0, -1.0
+    for cx, cy, cz in corners:
+        turn = _diamond(cx, cy) - middle
+        if turn > 2.0:
+            turn -= 4.0
+        elif turn < -2.0:
+            turn += 4.0
+        left, right = min(left, turn), max(right, turn)
+        ratio = cz / np.sqrt(cx * cx + cy * cy + cz * cz)
+        bottom, top = min(bottom, ratio), max(top, ratio)
+    bulge = 1.0 / (1.0 - 2.0 * sine * sine)
+    bottom = bottom * bulge if bottom < 0.0 else bottom
+    top = top * bulge if top > 0.0 else top
+    distance = np.sqrt(x * x + y * y)
+    slack = _SLACK_M / distance + _SLACK_SIN
+    n_up, n_around = shape
+    first = int(np.floor((middle + left - slack) * (0.25 * n_around)))
+    last = int(np.floor((middle + right + slack) * (0.25 * n_around)))
+    if first < 0:
+        first, last = first + n_around, last + n_around
+    return cell_up(bottom - slack, n_up), cell_up(top + slack, n_up), first, last
+
+
+@kernel
+def mark_nearest(
+    nearest: Array,
+    triangles: Array,
+    eye: Array,
+    near_m: float,
+    far_m: float,
+    low_m: float,
+    high_m: float,
+) -> None:
+    """Enter triangles (n, 3, 3) into cells (n_up, n_around) of distances from the eye.
+
+    Left out is what is nearer than `near_m`, farther than `far_m`, and what no way from the eye to
+    a point whose height is `low_m` .. `high_m` can meet.
+    """
+    floor, ceiling = min(eye[2], low_m), max(eye[2], high_m)
+    shape = nearest.shape
+    n_around = shape[1]
+    stack = np.empty((_MOST_CUTS + 1, 9))
+    for number in range(len(triangles)):  # triangles of the scene
+        for corner in range(3):
+            for axis in range(3):
+                stack[0, 3 * corner + axis] = triangles[number, corner, axis] - eye[axis]
+        height = 1
+        while height > 0:  # pieces of the triangle that are still to be cut or entered
+            height -= 1
+            ax, ay, az, bx, by, bz, cx, cy, cz = stack[height]
+            if max(az, bz, cz) + eye[2] <= floor or min(az, bz, cz) + eye[2] >= ceiling:
+                continue
+            x, y, z = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0, (az + bz + cz) / 3.0
+            radius2 = max(
+                (ax - x) ** 2 + (ay - y) ** 2 + (az - z) ** 2,
+                (bx - x) ** 2 + (by - y) ** 2 + (bz - z) ** 2,
+                (cx - x) ** 2 + (cy - y) ** 2 + (cz - z) ** 2,
+            )
+            distance2 = x * x + y * y + z * z
+            radius, distance = np.sqrt(radius2), np.sqrt(distance2)
+            if distance + radius < near_m - _SLACK_M or distance - radius > far_m:
+                continue
+            is_piece = radius <= _PIECE_SIN * distance or radius <= _SMALLEST_M
+            if not is_piece and height + 2 <= _MOST_CUTS:
+                ab = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
+                bc = (bx - cx) ** 2 + (by - cy) ** 2 + (bz - cz) ** 2
+                ca = (cx - ax) ** 2 + (cy - ay) ** 2 + (cz - az) ** 2
+                # Turned so that the longest side leads from a to b.
+                if bc >= ab and bc >= ca:
+                    ax, ay, az, bx, by, bz, cx, cy, cz = bx, by, bz, cx, cy, cz, ax, ay, az
+                elif ca >= ab and ca >= bc:
+                    ax, ay, az, bx, by, bz, cx, cy, cz = cx, cy, cz, ax, ay, az, bx, by, bz
+                mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+                for first, (px, py, pz) in enumerate(((ax, ay, az), (bx, by, bz))):
+                    part = stack[height + first]
+                    part[0], part[1], part[2] = px, py, pz
+                    part[3], part[4], part[5] = mx, my, mz
+                    part[6], part[7], part[8] = cx, cy, cz
+                height += 2
+                continue
+            wide = radius + _SLACK_M + _SLACK_SIN * distance
+            if distance <= wide:
+                nearest[:] = 0.0
+                return
+            least = np.float32(max(0.0, distance - wide))
+            if np.sqrt(x * x + y * y) <= wide:  # straight above or below
+                low, high, begin, end = _window(x, y, z, wide, shape)
+            else:
+                corners = ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
+                low, high, begin, end = _piece_window(corners, x, y, wide / distance, shape)
+            for up in range(low, high + 1):  # cells that the piece touches
+                row = nearest[up]
+                for column in range(begin, min(end, n_around - 1) + 1):
+                    row[column] = min(row[column], least)
+                for column in range(0, end - n_around + 1):
+                    row[column] = min(row[column], least)
+
+
+@kernel
+def _is_clear(nearest: Array, size: int, window: tuple[int, int, int, int], far: Any) -> bool:
+    """True if no block of `size` x `size` cells in a window knows of anything as near as `far`."""
+    low, high, begin, end = window
+    for up in range(low // size, high // size + 1):
+        for around in range(begin // size, end // size + 1):
+            column = around if around < N_AROUND // size else around - N_AROUND // size
+            if nearest[up, column] <= far:
+                return False
+    return True
+
+
+@kernel
+def find_unclear_points(
+    nearest: Array,
+    points: Array,
+    middle: Array,
+    radius: Array,
+    eye: Array,
+    views: Array,
+    unclear: Array,
+) -> None:
+    """Set `unclear` (n, n_points) where something may stand before a point of a view.
+
+    `points` (n_views, 3, n_points), `middle` (n_views, 3), `radius` (n_views,): each body's points,
+    and a sphere around them; `views` (n,): which of them are asked for.
+    """
+    ex, ey, ez = eye[0], eye[1], eye[2]
+    blocks = np.empty((N_UP // _BLOCK, N_AROUND // _BLOCK), np.float32)
+    blocks[:] = np.inf
+    for up in range(N_UP):  # all cells: the nearest thing of each block of them
+        for column in range(N_AROUND):
+            block = blocks[up // _BLOCK, column // _BLOCK]
+            blocks[up // _BLOCK, column // _BLOCK] = min(block, nearest[up, column])
+    for row in range(len(views)):  # views: first as a whole, by the sphere around them
+        view = views[row]
+        x, y, z = middle[view, 0] - ex, middle[view, 1] - ey, middle[view, 2] - ez
+        distance = np.sqrt(x * x + y * y + z * z)
+        wide = radius[view] + _SLACK_M
+        if distance > wide:
+            window = _window(x, y, z, wide, nearest.shape)
+            far = np.float32(distance + wide)
+            if _is_clear(blocks, _BLOCK, window, far) or _is_clear(nearest, 1, window, far):
+                continue
+        for point in range(points.shape[2]):  # then point by point, by its cell
+            x = points[view, 0, point] - ex
+            y = points[view, 1, point] - ey
+            z = points[view, 2, point] - ez
+            distance = np.sqrt(x * x + y * y + z * z)
+            if distance == 0.0:
+                unclear[row, point] = True
+                continue
+            up, column = cell_up(z / distance, N_UP), cell_around(x, y, N_AROUND)
+            unclear[row, point] = nearest[up, column] <= distance
 
 
 @kernel
@@ -29,6 +262,7 @@ def misses(eye: Point, target: Point, low: Point, high: Point) -> bool:
     return first > last
 
 
+# ---------- rays
 @kernel
 def shorten(
     eye: tuple[np.float32, np.float32, np.float32],
@@ -51,23 +285,25 @@ def shorten(
 def fill_rays(
     points: Array,
     views: Array,
+    asked: Array,
     eye: Array,
     near_m: float,
     off_surface_m: float,
     starts: Array,
     vectors: Array,
 ) -> None:
-    """Rays from the eye to all points of some views, row by row, in single precision.
+    """Rays from the eye to the points asked for (n, n_points), row by row, in single precision.
 
-    `points` (n_views, 3, n_points), `views` (n,). They start `near_m` from the eye and end
-    `off_surface_m` before the point.
+    They start `near_m` from the eye and end `off_surface_m` before the point.
     """
     near, cut = np.float32(near_m), np.float32(near_m + off_surface_m)
     ex, ey, ez = np.float32(eye[0]), np.float32(eye[1]), np.float32(eye[2])
     ray = 0
-    for row in range(len(views)):  # views, and the points of each
+    for row in range(len(views)):  # views, and the points of each that are asked for
         view = views[row]
         for point in range(points.shape[2]):
+            if not asked[row, point]:
+                continue
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
