@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.jobs import placement
+from experiments.jobs import evaluation as evaluation_job
 from experiments.progress import StageProgress
 from geometry.catalogue import load_cameras
 
@@ -419,7 +419,7 @@ def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study
 
 def test_what_json_lacks_becomes_null(run, monkeypatch):
     monkeypatch.setattr(
-        placement, "run_evaluation", lambda *given, **options: {"gap": float("inf")}
+        evaluation_job, "run_evaluation", lambda *given, **options: {"gap": float("inf")}
     )
     assert run("evaluate", "--layout", "carlancap-12", "--json", "--quiet") == (
         0,

@@ -182,7 +182,7 @@ def count_presolves(patch: pytest.MonkeyPatch) -> list[int]:
         calls.append(problem.survive)
         return before(problem, **options)  # type: ignore[arg-type]
 
-    for module in ("solve", "front"):
+    for module in ("solve", "front", "cost_front"):
         patch.setattr(f"placement.optimiser.{module}.presolve", counted)
     return calls
 
