@@ -96,7 +96,7 @@ def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_J
     check_whole("blocks", n_blocks, least=2)
     check_whole("judge", n_judged, least=2)
     check_whole("samples", assembly.n_samples, least=2)
-    _check_mean(assembly.wishes, "only they are certified")
+    _check_mean(assembly.wishes, "question", "a budget and the mean APR: only they are certified")
     compute = assembly.compute
     blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
     names = {
@@ -114,10 +114,10 @@ def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_J
     return Certified(blocks=blocks, pool=tuple(pool), judged=judged, gap=gap)
 
 
-def _check_mean(wishes: Wishes, why: str) -> None:
+def _check_mean(wishes: Wishes, where: str, expected: str) -> None:
     if wishes.target is not None or wishes.survive or wishes.tail < 1.0:
         got = Unquoted("a target, failures or a tail of the worlds")
-        raise InputError("question", got, f"a budget and the mean APR: {why}")
+        raise InputError(where, got, expected)
 
 
 def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
@@ -250,7 +250,7 @@ def grow(
         setting = None if best is None else best[0].setting
         trial = assemble(asked, scene=scene, setting=setting, compute=compute)
         trial = replace(trial, first_sample=first)
-        _check_mean(trial.wishes, "worlds are added for nothing else")
+        _check_mean(trial.wishes, "samples", "a number: auto is for a budget and the mean APR")
         try:
             found = place(trial, asks_worlds=True)
         except InputError as error:

@@ -440,7 +440,7 @@ def find_refusal(
     first, *others = conflicts
     got = "demands that no layout meets together"
     if len(first.demands) == 1:
-        got = "more than any layout gives"
+        got = "a demand that no layout meets"
     more = [f"; besides, {words.demands(other)}: {words.ways_out(other)}" for other in others]
     return InputError(words.demands(first), Unquoted(got), words.ways_out(first) + "".join(more))
 

@@ -72,7 +72,7 @@ def refusal_of(setting, scene, candidates):
 
 
 TOGETHER = "got demands that no layout meets together; expected"
-TOO_MUCH = "got more than any layout gives; expected"
+TOO_MUCH = "got a demand that no layout meets; expected"
 
 
 @pytest.mark.parametrize(
