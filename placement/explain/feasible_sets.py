@@ -108,9 +108,7 @@ class Oracle:
     def least_units(self, problem: PlacementProblem) -> Answer:
         """The fewest units that meet limits and floors."""
         problem = replace(problem, goal="fewest", survive=0)
-        found = (
-            _NONE if self._is_refused_at_once(problem) else self._search(self._presolve(problem))
-        )
+        found = self._search_whole(problem)
         if isinstance(found, Answer):
             return found
         bound, units = Stages(problem, found, Effort()).bound_units(), found.units
@@ -120,9 +118,7 @@ class Oracle:
     def least_cost_eur(self, problem: PlacementProblem) -> Answer:
         """The least cost at which limits and floors are met."""
         problem = replace(problem, goal="cheapest", survive=0)
-        found = (
-            _NONE if self._is_refused_at_once(problem) else self._search(self._presolve(problem))
-        )
+        found = self._search_whole(problem)
         if isinstance(found, Answer):
             return found
         bound, value = Stages(problem, found, Effort()).bound_first_cost_eur(), found.value.cost_eur
@@ -173,6 +169,12 @@ class Oracle:
             bare = replace(problem, floors=(), goal="best", survive=0)
             self._presolved[key] = problem.limits, presolve(bare)
         return self._presolved[key][1].for_problem(problem)
+
+    def _search_whole(self, problem: PlacementProblem) -> Search | Answer:
+        """As :meth:`_search`, of a problem that may be refused at once."""
+        if self._is_refused_at_once(problem):
+            return _NONE
+        return self._search(self._presolve(problem))
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search | Answer:
         """A search that has a set within limits and floors; else the answer that there is none.

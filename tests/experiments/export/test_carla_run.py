@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from carla_recordings import RUNS, SCENE, STUDY, TWO, compare
 from export_layouts import level_layout
+from short_runs import cut_run
 
 from experiments.export.carla import carla_points, to_carla
 from experiments.export.carla_run import build_scenario, to_carla_run
@@ -29,19 +30,9 @@ def drive(script, tmp_path, monkeypatch, *arguments):
     return out, world
 
 
-PER_FRAME = (
-    "time_s",
-    "vut_position_m",
-    "vut_yaw_deg",
-    "vru_position_m",
-    "vru_yaw_deg",
-    "vru_shape",
-)
-
-
 def end_of(run, n_frames=40):
     """Its last frames: the server draws millions of pixels in each."""
-    return replace(run, **{name: getattr(run, name)[-n_frames:] for name in PER_FRAME})
+    return cut_run(run, slice(-n_frames, None))
 
 
 @pytest.mark.parametrize("blueprint", RUNS)

@@ -11,6 +11,7 @@ import pytest
 from export_layouts import awkward_layout, large_layout
 from export_pictures import read_mcap
 from PIL import Image
+from short_runs import cut_run
 
 from experiments.export.mcap import to_mcap
 from experiments.export.watched import WatchedRun, find_run
@@ -139,15 +140,7 @@ def test_foxgloves_layout_names_topics_that_exist(topics):
 def test_pictures_are_what_a_reduced_camera_draws(watched):
     layout = load_carlancap_layout()
     one = replace(layout, units=layout.units[:1])
-    names = (
-        "time_s",
-        "vut_position_m",
-        "vut_yaw_deg",
-        "vru_position_m",
-        "vru_yaw_deg",
-        "vru_shape",
-    )
-    few = replace(watched.run, **{name: getattr(watched.run, name)[:2] for name in names})
+    few = cut_run(watched.run, slice(2))
     short = replace(watched, run=few, detected={one.units[0].id: np.zeros(2, dtype=bool)})
     found = read_mcap(to_mcap(one, SCENE, short, pictures=Compute()))
     (unit,) = one.units

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from met_cases import MET_CASES
+from short_runs import cut_run
 
 from experiments.export.openscenario import load_xosc, to_openscenario, validate_openscenario
 from geometry.actors import Shape, load_actors
@@ -186,21 +187,7 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(some_runs, case):
 @pytest.mark.parametrize("case", ["CPNA-25", "CPTAfs-50", "CBLA-50"])
 def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(some_runs, case):
     whole = some_runs[case, "day"]
-    n_frames = len(whole.time_s) - 1
-    early = replace(
-        whole,
-        **{
-            name: getattr(whole, name)[:n_frames]
-            for name in (
-                "time_s",
-                "vut_position_m",
-                "vut_yaw_deg",
-                "vru_position_m",
-                "vru_yaw_deg",
-                "vru_shape",
-            )
-        },
-    )
+    early = cut_run(whole, slice(-1))
     assert to_openscenario(early, road_network="a.xodr") == to_openscenario(
         whole, road_network="a.xodr"
     )

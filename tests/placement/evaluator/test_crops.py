@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kept_backdrops import kept_backdrop
+from short_runs import cut_run
 
 from geometry.image_boxes import box_height_px
 from geometry.poses import Pose
@@ -18,10 +19,6 @@ from placement.imaging.picture import Window
 from placement.imaging.stills import window_around
 
 POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
-PER_FRAME = (
-    *("time_s", "vut_position_m", "vut_yaw_deg"),
-    *("vru_position_m", "vru_yaw_deg", "vru_shape"),
-)
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +40,7 @@ def last_frames(runs):
 
     def cut(name, n_frames=3):
         run = by_name[name]
-        return replace(run, **{key: getattr(run, key)[-n_frames:] for key in PER_FRAME})
+        return cut_run(run, slice(-n_frames, None))
 
     return cut
 
@@ -158,7 +155,7 @@ def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(runs, seen,
     by_name = {run.id: run for run in runs}
     run = by_name["CBLA/west/25"]
     last = slice(-14, None)
-    some = replace(run, **{key: getattr(run, key)[last] for key in PER_FRAME})
+    some = cut_run(run, last)
     full = replace(larger, width_px=1920, height_px=1080)
     crops, _, evidence = seen([some], camera=full)
     is_high = box_height_px(evidence.visible_px) >= 50.0

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kept_backdrops import kept_backdrop
+from short_runs import cut_run
 
 from geometry.image_boxes import iou
 from geometry.poses import Pose
@@ -26,14 +27,6 @@ POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_de
 PEDESTRIAN, CYCLIST = "CPNC-50/west/30", "CBLA/west/25"
 PERSON, BICYCLE = 1, 2  # of COCO's 91
 N_FRAMES = 6
-PER_FRAME = (
-    "time_s",
-    "vut_position_m",
-    "vut_yaw_deg",
-    "vru_position_m",
-    "vru_yaw_deg",
-    "vru_shape",
-)
 
 
 @pytest.fixture(autouse=True)
@@ -54,10 +47,7 @@ def last_frames(runs):
     by_name = {run.id: run for run in runs}
 
     def cut(*names, n_frames=N_FRAMES):
-        return [
-            replace(by_name[name], **{k: getattr(by_name[name], k)[-n_frames:] for k in PER_FRAME})
-            for name in names
-        ]
+        return [cut_run(by_name[name], slice(-n_frames, None)) for name in names]
 
     return cut
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, turned
+from short_runs import cut_run
 
 from geometry.poses import Pose
 from geometry.scene import Lane
@@ -19,14 +20,6 @@ from scenarios.weights import weight_per_run
 
 PARKING_M = 2.6
 _LAST = 41
-_FRAMES = (
-    "time_s",
-    "vut_position_m",
-    "vut_yaw_deg",
-    "vru_position_m",
-    "vru_yaw_deg",
-    "vru_shape",
-)
 
 
 def setting_of(scene, runs, rule, **fields):
@@ -52,11 +45,7 @@ def setting(runs, rule):
     names = ("corner-ne", "mast-w")
     return setting_of(
         replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
-        [
-            replace(run, **{name: getattr(run, name)[-_LAST:] for name in _FRAMES})
-            for run in runs
-            if run.id in ids
-        ],
+        [cut_run(run, slice(-_LAST, None)) for run in runs if run.id in ids],
         rule,
     )
 

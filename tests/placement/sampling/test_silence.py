@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from short_runs import cut_run
 
 from geometry.catalogue import load_lidars
 from geometry.errors import InputError
@@ -21,11 +22,9 @@ N_RUNS, N_FRAMES = 2000, 6
 def many(setting, build_setting):
     """So many short runs, by day."""
     (run, *_) = setting.runs
-    names = ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
-    short = {name: getattr(run, name)[-N_FRAMES:] for name in (*names, "vru_shape")}
+    short = cut_run(run, slice(-N_FRAMES, None))
     runs = [
-        replace(run, id=f"{number}", encounter=replace(run.encounter), **short)
-        for number in range(N_RUNS)
+        replace(short, id=f"{number}", encounter=replace(run.encounter)) for number in range(N_RUNS)
     ]
     return build_setting(setting.scene, runs)
 

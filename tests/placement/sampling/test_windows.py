@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from junctions import protocol_scene
+from short_runs import cut_run
 
 from geometry.actors import MovingActor, PlacedActor, load_actors
 from geometry.footprints import footprint_corners, footprint_separation
@@ -240,15 +241,7 @@ def test_runs_of_one_group_see_the_same_moment_of_the_same_traffic(
     build_setting, junction_scene, junction_runs, recorded
 ):
     whole = junction_runs["west"]
-    names = (
-        "time_s",
-        "vut_position_m",
-        "vut_yaw_deg",
-        "vru_position_m",
-        "vru_yaw_deg",
-        "vru_shape",
-    )
-    short = replace(whole, id="short", **{name: getattr(whole, name)[-15:] for name in names})
+    short = cut_run(whole, slice(-15, None), id="short")
     (sample,) = worlds(build_setting(junction_scene, [whole, short]), recorded, n_samples=1)
     long_traffic, short_traffic = (run.traffic for run in sample.setting.runs)
     tails = {body.position_m[-15:].tobytes() for body in long_traffic}

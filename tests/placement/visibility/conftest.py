@@ -1,10 +1,9 @@
 """Tiny worlds: boxes for walls, catalogue bodies, runs given frame by frame."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
+from short_runs import cut_run
 
 from geometry.actors import load_actors
 from geometry.poses import Pose
@@ -115,23 +114,7 @@ def study_runs(actors) -> tuple[Run, ...]:
     """Three cases of the study at two speeds, the last four seconds of each."""
     cases = select_cases("CPNC-50,CBNA,CBLA", speeds="30,60").cases
     runs, _ = build_runs(load_study_scene(), cases, vut=actors["vut"], rule=load_aeb_rule())
-    return tuple(
-        replace(
-            run,
-            **{
-                field: getattr(run, field)[-40:]
-                for field in (
-                    "time_s",
-                    "vut_position_m",
-                    "vut_yaw_deg",
-                    "vru_position_m",
-                    "vru_yaw_deg",
-                    "vru_shape",
-                )
-            },
-        )
-        for run in runs
-    )
+    return tuple(cut_run(run, slice(-40, None)) for run in runs)
 
 
 @pytest.fixture(scope="session")
