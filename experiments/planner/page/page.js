@@ -633,7 +633,9 @@ function readDoing(message) {
     find("cancel").hidden = !text;
     document.querySelectorAll("[data-ask]").forEach((button) => { button.disabled = Boolean(text); });
   } else if (message.who === "rays") {
-    notice(text && tr("Rays are being prepared; the first time on a machine that takes a minute."));
+    const preparing = tr("Rays are being prepared; the first time on a machine that takes a minute.");
+    if (text) notice(preparing);
+    else if (find("notice").textContent === preparing) notice(""); // a later notice stays
   } else if (isCurrent() && numbers.source === "table") {
     find("source").textContent = text ? tr("by the detection table; the evaluator is at work") : tr("by the detection table; the evaluator follows");
   }
