@@ -375,7 +375,7 @@ def _accidents(
     }
     if years is None:
         return found
-    # What is mounted in a year prevents from then on.
+    # A junction prevents from the year on in which its last unit is mounted.
     there = [max(years + 1 - max(one.year, 1), 0) for one in junctions]
     return found | {"prevented_in_years": float(prevented @ there)}
 

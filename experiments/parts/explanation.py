@@ -139,8 +139,8 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
     if len(parts) == 1:
         if parts[0].without.apr == 0.0:
             return [tr("Everything that is avoided depends on this one unit.")]
-        saved = mark("This one unit saves {runs} that the car does not save by itself.")
-        return [tr(saved, runs=count_runs(len(parts[0].only_runs)))]
+        n = len(parts[0].only_runs)
+        return [trn("{n} run depends on this one unit.", "{n} runs depend on this one unit.", n)]
     if not needed:
         return [say("explanation.none_depends", len(parts) - 1)]
     if len(needed) == len(parts):

@@ -111,7 +111,8 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         ),
         ("--budget", "Option '--budget' requires an argument."),
         ("--budget 1 --fusion all", "--fusion: got 'all'; expected one of any, single"),
-        ("--budget 1 --workers 0", "--workers: got '0'; expected a number of threads, at least 1"),
+        ("--budget 1 --workers 0", "--workers: got '0'; expected a number of threads, 1 to 1024"),
+        ("--workers 100000", "--workers: got '100000'; expected a number of threads, 1 to 1024"),
         ("--budget 1 --seed -1", "--seed: got '-1'; expected a whole number, at least 0"),
         (
             "--budget 1 --time-limit nan",

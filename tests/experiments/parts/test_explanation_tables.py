@@ -79,9 +79,7 @@ def test_units_that_something_hangs_on_are_counted():
     more = explained(contributions=[other, other, other])
     assert "whichever fails, the others avoid all" in contribution_sentences(more)[0]
     beside_a_car = explained(contributions=[first])
-    assert contribution_sentences(beside_a_car) == [
-        "This one unit saves 4 runs that the car does not save by itself."
-    ]
+    assert contribution_sentences(beside_a_car) == ["4 runs depend on this one unit."]
     alone = first | {"without": first["without"] | {"apr": 0.0}}
     one = explained(contributions=[alone])
     assert contribution_sentences(one) == ["Everything that is avoided depends on this one unit."]
