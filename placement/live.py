@@ -11,14 +11,13 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray
 from geometry.lidar import LidarModel
 from scenarios.runs import find_onsets
 
 from .candidates import CandidatePose
-from .compute import DEFAULT_COMPUTE, Compute
+from .compute import DEFAULT_COMPUTE, Compute, one_blas_thread
 from .evaluation import Verdict, earliest_arrival_s
 from .evaluator.evaluate import unit_key
 from .setting import Setting
@@ -83,8 +82,7 @@ class LiveTable:
             packed[missing[key]] = known[0].packed(alike)
             return known
 
-        # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
-        with threadpool_limits(1), ThreadPoolExecutor(self._compute.workers) as pool:
+        with one_blas_thread(), ThreadPoolExecutor(self._compute.workers) as pool:
             for start in range(0, len(keys), self._max_mounts):
                 part = keys[start : start + self._max_mounts]
                 mounts = list(pool.map(fill, part))  # all, before any is given up

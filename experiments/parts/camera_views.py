@@ -70,12 +70,19 @@ def draw_view(
 
 
 def _draw(
-    unit: CandidatePose, setting: Setting, run: Run, frame: int, compute: Compute
+    unit: CandidatePose,
+    setting: Setting,
+    run: Run,
+    frame: int,
+    compute: Compute,
+    *,
+    is_smooth: bool = True,
 ) -> FramePicture:
     assert isinstance(unit.sensor, CameraModel)
     return draw_picture(
         *(_backdrop(setting.scene, run), run, frame, unit.pose, unit.sensor),
         weather=pick_weather(run.weather, "weather"),
+        is_smooth=is_smooth,
         compute=compute,
     )
 
@@ -103,12 +110,14 @@ def live_picture(
     run_id: str,
     frame: int,
     width_px: int,
+    is_smooth: bool,
     compute: Compute,
 ) -> dict[str, Any]:
     """What a camera sees in a frame of a run, for a page on which it is being aimed.
 
-    Without a run, it is one whose road user is near the camera's aim. "image" is a JPEG in base64,
-    "box" where the road user is seen: left, top, right, bottom as shares of the sides, or None.
+    Without a run, it is one whose road user is near the camera's aim. While it is turned, edges
+    need not be smooth. "image" is a JPEG in base64, "box" where the road user is seen: left, top,
+    right, bottom as shares of the sides, or None.
     Raises InputError: it is no camera, there is no such run or frame.
     """
     if not isinstance(unit.sensor, CameraModel):
@@ -121,7 +130,7 @@ def live_picture(
     else:
         run, frame = _nearest_frame(unit, setting)
     small = replace(unit, sensor=with_width(unit.sensor, width_px))
-    picture = _draw(small, setting, run, frame, compute)
+    picture = _draw(small, setting, run, frame, compute, is_smooth=is_smooth)
     height_px, width_px, _ = picture.rgb.shape
     rows, columns = np.nonzero(picture.instance == picture.names.index("vru"))
     box = None

@@ -299,10 +299,13 @@ class Pages:
         """
         values = request.query_params
         width_px = min(max(_whole_number(values, "width", _WIDEST_PX), 1), _WIDEST_PX)
-        asked = {"run_id": values.get("run", ""), "frame": _whole_number(values, "frame", -1)}
+        asked = {
+            **{"run_id": values.get("run", ""), "frame": _whole_number(values, "frame", -1)},
+            **{"width_px": width_px, "is_smooth": values.get("smooth") != "0"},
+        }
         try:
             unit = values.get("unit", "")
-            found = await self._session.camera_picture(unit, width_px=width_px, **asked)
+            found = await self._session.camera_picture(unit, **asked)
         except Cancelled:
             found = {"problem": tr(_STOPPED)}
         except InputError as error:

@@ -9,7 +9,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.errors import refuse
@@ -26,7 +25,7 @@ from scenarios.scores import Levels
 
 from ..cache import CachedArrays, Fingerprints
 from ..candidates import CandidatePose
-from ..compute import DEFAULT_COMPUTE, Compute, threads
+from ..compute import DEFAULT_COMPUTE, Compute, one_blas_thread, threads
 from ..detectors import Evidence, is_matched, load_min_iou
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
 from ..layout import Layout
@@ -95,7 +94,7 @@ def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setti
     """Setting that knows in which frames the VUT's own sensors detect, if some of the VUTs see."""
     if not setting.cars or setting.seen_by_vut is not None:
         return setting
-    with threadpool_limits(1):
+    with one_blas_thread():
         seen = watch(setting, {}, compute=compute.within("what the car sees"))[VUT_KEY]
     return replace(setting, seen_by_vut=freeze(seen))
 
@@ -473,7 +472,7 @@ def evaluate_layouts(
         refuse("axis", "frames of other runs", "the frame axis of these runs")
     compute.progress(STAGE, 0, 0)
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
-    with threadpool_limits(1):  # one BLAS thread per worker: idle ones spin
+    with one_blas_thread():
         detected = watch(setting, units, compute=compute)
     judge = Judge(runs, axis, setting.rule, setting.levels)
     vam = None

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, IntArray
@@ -22,7 +21,7 @@ from geometry.sensors import CameraModel, picture_rays, pixel_grid
 from geometry.weather import Weather
 from scenarios.runs import Run
 
-from ..compute import DEFAULT_COMPUTE, Compute
+from ..compute import DEFAULT_COMPUTE, Compute, one_blas_thread
 from . import exposure
 from .ground import GroundMap, build_ground_map
 from .light import (
@@ -414,13 +413,15 @@ def draw_picture(
     *,
     weather: Weather,
     with_vut: bool = True,
+    is_smooth: bool = True,
     materials: Materials | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Picture:
     """Render one frame of a run, at the camera's resolution.
 
     The VUT's own camera does not see the VUT (`with_vut`); its headlights shine in any case. The
-    seed is that of sensor noise and drops.
+    seed is that of sensor noise and drops. Where edges need not be smooth (`is_smooth`), one ray is
+    cast for each pixel, in about half the time.
     """
     mesh = build_frame_mesh(backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut)
     shot = build_shot(
@@ -431,8 +432,9 @@ def draw_picture(
     )
     with start_pool(compute) as pool:
         image = shade_image(shot, whole_image(camera), pool)
-        edges = np.flatnonzero(exposure.find_edges(image.radiance))
-        smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
+        if is_smooth:
+            edges = np.flatnonzero(exposure.find_edges(image.radiance))
+            smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
     return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
 
@@ -486,7 +488,7 @@ def build_shot(
 @contextmanager
 def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
     """Threads for the parts of a picture, one BLAS thread each: the matrices are small."""
-    with threadpool_limits(1), ThreadPoolExecutor(compute.workers) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(compute.workers) as pool:
         yield pool
 
 

@@ -11,14 +11,13 @@ from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.lidar import LidarModel
 from geometry.weather import pick_weather
 
 from ..candidates import CandidatePose
-from ..compute import DEFAULT_COMPUTE, Compute, Progress, silent
+from ..compute import DEFAULT_COMPUTE, Compute, Progress, one_blas_thread, silent
 from ..detection_table import DetectionTable, repeated_axis
 from ..detectors import ResponseDetector
 from ..evaluator import with_sight
@@ -249,7 +248,7 @@ def build_sample_tables(
     pending: deque[tuple[Sample, Future[tuple[DetectionTable, ...]]]] = deque()
     workers = compute.workers if at_once == 1 else 1
     # A pool that ends while another is at work must not give BLAS its threads back.
-    with threadpool_limits(1), ThreadPoolExecutor(at_once) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(at_once) as pool:
         for index, sample in enumerate(samples):
             progress = _progress_of(index, n_samples, compute.progress)
             part = replace(compute, progress=progress, workers=workers)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError
@@ -18,7 +17,7 @@ from scenarios.runs import FrameAxis, Run
 
 from ..cache import CachedArrays, Fingerprints, load_arrays, save_arrays, tell_unused
 from ..candidates import CandidatePose
-from ..compute import DEFAULT_COMPUTE, Compute, threads
+from ..compute import DEFAULT_COMPUTE, Compute, one_blas_thread, threads
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
 from ..setting import Setting
@@ -91,7 +90,7 @@ def at_each_mount(
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
         mounts.setdefault(key, []).append(row)
     # One BLAS thread per worker: the matrices are small, and idle BLAS threads spin.
-    with threadpool_limits(1), threads(compute.workers) as pool:
+    with one_blas_thread(), threads(compute.workers) as pool:
         pending = [pool.submit(work, rows) for rows in mounts.values()]
         for done, future in enumerate(as_completed(pending), start=1):
             future.result()

@@ -1,16 +1,16 @@
-// The picture of the chosen camera: coarse while it is turned (where fine ones take too long), fine when it stands.
+// The picture of the chosen camera: with rough edges while it is turned, smooth when it stands.
 
 import { ask } from "./line.js";
 import { element, seconds } from "./shared.js";
 import { tr } from "./words.js";
 
 const find = (id) => document.getElementById(id);
-const COARSE_PX = 320, FINE_PX = 640, STANDS_MS = 300, AGAIN_MS = 200, QUICK_MS = 150;
+const WIDTH_PX = 640, STANDS_MS = 300, AGAIN_MS = 200;
 
 // `unitNow` is the chosen unit as the session has told it, `runNow` the run and frame that are played.
 export function createSeen({ unitNow, runNow, scene }) {
   const holder = find("seen"), image = find("seen-image"), frame = find("seen-frame");
-  let shown = { key: "", width: 0 }, wanted = "", changedAt = 0, fineMs = Infinity, isBusy = false, timer = 0;
+  let shown = { key: "" }, wanted = "", changedAt = 0, isBusy = false, timer = 0;
 
   const keyOf = (unit, run) => JSON.stringify([unit.id, unit.place, unit.yawDeg, unit.pitchDeg, unit.heightM, unit.fovDeg, unit.sensor, run]);
 
@@ -21,7 +21,7 @@ export function createSeen({ unitNow, runNow, scene }) {
     if (!unit || !holder.open) return;
     const isCamera = unit.kind === "camera";
     frame.hidden = !isCamera;
-    if (!isCamera) { shown = { key: "", width: 0 }; say(tr("A LiDAR takes no picture.")); return; }
+    if (!isCamera) { shown = { key: "" }; say(tr("A LiDAR takes no picture.")); return; }
     const key = keyOf(unit, runNow());
     if (key !== wanted) { wanted = key; changedAt = performance.now(); }
     if (key !== shown.key) holder.setAttribute("aria-busy", "true");
@@ -37,23 +37,21 @@ export function createSeen({ unitNow, runNow, scene }) {
     const unit = unitNow();
     if (isBusy || !unit || unit.kind !== "camera" || !holder.open) return;
     const stoodMs = performance.now() - changedAt;
-    const width = stoodMs < STANDS_MS && fineMs > QUICK_MS ? COARSE_PX : FINE_PX;
-    if (shown.key === wanted && shown.width >= width) {
-      if (shown.width < FINE_PX) timer = setTimeout(next, STANDS_MS - stoodMs + 1);
+    const smooth = stoodMs < STANDS_MS ? 0 : 1;
+    if (shown.key === wanted && shown.smooth >= smooth) {
+      if (!shown.smooth) timer = setTimeout(next, STANDS_MS - stoodMs + 1);
       return;
     }
     const key = wanted, run = runNow();
     isBusy = true;
     let pauseMs = 0;
-    const askedAt = performance.now();
     try {
-      const found = await ask("seen", { unit: unit.id, width, ...(run ?? {}) });
+      const found = await ask("seen", { unit: unit.id, width: WIDTH_PX, smooth, ...(run ?? {}) });
       if (found.problem) throw new Error(found.problem);
-      if (width === FINE_PX) fineMs = performance.now() - askedAt;
-      if (unitNow()?.id === unit.id) show(unit, found, key === wanted, { key, width });
+      if (unitNow()?.id === unit.id) show(unit, found, key === wanted, { key, smooth });
     } catch (error) {
       pauseMs = AGAIN_MS; // another page was first, the unit is gone, or the line is lost
-      if (unitNow()?.id === unit.id && error.message !== tr("it was stopped")) { say(error.message); shown = { key, width: FINE_PX }; }
+      if (unitNow()?.id === unit.id && error.message !== tr("it was stopped")) { say(error.message); shown = { key, smooth: 1 }; }
     } finally {
       isBusy = false;
     }
@@ -75,7 +73,7 @@ export function createSeen({ unitNow, runNow, scene }) {
     image.title = scene().cases[run.title.split(" ")[0]] ?? "";
     frame.style.aspectRatio = `${width} / ${height}`;
     holder.setAttribute("aria-busy", String(!isNewest));
-    holder.dataset.width = width;
+    holder.dataset.smooth = now.smooth;
     const marks = find("seen-box");
     marks.setAttribute("viewBox", "0 0 640 360");
     marks.replaceChildren();
@@ -87,6 +85,6 @@ export function createSeen({ unitNow, runNow, scene }) {
   holder.addEventListener("toggle", changed);
   return {
     changed,
-    again() { shown = { key: "", width: 0 }; changed(); }, // what it shows is of other times
+    again() { shown = { key: "" }; changed(); }, // what it shows is of other times
   };
 }

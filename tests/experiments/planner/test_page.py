@@ -549,7 +549,7 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
         for opens in ("[data-chip]", "#question summary", "#own-poles summary", "#danger", "#pole"):
             page.locator(opens).click()
         page.locator("#danger-key").filter(has_text="within 2 m").wait_for()
-        page.locator('#seen[data-width="640"]').wait_for()
+        page.locator('#seen[data-smooth="1"]').wait_for()
         has_no_fault()
         for opens in ("#show-help", "#background"):
             page.locator(opens).click()
@@ -1193,22 +1193,15 @@ def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands
 ):
     unit = load_carlancap_layout().units[7]
 
-    def slowly(route):
-        time.sleep(0.2)  # where fine pictures take no longer than 150 ms, there are no coarse ones
-        route.continue_()
-
-    def before_it_opens(page):
-        page.route("**/seen?**", slowly)
-
-    with opened(browser, serve([unit]), before=before_it_opens) as page:
-        fine = page.locator('#seen[data-width="640"][aria-busy="false"]')
+    with opened(browser, serve([unit])) as page:
+        fine = page.locator('#seen[data-smooth="1"][aria-busy="false"]')
         fine.wait_for()
         before = page.locator("#seen-image").get_attribute("src")
         x, y = middle(page.locator("#compass"))
         page.mouse.move(x, y - 30)
         page.mouse.down()
         page.mouse.move(x + 20, y - 20, steps=4)
-        page.locator('#seen[data-width="320"]').wait_for()  # the button is still pressed
+        page.locator('#seen[data-smooth="0"]').wait_for()  # the button is still pressed
         during = page.locator("#seen-image").get_attribute("src")
         assert during != before
         page.mouse.move(x + 25, y + 5, steps=4)
@@ -1236,7 +1229,7 @@ def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(browse
         slider.focus()
         page.keyboard.press("End")
         expect(text).to_contain_text(f"{title}, at the impact", timeout=PATIENCE_MS)
-        page.locator('#seen[data-width="640"][aria-busy="false"]').wait_for()
+        page.locator('#seen[data-smooth="1"][aria-busy="false"]').wait_for()
         before = page.locator("#seen-image").get_attribute("src")
         for _ in range(10):
             page.keyboard.press("ArrowLeft")

@@ -53,6 +53,17 @@ def test_the_same_seed_gives_the_same_picture_whatever_the_threads(draw, weather
     assert np.array_equal(one.depth_m, other.depth_m)
 
 
+def test_rough_edges_are_all_that_a_quick_picture_has(draw):
+    smooth, rough = draw("day"), draw("day", is_smooth=False)
+    assert np.array_equal(smooth.instance, rough.instance)
+    assert np.array_equal(smooth.depth_m, rough.depth_m)
+    differs = np.abs(smooth.rgb.astype(int) - rough.rgb).max(axis=2) > 8
+    light = rough.rgb.astype(int).sum(axis=2)
+    steps = sum(np.abs(np.diff(light, axis=axis, append=0)) for axis in (0, 1))
+    assert 0.001 < differs.mean() < 0.3
+    assert steps[differs].mean() > 3.0 * steps[~differs].mean()
+
+
 def test_a_picture_has_the_sensors_size_and_the_declared_types(draw, small):
     picture = draw("day")
     shape = (small.height_px, small.width_px)
