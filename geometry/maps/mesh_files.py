@@ -112,30 +112,18 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
 
 def _folder_resolver(path: Path) -> Any:
     """A resolver that opens files in the mesh's own folder only, and never through a network."""
-    from trimesh.resolvers import Resolver
+    from trimesh.resolvers import FilePathResolver
 
     folder = path.resolve().parent
 
-    class FolderResolver(Resolver):  # type: ignore[misc]
-        def __init__(self) -> None:
-            pass
-
+    class FolderResolver(FilePathResolver):  # type: ignore[misc]
         def get(self, name: str) -> bytes:
             target = (folder / name.strip()).resolve()
             if "://" in name or not target.is_relative_to(folder):
                 refuse(str(path), f"a reference to {name[:100]!r}", "files in its own folder")
             return read_bytes(target, max_bytes=MAX_FILE_BYTES)
 
-        def keys(self) -> list[str]:
-            return []
-
-        def namespaced(self, namespace: str) -> "FolderResolver":
-            refuse(str(path), f"a folder {namespace[:100]!r}", "plain files")
-
-        def write(self, name: str, data: Any) -> None:
-            refuse(str(path), "a reader that writes", "only reading")
-
-    return FolderResolver()
+    return FolderResolver(str(path))
 
 
 def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, NDArray[np.int32]]:
