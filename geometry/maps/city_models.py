@@ -23,6 +23,7 @@ from ..untrusted_files import local_name, parse_object, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
 from .source_map import (
     MAX_TRIANGLES,
+    UNITS_M,
     Polygon3D,
     SourceMap,
     Thing,
@@ -521,7 +522,7 @@ def _measured_height_m(feature: Element) -> float | None:
         for value in values:
             unit = value.attrib.get("uom", "m").rpartition("#")[2].rpartition(":")[2].lower()
             with suppress(ValueError, KeyError):
-                return float((value.text or "").strip()) * float(_TYPES["height_units_m"][unit])
+                return float((value.text or "").strip()) * UNITS_M[unit]
     return None
 
 

@@ -25,6 +25,7 @@ from ..scene import CLASS_NAMES, join
 from ..untrusted_files import parse_object, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .source_map import (
+    UNITS_M,
     SourceMap,
     Thing,
     ThingKind,
@@ -32,6 +33,7 @@ from .source_map import (
     extrude_polygon,
     kind_from_name,
     kind_of_class,
+    parse_length_m,
     parts_of,
     shortened,
     thing_defaults,
@@ -49,8 +51,6 @@ _MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
 _WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["gis"]
-_UNITS_M: dict[str, float] = _WORDS["units_m"]
-_NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -311,7 +311,7 @@ def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
     for key, value in values.items():
         column = _column(key)
         base, _, unit = column.rpartition("_")
-        column, scale = (base, _UNITS_M[unit]) if unit in _UNITS_M and base else (column, 1.0)
+        column, scale = (base, UNITS_M[unit]) if unit in UNITS_M and base else (column, 1.0)
         number = _number(value) if column in names else None
         if number is not None:
             found.setdefault(names.index(column), number * scale)
@@ -324,10 +324,7 @@ def _number(value: Any) -> float | None:
         return None
     if isinstance(value, int | float):
         return float(value) if abs(value) <= sys.float_info.max else None
-    match = _NUMBER.fullmatch(str(value).strip().lower()[:60])
-    if match is None or (match[2] and match[2] not in _UNITS_M):
-        return None
-    return float(match[1].replace(",", ".")) * _UNITS_M.get(match[2], 1.0)
+    return parse_length_m(str(value)[:60])
 
 
 def _column(key: str) -> str:

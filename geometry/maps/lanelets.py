@@ -1,6 +1,5 @@
 """Maps of lanelets, pieces of lanes between a left and a right bound: Lanelet2 and CommonRoad."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,12 +30,11 @@ from .source_map import (
     Thing,
     extrude,
     kind_of_class,
+    parse_speed_kmh,
 )
 
 _WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelets"]
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
-_SPEED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(km/?h|kmph|mph|m/?s|mps)?\s*")
-_KMH = {"mph": 1.609344, "ms": 3.6, "m/s": 3.6, "mps": 3.6}
 _JOINED_M = 0.5  # between the end of a lanelet and the beginning of the next one, at both bounds
 _STEP_M = 2.0  # between points of a centreline
 _SAME_M = 0.01  # points nearer than this are one
@@ -340,7 +338,9 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                         *bounds,
                         kind=kind,
                         is_oneway=relation.tags.get("one_way", "yes") != "no",
-                        speed_limit_kmh=_speed_kmh(relation.tags.get("speed_limit", "")),
+                        speed_limit_kmh=parse_speed_kmh(
+                            relation.tags.get("speed_limit", "").strip().lower()
+                        ),
                         is_in_junction="turn_direction" in relation.tags,
                     )
                 )
@@ -376,12 +376,6 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
     is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
     found = np.column_stack([plane_m, height_m])
     return found, "" if is_nowhere else crs, bool(np.isfinite(heights).any())
-
-
-def _speed_kmh(text: str) -> float | None:
-    """A limit such as "50", "50 km/h" or "30 mph"; None: none, or not understood."""
-    match = _SPEED.fullmatch(text.lower())
-    return None if match is None else float(match[1]) * _KMH.get(match[2] or "", 1.0)
 
 
 def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> FloatArray:

@@ -34,6 +34,13 @@ _MAX_SKIPPED = 100  # entries
 _MAX_NAME = 200  # characters of a name that are looked at
 _MAX_NESTED = 50  # collections within collections
 _SECTIONS = 10  # of a pole's cylinder
+_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
+_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
+_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
+_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
+_SPEED = re.compile(r"([0-9]{1,3}(?:[.,][0-9]{1,9})?)\s*([a-z/]*)")
+_UNITS = load_data("geometry.maps", "words.toml")
+UNITS_M: dict[str, float] = _UNITS["units_m"]
 MIN_POLE_M = 2.5
 """A lower pole is a bollard: sensors on it could be reached from the pavement."""
 
@@ -473,3 +480,33 @@ def mount_range_m(pole: Pole) -> tuple[float, float]:
         return low, high
     top = min(max(high, low), max(pole.height_m, 1.0))
     return min(low, top), top
+
+
+# ---------- numbers as people write them
+def parse_length_m(text: str) -> float | None:
+    r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
+
+    >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
+    [3.5, 3.6576000000000004, 3.5, None]
+    >>> round(parse_length_m("6'7\""), 4)
+    2.0066
+    """
+    text = text.strip().lower().removeprefix("~").strip()
+    if match := _FEET_AND_INCHES.fullmatch(text):
+        return _number(match[1]) * UNITS_M["ft"] + _number(match[2]) * UNITS_M["in"]
+    match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
+    *numbers, unit = match.groups() if match else ("", "?")
+    if unit not in UNITS_M:
+        return None
+    return sum(map(_number, numbers)) / len(numbers) * UNITS_M[unit]
+
+
+def parse_speed_kmh(text: str) -> float | None:
+    """A speed such as "50", "50 km/h" or "30 mph", in lower case; None: it is no such text."""
+    match = _SPEED.fullmatch(text)
+    unit_kmh = _UNITS["units_kmh"].get(match[2]) if match else None
+    return None if match is None or unit_kmh is None else _number(match[1]) * unit_kmh
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))

@@ -16,21 +16,22 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...lines import points_at, steps_m, true_runs
 from ...scene import Turn
+from ..source_map import parse_length_m, parse_speed_kmh
 from .elements import (
     DEFAULTS,
     OPPOSITE,
     Elements,
+    TagNote,
     Tags,
     Way,
     is_yes,
     numbered,
     parse_count,
-    parse_length_m,
     reversed_tags,
     side_value,
+    tagged_length_m,
 )
 
-Note = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
 Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
 _ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
 _BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
@@ -40,8 +41,6 @@ _CYCLE_LANES = ("lane", "opposite_lane")
 _CYCLE_TRACKS = ("track", "opposite_track")
 # Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
 Roadside = tuple[list[Part], list[Part]]
-_KMH_PER_MPH = 1.609344
-_SPEED = re.compile(r"(\d{1,3}(?:[.,]\d{1,3})?)\s*(mph|km/h|kmh|kph)?")
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
 _Widths = tuple[Sequence[float], Sequence[float], float]
 """Widths [m] of lanes forward and backward, from left to right there, and of the centre lane."""
@@ -77,7 +76,7 @@ def runs_backward(tags: Tags) -> bool:
     return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
 
 
-def count_lanes(tags: Tags, note: Note) -> LaneCounts:
+def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
     """Lanes of a road in each direction, a one-way one along its nodes; odd tags are noted."""
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
@@ -126,7 +125,7 @@ def count_lanes(tags: Tags, note: Note) -> LaneCounts:
 
 
 # ---------- strips next to the driving lanes
-def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
+def roadside_strips(tags: Tags, note: TagNote, *, side: str, keeps_left: bool) -> Roadside:
     """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
     is_forward = is_near or is_oneway(tags)
@@ -135,14 +134,8 @@ def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> R
 
     def width(key: str, usual_m: float) -> float:
         keys = (f"{key}:{side}:width", f"{key}:both:width", f"{key}:width")
-        text = next((tags[one] for one in keys if one in tags), None)
-        if text is None:
-            return usual_m
-        width_m = parse_length_m(text)
-        if width_m is None or not 0.5 <= width_m <= 15.0:
-            note(f"{key} width makes no sense; the usual one taken")
-            return usual_m
-        return width_m
+        width_m = tagged_length_m(tags, keys, (0.5, 15.0), note)
+        return usual_m if width_m is None else width_m
 
     usual = DEFAULTS["cross_section"]
     plain = tags.get("cycleway", "")
@@ -226,7 +219,7 @@ class CrossSection:
         return replace(self, strips=tuple(map(turned, self.strips[::-1])))
 
 
-def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSection:
+def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> CrossSection:
     """Strips side by side along a road, a one-way one along its nodes; senseless tags are noted."""
     left = roadside_strips(tags, note, side="left", keeps_left=keeps_left)
     right = roadside_strips(tags, note, side="right", keeps_left=keeps_left)
@@ -265,7 +258,7 @@ def _driving_strips(
     driving: Sequence[tuple[str, int, float]],
     counts: LaneCounts,
     left_m: float,
-    note: Note,
+    note: TagNote,
     *,
     keeps_left: bool,
 ) -> Iterator[Strip]:
@@ -313,7 +306,7 @@ def _driving(
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, note: Note
+    tags: Tags, counts: LaneCounts, beside_m: float, note: TagNote
 ) -> tuple[_Widths, LaneCounts]:
     limits = DEFAULTS["cross_section"]
     narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
@@ -323,13 +316,8 @@ def _lane_widths(
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return (forward, backward, centre_m), counts
-    total_m = None
-    for key in (key for key in ("width:carriageway", "width", "est_width") if key in tags):
-        total_m = parse_length_m(tags[key])
-        if total_m is not None and 1.0 < total_m < 100.0:
-            break
-        note(f"{key} makes no sense; usual widths taken")
-        total_m = None
+    keys = ("width:carriageway", "width", "est_width")
+    total_m = tagged_length_m(tags, keys, (1.0, 100.0), note, "usual widths")
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -360,7 +348,7 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
 
 
 def _listed_turns(
-    tags: Tags, direction: str, count: int, note: Note, *, is_alone: bool
+    tags: Tags, direction: str, count: int, note: TagNote, *, is_alone: bool
 ) -> list[tuple[Turn, ...]]:
     """Where cars may drive from each lane by its markings, from left to right."""
     text = tags.get(f"turn:lanes:{direction}") or (tags.get("turn:lanes") if is_alone else None)
@@ -400,13 +388,9 @@ def _speed_kmh(text: str) -> float | None:
     words: dict[str, float] = DEFAULTS["speed_limits"]["words_kmh"]
     if text in words:
         return words[text]
-    if match := _ZONE.fullmatch(text):
-        speed_kmh = float(match[1])
-    elif match := _SPEED.fullmatch(text):
-        speed_kmh = float(match[1].replace(",", ".")) * (_KMH_PER_MPH if match[2] == "mph" else 1.0)
-    else:
-        return None
-    return round(speed_kmh, 1) if speed_kmh > 0.0 else None
+    zone = _ZONE.fullmatch(text)
+    speed_kmh = parse_speed_kmh(zone[1] if zone else text)
+    return round(speed_kmh, 1) if speed_kmh else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -20,6 +20,7 @@ from ..source_map import (
     Thing,
     extrude,
     extrude_polygon,
+    parse_length_m,
     polygons_of,
     unit_ball,
     unit_cylinder,
@@ -29,16 +30,17 @@ from .elements import (
     Area,
     Elements,
     Relation,
+    TagNote,
     Tags,
     Way,
     find_areas,
     is_yes,
     numbered,
-    parse_length_m,
     parse_number,
+    tagged_length_m,
 )
 from .junctions import Reach
-from .network import Edge, Network, Note, axis_points, known_runs, level, lines_of
+from .network import Edge, Network, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
 _KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
@@ -73,8 +75,12 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
             why = "seen through: no fence_type that says otherwise"
             elements.omissions.add("fences", f"way {way.id}", why)
             continue
-        tagged_m = _tagged_m(tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note)
-        thick_m = _tagged_m(tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note)
+        tagged_m = tagged_length_m(
+            tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note
+        )
+        thick_m = tagged_length_m(
+            tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
+        )
         top_m = float(limits[kind]["height_m"]) if tagged_m is None else tagged_m
         thick_m = float(limits[kind]["thickness_m"]) if thick_m is None else thick_m
         for number, footprint in enumerate(_footprints(way, elements, thick_m)):
@@ -95,19 +101,6 @@ def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Po
     for line_m in lines_of(way, elements):
         strip = LineString(line_m).buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre")
         yield from polygons_of(strip)
-
-
-def _tagged_m(
-    tags: Tags, keys: Sequence[str], bounds_m: tuple[float, float], note: Note
-) -> float | None:
-    """First length of some tags within bounds; the others are noted."""
-    for key in keys:
-        if key in tags:
-            size_m = parse_length_m(tags[key])
-            if size_m is not None and bounds_m[0] <= size_m <= bounds_m[1]:
-                return size_m
-            note(f"{key} makes no sense; the usual one taken")
-    return None
 
 
 # ---------- trees
@@ -135,11 +128,11 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
             add("woods", element, "the positions of its trees and bushes are unknown")
 
 
-def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
+def _tree(name: str, foot_m: FloatArray, tags: Tags, note: TagNote) -> Thing:
     usual = DEFAULTS["tree"]
 
     def size_m(keys: Sequence[str], highest_m: float) -> float | None:
-        return _tagged_m(tags, keys, (0.05, highest_m), note)
+        return tagged_length_m(tags, keys, (0.05, highest_m), note)
 
     tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
     height_m = usual["height_m"] if tagged_m is None else tagged_m
@@ -502,12 +495,11 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
     tags, usual = area.tags, DEFAULTS["building"]
-    for key in ("height", "building:height", "est_height"):
-        if key in tags:
-            height_m = parse_length_m(tags[key])
-            if height_m is not None and 0.0 < height_m <= usual["max_height_m"]:
-                return height_m
-            omissions.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
+    note = partial(omissions.add, "buildings", _element(area))
+    keys, bounds_m = ("height", "building:height", "est_height"), (1e-9, usual["max_height_m"])
+    height_m = tagged_length_m(tags, keys, bounds_m, note, "the next best")
+    if height_m is not None:
+        return height_m
     storey_m = usual["storey_height_m"]
     levels = _levels(tags, "building:levels")
     roof_m = parse_length_m(tags.get("roof:height", ""))
