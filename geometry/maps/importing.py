@@ -310,6 +310,7 @@ def read_map(
             things=tuple(things),
             poles=tuple(poles),
             crosswalks_m=source.crosswalks_m + offset_m[:2],
+            ground_m=source.ground_m + offset_m,
         )
     if crs and not source.crs:
         source = replace(source, crs=crs, source_crs=crs)

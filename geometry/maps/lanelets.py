@@ -19,7 +19,12 @@ from ..lines import along_m, apart, length_m, points_at
 from ..notes import Note
 from ..untrusted_files import local_name, read_xml
 from .georeferences import WGS84, local_crs, transform
-from .opendrive.junctions import fit_outline, lanes_by_junction, largest_polygon
+from .opendrive.junctions import (
+    fit_outline,
+    lanes_by_junction,
+    largest_polygon,
+    with_known_junctions,
+)
 from .openstreetmap.elements import Elements, Relation, read_elements
 from .source_map import (
     MapJunction,
@@ -124,11 +129,7 @@ def _build(
         outline_m = np.asarray(surface.exterior.coords)[:-1]
         junctions.append(MapJunction(id=name, name="", outline_m=outline_m, height_m=height_m))
         connections += _connections(roads, follows, group, name)
-    known = {junction.id: junction.id for junction in junctions}
-    ends = [(known.get(lane.from_junction, ""), known.get(lane.to_junction, "")) for lane in lanes]
-    pairs = zip(lanes, ends, strict=True)
-    linked = [replace(one, from_junction=begin, to_junction=end) for one, (begin, end) in pairs]
-    return linked, connections, junctions
+    return with_known_junctions(lanes, junctions), connections, junctions
 
 
 def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[Lanelet]:
@@ -186,25 +187,22 @@ def _lanes(
         for other in others:
             before[other].append(index)
 
-    def is_joint(one: int, other: int) -> bool:
-        return follows[one] == [other] and before[other] == [one] and other not in junction_of
-
-    done: set[int] = set()
     outside = [index for index in range(len(roads)) if index not in junction_of]
-    starts = [
-        one for one in outside if not any(is_joint(b, one) for b in before[one] if b in outside)
-    ]
+    joints = {
+        one: other
+        for one in outside
+        for other in follows[one]
+        if follows[one] == [other] and before[other] == [one] and other not in junction_of
+    }
+    done: set[int] = set()
+    starts = [one for one in outside if one not in joints.values()]
     for start in [*starts, *outside]:  # then what is left: rings
         if start in done:
             continue
         chain = [start]
-        done.add(start)
-        while len(follows[chain[-1]]) == 1:
-            (following,) = follows[chain[-1]]
-            if following in done or not is_joint(chain[-1], following):
-                break
+        while (following := joints.get(chain[-1], start)) != start:
             chain.append(following)
-            done.add(following)
+        done.update(chain)
         ends = (before[start], follows[chain[-1]])
         begin, end = (
             next((junction_of[one] for one in some if one in junction_of), "") for some in ends

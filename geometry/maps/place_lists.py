@@ -3,7 +3,7 @@
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,10 +59,8 @@ class SiteWish:
     @property
     def n_said(self) -> int:
         """How many details are given."""
-        numbers = (self.z_m, self.min_height_m, self.max_height_m, self.cost_eur)
-        others = (self.capacity_units, self.has_power, self.has_fibre)
-        said = [value is not None for value in (*numbers, *others)]
-        return sum(said) + bool(self.kind) + self.is_forbidden
+        details = fields(self)[2:]  # but for id and position
+        return sum(getattr(self, one.name) != one.default for one in details)
 
 
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:

@@ -437,22 +437,6 @@ class PoleKind:
     capacity_units: int  # sensors that it can carry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AutoSites:
-    """Rules for sites where nothing else is asked for: ``[auto]`` of ``data/sites.toml``."""
-
-    spacing_m: float  # between masts along the kerbs
-    near_m: float  # they are assumed where no pole is as near to the middle
-    neighbour_m: float  # poles as near to another junction are that one's
-    min_sign_m: float  # lower sign posts are no sites
-
-
-@cache
-def load_auto_sites() -> AutoSites:
-    """Read ``[auto]`` of ``data/sites.toml``."""
-    return msgspec.convert(load_data(__package__, "sites.toml")["auto"], AutoSites)
-
-
 @cache
 def load_pole_kinds() -> dict[str, PoleKind]:
     """All kinds of poles by name, from ``data/sites.toml``."""

@@ -1,7 +1,7 @@
 """Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -187,15 +187,28 @@ def build_junctions(
         name = record.name or " / ".join(dict.fromkeys(filter(None, streets)))
         height_m = float(points[nearest, 2])
         junctions.append(MapJunction(id=record.id, name=name, outline_m=outline, height_m=height_m))
+    return junctions, with_known_junctions(lanes, junctions, apart)
+
+
+def with_known_junctions(
+    lanes: Iterable[MapLane],
+    junctions: Sequence[MapJunction],
+    apart: Container[tuple[str, str]] = (),
+) -> list[MapLane]:
+    """Lanes that name these junctions alone, and none that they lie `apart` from, by its id."""
     there = {junction.id for junction in junctions}
 
     def known(lane: MapLane, name: str) -> str:
         return name if name in there and (name, lane.id) not in apart else ""
 
-    ends = [(known(lane, lane.from_junction), known(lane, lane.to_junction)) for lane in lanes]
-    pairs = zip(lanes, ends, strict=True)
-    linked = [replace(one, from_junction=begin, to_junction=end) for one, (begin, end) in pairs]
-    return junctions, linked
+    return [
+        replace(
+            lane,
+            from_junction=known(lane, lane.from_junction),
+            to_junction=known(lane, lane.to_junction),
+        )
+        for lane in lanes
+    ]
 
 
 def lanes_by_junction(lanes: Iterable[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:

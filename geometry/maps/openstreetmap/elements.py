@@ -206,13 +206,7 @@ class Area:
 
     id: str  # "w5", or of a multipolygon's second ring "r7.1"
     tags: Tags
-    outer_m: FloatArray  # (n, 2), closed
-    holes_m: tuple[FloatArray, ...] = ()  # (k, 2) each
-
-    @property
-    def polygon(self) -> Polygon:
-        """Area as a shapely polygon, which may be invalid."""
-        return Polygon(self.outer_m, self.holes_m)
+    polygon: Polygon  # may be invalid
 
 
 def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
@@ -239,7 +233,9 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
         if not way.is_closed or (way.rows < 0).any():
             elements.omissions.add("outlines", f"way {way.id}", _BROKEN)
         else:
-            yield Area(id=f"w{way.id}", tags=way.tags, outer_m=elements.positions_m[way.rows])
+            yield Area(
+                id=f"w{way.id}", tags=way.tags, polygon=Polygon(elements.positions_m[way.rows])
+            )
 
 
 def _multipolygon(
@@ -263,7 +259,7 @@ def _multipolygon(
                 holes[int(inside[0])].append(ring)
     for number, ring in enumerate(rings[False]):
         name = numbered(f"r{relation.id}", number)
-        yield Area(id=name, tags=tags, outer_m=ring, holes_m=tuple(holes[number]))
+        yield Area(id=name, tags=tags, polygon=Polygon(ring, holes[number]))
 
 
 def numbered(name: str, number: int, between: str = ".") -> str:

@@ -18,7 +18,6 @@ from ..source_map import (
     Omissions,
     Pole,
     Thing,
-    extrude,
     extrude_polygon,
     parse_length_m,
     polygons_of,
@@ -425,9 +424,7 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
     for number, shape in enumerate(shapes):
-        outer_m, *holes_m = (np.asarray(r.coords) for r in (shape.exterior, *shape.interiors))
-        piece_id = numbered(name, number, " ")
-        yield replace(area, id=piece_id, outer_m=outer_m, holes_m=tuple(holes_m))
+        yield replace(area, id=numbered(name, number, " "), polygon=shape)
 
 
 def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[Thing]:
@@ -449,10 +446,9 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
-    bottom_m, top_m, is_assumed = span
-    heights, where = {"bottom_m": bottom_m, "top_m": top_m}, _element(area)
+    (bottom_m, top_m, is_assumed), where = span, _element(area)
     try:
-        mesh = extrude(area.outer_m, **heights, holes_m=area.holes_m, where=where)
+        mesh = extrude_polygon(area.polygon, bottom_m=bottom_m, top_m=top_m, where=where)
     except InputError as error:
         omissions.add("buildings", where, f"its outline has {error.got}")
         return
