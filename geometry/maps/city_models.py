@@ -9,14 +9,15 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Annotated, Any
 from xml.etree.ElementTree import Element
 
+import msgspec
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import load_data, read_text
+from ..files import load_data, read_table, read_text
 from ..notes import Note
 from ..scene import join
 from ..untrusted_files import local_name, parse_object, read_xml
@@ -39,8 +40,12 @@ from .source_map import (
 
 _VERSIONS = ("1.0", "1.1", "2.0")
 _MAX_RING = 100_000
-_SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
-_SURFACES_AT |= {"CompositeSolid": 2}
+_Surfaces = list[list[list[Annotated[int, msgspec.Meta(ge=0)]]]]  # rings of indices of vertices
+_BOUNDARIES: dict[str, Any] = {
+    **dict.fromkeys(("MultiSurface", "CompositeSurface"), _Surfaces),
+    "Solid": list[_Surfaces],
+    **dict.fromkeys(("MultiSolid", "CompositeSolid"), list[list[_Surfaces]]),
+}
 _WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
 _TYPES: dict[str, Any] = load_data("geometry.maps", "words.toml")["city"]
@@ -94,7 +99,7 @@ def read_cityjson(path: Path) -> SourceMap:
     templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
         with np.errstate(over="ignore"):  # _city_map refuses what is not finite
-            corners = _vectors(document.get("vertices", []), f"{where}: vertices")
+            corners = _vertices(document.get("vertices", []), f"{where}: vertices")
             vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
     skipped = counted(left_out, "no building, plant, wall or furniture")
@@ -118,27 +123,17 @@ def _documents(text: str, where: str) -> Iterator[_Table]:
         refuse(where, "an empty file", "CityJSON")
 
 
-def _transform(table: Any, where: str) -> FloatArray:
-    """Scale and translation of vertices, (2, 3); 1 and 0 where the file has none."""
-    if table is None:
-        return np.array([np.ones(3), np.zeros(3)])
+def _transform(table: Any, where: str) -> list[FloatArray]:
+    """Scale and translation of vertices, (3,) each; 1 and 0 where the file has none."""
+    table = {"scale": [1.0] * 3, "translate": [0.0] * 3} if table is None else table
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: transform", table, "scale and translate")
     keys = ("scale", "translate")
-    return np.concatenate([_vectors([table.get(k)], f"{where}: transform.{k}") for k in keys])
+    return [float_array(table.get(key, ()), (3,), f"{where}: transform.{key}") for key in keys]
 
 
-def _vectors(values: Any, where: str) -> FloatArray:
-    if not isinstance(values, list):
-        raise InputError(where, values, "a list of points")
-    try:
-        array: FloatArray = np.array(values, dtype=np.float64).reshape(len(values), 3)
-    except (TypeError, ValueError, OverflowError):
-        got = Unquoted("something other than a list of points")
-        raise InputError(where, got, "x, y, z each") from None
-    if not np.isfinite(array).all():
-        refuse(where, "a coordinate that is not finite", "finite numbers")
-    return array
+def _vertices(values: Any, where: str) -> FloatArray:
+    return float_array(np.empty((0, 3)) if values == [] else values, (-1, 3), where)
 
 
 class _Templates:
@@ -147,27 +142,23 @@ class _Templates:
     def __init__(self, table: Any, where: str) -> None:
         table = table if isinstance(table, Mapping) else {}
         self.where = f"{where}: geometry-templates"
-        self.templates = table.get("templates", [])
+        self.templates = read_table(table.get("templates", []), list[Any], self.where)
         values = table.get("vertices-templates", [])
-        self.vertices = _vectors(values, f"{self.where}.vertices-templates")
+        self.vertices = _vertices(values, f"{self.where}.vertices-templates")
 
     def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
         """Polygons of a template, moved to its place."""
         index: Any = geometry.get("template")
+        here = f"{self.where}.templates[{index}]"
+        template = _at(self.templates, index, f"{where}.template")
         anchor: Any = geometry.get("boundaries")
-        if not _is_index(index, len(self.templates)):
-            raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
-        is_list = isinstance(anchor, list)
-        if not (is_list and len(anchor) == 1 and _is_index(anchor[0], len(vertices))):
-            raise InputError(f"{where}.boundaries", anchor, "the index of one vertex")
-        values = geometry.get("transformationMatrix", np.eye(4).reshape(-1).tolist())
-        if not isinstance(values, list) or len(values) != 16:
-            raise InputError(f"{where}.transformationMatrix", values, "16 numbers")
-        matrix = _vectors([[value, 0.0, 0.0] for value in values], where)[:, 0].reshape(4, 4)
-        template, here = self.templates[index], f"{self.where}.templates[{index}]"
+        anchor = anchor[0] if isinstance(anchor, list) and len(anchor) == 1 else anchor
+        foot = _at(vertices, anchor, f"{where}.boundaries")
+        values = geometry.get("transformationMatrix", np.eye(4).reshape(-1))
+        matrix = float_array(values, (16,), f"{where}.transformationMatrix").reshape(4, 4)
         if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
             refuse(here, "no geometry", "one")
-        turn, shift, foot = matrix[:3, :3].T, matrix[:3, 3], vertices[anchor[0]]
+        turn, shift = matrix[:3, :3].T, matrix[:3, 3]
         polygons = _polygons(template, self.vertices, here)
         return [[ring @ turn + shift + foot for ring in polygon] for polygon in polygons]
 
@@ -238,7 +229,7 @@ def _best(
         else:  # points and lines have none
             polygons = _polygons(geometry, vertices, here)
             try:
-                level = float(str(geometry.get("lod", "1"))) if kind in _SURFACES_AT else level
+                level = float(str(geometry.get("lod", "1"))) if kind in _BOUNDARIES else level
             except ValueError:
                 raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
         if polygons and _rank(level) > _rank(best[1]):
@@ -252,38 +243,25 @@ def _rank(level: float) -> float:
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    depth = _SURFACES_AT.get(str(geometry.get("type")))
-    if depth is None:
+    """Surfaces of a geometry, of solids those of the outer shells; points and lines have none."""
+    kind, here = str(geometry.get("type")), f"{where}.boundaries"
+    if kind not in _BOUNDARIES:
         return []
-    surfaces = _list(geometry.get("boundaries"), where)
-    if depth == 1:
-        surfaces = _list(surfaces[0], where) if surfaces else []
-    elif depth == 2:
-        shells = [_list(solid, where) for solid in surfaces]
-        surfaces = list(chain.from_iterable(_list(shell[0], where) for shell in shells if shell))
-    return [
-        [_ring(ring, vertices, where) for ring in rings]
-        for rings in (_list(surface, where) for surface in surfaces)
-        if rings
-    ]
+    nested: Any = read_table(geometry.get("boundaries"), _BOUNDARIES[kind], here)
+    if kind.endswith("Solid"):
+        solids = [nested] if kind == "Solid" else nested
+        nested = chain.from_iterable(shells[0] for shells in solids if shells)
+    surfaces = [rings for rings in nested if rings]
+    highest = max((index for rings in surfaces for ring in rings for index in ring), default=-1)
+    if highest >= len(vertices):
+        raise InputError(here, highest, f"vertices 0 to {len(vertices) - 1}")
+    return [[vertices[np.array(ring, dtype=np.int64)] for ring in rings] for rings in surfaces]
 
 
-def _list(value: Any, where: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise InputError(f"{where}.boundaries", value, "lists nested as its type demands")
-    return value
-
-
-def _ring(ring: Any, vertices: FloatArray, where: str) -> FloatArray:
-    indices = _list(ring, where)
-    for index in indices:
-        if not _is_index(index, len(vertices)):
-            raise InputError(f"{where}.boundaries", index, f"vertices 0 to {len(vertices) - 1}")
-    return vertices[np.array(indices, dtype=np.int64)]
-
-
-def _is_index(value: Any, n: int) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < n
+def _at(values: Any, index: Any, where: str) -> Any:
+    if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(values):
+        raise InputError(where, index, f"an index, 0 to {len(values) - 1}")
+    return values[index]
 
 
 def _city_map(
