@@ -22,7 +22,7 @@ from ..notes import Note, assumptions
 from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
-from .relief import Elevation, Relief, find_relief
+from .relief import Relief, find_relief
 from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing, build_pole_body, plain_id
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
@@ -71,7 +71,6 @@ def cut_out(
     *,
     radius_m: float,
     ground_m: float | None = None,
-    elevation: Elevation | None = None,
 ) -> Surroundings:
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
@@ -83,7 +82,7 @@ def cut_out(
     outline = frame.take(junction.outline_m, roads)
     skipped = [skip for source in maps for skip in source.skipped]
     half_m = radius_m + LANES_BEYOND_M
-    relief = find_relief(maps, junction, frame, half_m=half_m, elevation=elevation)
+    relief = find_relief(maps, junction, frame, half_m=half_m)
     skipped += relief.notes
     things: list[Thing] = []
     poles: list[Pole] = []

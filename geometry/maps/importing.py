@@ -20,15 +20,16 @@ from ..files import Progress, check_file, load_data, open_file, read_text, silen
 from ..frames import parse_crs
 from ..junction import build_junction
 from ..notes import Note
-from ..scene import Instance, Lane, Scene, Site, area_of
+from ..scene import Instance, Lane, Scene, Site, area_of, join_bodies
 from ..scene_checks import arms_that_end
+from ..terrain import GROUND
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .georeferences import WGS84, transform
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles
-from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing
+from .source_map import NOTHING, MapJunction, MapLane, Pole, SourceMap, Thing
 
 _MAX_LISTED = 12
 _NEAR_M = 100.0
@@ -241,10 +242,7 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         near.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m))
     scene = Scene(
         name=junction.id,
-        vertices_m=np.zeros((0, 3)),
-        triangles=np.zeros((0, 3), dtype=np.int32),
-        triangle_instance=np.zeros(0, dtype=np.int32),
-        instances=(Instance(id="ground", class_name="ground"),),
+        **join_bodies([(Instance(id=GROUND, class_name=GROUND), *NOTHING)]),
         sites=(),
         outline_m=junction.outline_m - middle,
         lanes=tuple(near),
@@ -456,15 +454,14 @@ def cut_scene(
     if not chosen.n_driven:
         where = f"{roads.name}: junction {junction.id}"
         refuse(where, "no lane that leads into it", "a junction that cars drive into")
-    elevation = None
+    names = tuple(source.name for source in maps)
     if options.terrain is not None:
         progress("read terrain", 0, 0)
         half_m, middle_m = radius_m + LANES_BEYOND_M, junction.position_m
-        elevation = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
+        terrain = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
+        maps = [roads, terrain, *maps[1:]]  # before others: its heights count
     progress("cut the junction out", 0, 0)
-    surroundings = cut_out(
-        maps, junction, radius_m=radius_m, ground_m=options.ground_m, elevation=elevation
-    )
+    surroundings = cut_out(maps, junction, radius_m=radius_m, ground_m=options.ground_m)
     progress("find sites", 0, 0)
     surroundings, settled = settle_poles(surroundings)
     sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=radius_m)
@@ -483,7 +480,7 @@ def cut_scene(
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, radius_m),
     )
-    scene, names = replace(scene, notes=notes), tuple(source.name for source in maps)
+    scene = replace(scene, notes=notes)
     return ImportedScene(scene=scene, junctions=(chosen,), chosen=chosen, sources=names)
 
 

@@ -24,7 +24,7 @@ Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
 _SAME_M = 1e-3  # corners closer than this are one
 _MIN_AREA_M2 = 1e-6  # of a polygon in space
 _MIN_FOOTPRINT_M2 = 0.01
-_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
+NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
@@ -55,7 +55,7 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     """
     rings = [ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3]
     if not rings or len(_without_repeats(rings_m[0])) < 3:
-        return _NOTHING
+        return NOTHING
     vertices: FloatArray = np.concatenate(rings)
     middle = vertices.mean(axis=0)
     outer = rings[0] - middle
@@ -63,7 +63,7 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     normal = np.array([products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))])
     length = float(np.sqrt(normal @ normal))
     if not length > 2.0 * _MIN_AREA_M2:
-        return _NOTHING
+        return NOTHING
     normal /= length
     if len(vertices) == 3:
         return vertices, np.array([[0, 1, 2]], dtype=np.int32)
@@ -94,7 +94,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
-        return _NOTHING
+        return NOTHING
     corners, triangles = join(pieces)
     rounded = np.round(corners / _SAME_M).astype(np.int64)
     _, taken, merged = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -307,16 +307,12 @@ class Omissions:
             names.append(name)
 
     def listed(self) -> tuple[Note, ...]:
-        """One entry per kind and reason."""
+        """One entry per kind and reason; of many, the first."""
         entries = []
         for (kind, why), names in self.found.items():
             many = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
             entries.append(Note(names[0] if len(names) == 1 else many, why))
-        if len(entries) > _MAX_SKIPPED:
-            n_more = len(entries) - _MAX_SKIPPED + 1
-            more = Note(f"{n_more} more kinds of things", "see those above")
-            entries = [*entries[: _MAX_SKIPPED - 1], more]
-        return tuple(entries)
+        return shortened(entries)
 
 
 def plain_id(name: str) -> str:
