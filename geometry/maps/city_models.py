@@ -46,7 +46,6 @@ _BOUNDARIES: dict[str, Any] = {
     "Solid": list[_Surfaces],
     **dict.fromkeys(("MultiSolid", "CompositeSolid"), list[list[_Surfaces]]),
 }
-_WORDS = ("name", "class", "function", "usage", "type")
 _MAX_NAME = 80  # characters
 _TYPES: dict[str, Any] = load_data("geometry.maps", "words.toml")["city"]
 CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
@@ -54,8 +53,6 @@ CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
 _Table = Mapping[str, Any]
 _GML = "CityGML"
 _GEOMETRY = re.compile(r"lod([0-4])(\w+)")
-_FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
-_NAMES_OF_GML = ("name", "class", "function", "usage")
 _MAX_DEPTH = 100  # of elements, and of references to references
 _MAX_VISITS = 20  # per element: references to references could make more of few
 _GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
@@ -199,7 +196,9 @@ def _objects(
             id=name,
             type_name=type_name,
             polygons=tuple(polygons),
-            words=" ".join(str(attributes[key])[:_MAX_NAME] for key in _WORDS if key in attributes),
+            words=" ".join(
+                str(attributes[key])[:_MAX_NAME] for key in _TYPES["words"] if key in attributes
+            ),
             is_footprint=level < 1.0,
             height_m=_height_m(attributes),
         )
@@ -403,7 +402,7 @@ class _Document:
             id=_gml_id(feature) or type_name,
             type_name=type_name,
             polygons=tuple(chain.from_iterable(alike)),
-            words=" ".join(texts[name] for name in _NAMES_OF_GML if texts.get(name)),
+            words=" ".join(texts[name] for name in _TYPES["names"] if texts.get(name)),
             is_footprint=level == 0,
             height_m=_measured_height_m(feature),
         )
@@ -416,7 +415,7 @@ class _Document:
             match = _GEOMETRY.fullmatch(name)
             if match:
                 level = int(match[1])
-                is_flat = match[2] in _FOOTPRINTS
+                is_flat = match[2] in _TYPES["footprints"]
                 if level == 0 and (not is_flat or local_name(element) in _TYPES["surfaces"][1:]):
                     continue
                 rank = 2 if "Solid" in match[2] else int(match[2] != "RoofEdge")

@@ -42,10 +42,6 @@ from .source_map import (
 
 MAX_FEATURES = 200_000
 SUFFIXES = (".geojson", ".json", ".gpkg", ".shp")
-_GEOMETRY_TYPES = (
-    *("Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon"),
-    "GeometryCollection",
-)
 # First bytes of a file: GDAL would take other things under these names too, and follow their links.
 _MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
@@ -110,8 +106,10 @@ def _read_geojson(path: Path) -> Features:
             values.setdefault("id", row["id"])
         geometry = None
         if table is not None:
-            if not isinstance(table, Mapping) or table.get("type") not in _GEOMETRY_TYPES:
-                raise InputError(f"{here}.geometry", table, "one of " + ", ".join(_GEOMETRY_TYPES))
+            if not isinstance(table, Mapping) or table.get("type") not in _WORDS["geometries"]:
+                raise InputError(
+                    f"{here}.geometry", table, "one of " + ", ".join(_WORDS["geometries"])
+                )
             try:
                 geometry = shape(table)
             except (

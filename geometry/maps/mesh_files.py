@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import check_one_of, refuse
-from ..files import open_file, read_bytes, reading
+from ..files import load_data, open_file, read_bytes, reading
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
 from .source_map import (
@@ -25,15 +25,7 @@ from .source_map import (
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}
-# Rows: east, north and up of the world frame in the file's axes; glTF's -z is north.
-UP_AXES = {
-    "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
-    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
-}
+UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")["up_axes"]
 _MIN_SIZE_M, _MAX_SIZE_M = 0.1, 20_000.0
 _SLANTED = (0.1, 0.98)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
 _MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by

@@ -23,6 +23,7 @@ from ..source_map import Omissions, parse_length_m
 
 DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
+WORDS: dict[str, Any] = DEFAULTS["words"]
 Tags = dict[str, str]
 TagNote = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out

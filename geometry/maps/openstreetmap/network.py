@@ -20,6 +20,7 @@ from ..source_map import parse_length_m, parse_speed_kmh
 from .elements import (
     DEFAULTS,
     OPPOSITE,
+    WORDS,
     Elements,
     TagNote,
     Tags,
@@ -33,12 +34,6 @@ from .elements import (
 )
 
 Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
-_ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
-_BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
-_OLD_ORIENTATIONS = ("parallel", "diagonal", "perpendicular")
-_OLD_POSITIONS = {"street_side": "street_side", "on_kerb": "on_kerb", "lay_by": "street_side"}
-_CYCLE_LANES = ("lane", "opposite_lane")
-_CYCLE_TRACKS = ("track", "opposite_track")
 # Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
 Roadside = tuple[list[Part], list[Part]]
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
@@ -46,7 +41,6 @@ _Widths = tuple[Sequence[float], Sequence[float], float]
 """Widths [m] of lanes forward and backward, from left to right there, and of the centre lane."""
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
 End = tuple[int, bool]  # an edge and whether its first node is meant
-_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # the most specific first
 _MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
 
 
@@ -146,14 +140,14 @@ def roadside_strips(tags: Tags, note: TagNote, *, side: str, keeps_left: bool) -
         tags.get(f"cycleway:{side}:oneway") == "-1"
     )
     cycles_forward = is_forward and not (is_against and is_oneway(tags))
-    if cycleway in _CYCLE_LANES:
+    if cycleway in WORDS["cycle_lanes"]:
         inner.append(("cycling", width("cycleway", usual["cycle_lane_width_m"]), cycles_forward))
     position, orientation = _parking(tags, side)
-    if position in (*_ON_CARRIAGEWAY, *_BESIDE_CARRIAGEWAY):
+    if position in (*WORDS["on_carriageway"], *WORDS["beside_carriageway"]):
         usual_m = usual.get(f"{orientation}_parking_width_m", usual["parallel_parking_width_m"])
         part = ("parking", width("parking", usual_m), is_forward)
-        (inner if position in _ON_CARRIAGEWAY else outer).append(part)
-    if cycleway in _CYCLE_TRACKS:
+        (inner if position in WORDS["on_carriageway"] else outer).append(part)
+    if cycleway in WORDS["cycle_tracks"]:
         outer.append(("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward))
     sidewalk = side_value(tags, "sidewalk", side)
     if sidewalk == "yes" or (sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)):
@@ -172,9 +166,9 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
             return "no", ""
         return position, orientation
     old = side_value(tags, "parking:lane", side) or ""
-    if old in _OLD_ORIENTATIONS:
+    if old in WORDS["old_orientations"]:
         where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
-        return _OLD_POSITIONS.get(where, "lane"), old
+        return WORDS["old_positions"].get(where, "lane"), old
     return "no", ""
 
 
@@ -470,7 +464,7 @@ def is_for_cars(tags: Tags) -> bool:
     return (
         tags.get("highway") in DEFAULTS["roads"]
         and tags.get("area") != "yes"
-        and next((tags[key] for key in _ACCESS if key in tags), "yes") != "no"
+        and next((tags[key] for key in WORDS["access"] if key in tags), "yes") != "no"
         and tags.get("service") not in ("parking_aisle", "driveway", "drive-through", "slipway")
     )
 

@@ -26,6 +26,7 @@ from ..source_map import (
 )
 from .elements import (
     DEFAULTS,
+    WORDS,
     Area,
     Elements,
     Relation,
@@ -42,21 +43,12 @@ from .junctions import Reach
 from .network import Edge, Network, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
-_KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
-_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
-_POLES = ("mast", "utility_pole", "pole")
-_ROADSIDE = {"street_lamp": "lamp post", "traffic_signals": "traffic light", "traffic_sign": "sign"}
 _NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
-_NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 _Place = tuple[Reach, float]  # a street and how far along it [m]
-_FOOTWAYS = ("footway", "path", "pedestrian")
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 _LEAST_M = 0.5  # of a footway on a carriageway
-_NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
-_COVERED = ("yes", "arcade", "colonnade")
 _LEAST_M2 = 1.0  # of what is left of a building
-_GATES = ("gate", "gatehouse", "city_gate")
 _Span = tuple[float, float, bool]  # bottom and top above the ground [m], whether they are assumed
 
 
@@ -66,7 +58,7 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
     for way in elements.ways:
         tags = way.tags
         kind = tags.get("barrier", "")
-        if kind not in _KINDS:
+        if kind not in WORDS["barriers"]:
             continue
         note = partial(elements.omissions.add, "barriers", f"way {way.id}")
         fence = tags.get("fence_type", tags.get("material", ""))
@@ -123,7 +115,7 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
             for number, foot in enumerate(feet):
                 note = partial(add, "trees", element)
                 yield _tree(f"w{one.id} tree {number}", foot, one.tags, note)
-        if any(one.tags.get(key) == value for key, value in _WOODS):
+        if any(one.tags.get(key) == value for key, value in WORDS["woods"]):
             add("woods", element, "the positions of its trees and bushes are unknown")
 
 
@@ -168,7 +160,7 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
             continue
         node_id = int(elements.node_ids[row])
         support = tags.get("support") or tags.get("lamp_mount") or tags.get("camera:mount", "")
-        if support in _NO_POLE:
+        if support in WORDS["no_pole"]:
             why = "on a wall or a wire, without a pole"
             elements.omissions.add(f"{kind}s", f"node {node_id}", why)
             continue
@@ -191,9 +183,9 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
 
 
 def _kind(tags: Tags) -> str:
-    kind = _ROADSIDE.get(tags.get("highway", ""), "sign" if "traffic_sign" in tags else "")
+    kind = WORDS["roadside"].get(tags.get("highway", ""), "sign" if "traffic_sign" in tags else "")
     has_camera = tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole"
-    is_pole = has_camera or tags.get("man_made") in _POLES or tags.get("power") == "pole"
+    is_pole = has_camera or tags.get("man_made") in WORDS["poles"] or tags.get("power") == "pole"
     return kind or ("pole" if is_pole else "")
 
 
@@ -251,7 +243,10 @@ def find_crosswalks(network: Network) -> FloatArray:
     covered: set[int] = set()  # nodes that lie on a mapped footway over a road
     tree = shapely.STRtree([shapely.linestrings(edge.points_m) for edge in network.edges])
     for way in elements.ways:
-        if way.tags.get("footway") != "crossing" or way.tags.get("highway") not in _FOOTWAYS:
+        if (
+            way.tags.get("footway") != "crossing"
+            or way.tags.get("highway") not in WORDS["footways"]
+        ):
             continue
         for rows in known_runs(way, elements):
             walk = LineString(elements.positions_m[rows])
@@ -393,7 +388,7 @@ def _stands(area: Area, omissions: Omissions) -> bool:
     kinds = [tags[key] for key in ("building", "building:part") if key in tags]
     if all(kind == "no" for kind in kinds):
         return False
-    if any(kind in _NOT_THERE for kind in kinds):
+    if any(kind in WORDS["not_there"] for kind in kinds):
         omissions.add("buildings", _element(area), "not built yet, or no longer there")
         return False
     if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
@@ -544,7 +539,10 @@ class _Passages:
 
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
         """Area of the ways that lead through a building, and their clear height."""
-        is_gate = area.tags.get("historic") in _GATES or _building_kind(area.tags) in _GATES
+        is_gate = (
+            area.tags.get("historic") in WORDS["gates"]
+            or _building_kind(area.tags) in WORDS["gates"]
+        )
         whole = make_valid(area.polygon)
         near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
         leading = [(strip, clear_m) for strip, clear_m, is_marked in near if is_gate or is_marked]
@@ -556,7 +554,7 @@ class _Passages:
 
 
 def _leads_through(tags: Tags) -> bool:
-    return tags.get("tunnel") == "building_passage" or tags.get("covered") in _COVERED
+    return tags.get("tunnel") == "building_passage" or tags.get("covered") in WORDS["covered"]
 
 
 # ---------- bridges over roads
