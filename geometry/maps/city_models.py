@@ -1,6 +1,5 @@
 """City models: CityJSON 1.0 to 2.0 and text sequences of it; CityGML 1.0 to 3.0."""
 
-import json
 import re
 import sys
 from collections import Counter
@@ -39,7 +38,6 @@ from .source_map import (
 )
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_MAX_RING = 100_000
 _Surfaces = list[list[list[Annotated[int, msgspec.Meta(ge=0)]]]]  # rings of indices of vertices
 _BOUNDARIES: dict[str, Any] = {
     **dict.fromkeys(("MultiSurface", "CompositeSurface"), _Surfaces),
@@ -106,12 +104,7 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
-    try:
-        is_sequence = isinstance(json.loads(first), dict)
-    except (ValueError, RecursionError):
-        is_sequence = False
-    lines = text.splitlines() if is_sequence else [text]
+    lines = text.splitlines() if where.lower().endswith(".jsonl") else [text]
     for number, line in enumerate(lines, start=1):
         if line.strip():
             here = f"{where}: line {number}" if len(lines) > 1 else where

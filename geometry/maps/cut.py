@@ -23,7 +23,16 @@ from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Relief, find_relief
-from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing, build_pole_body, plain_id
+from .source_map import (
+    MapJunction,
+    MapLane,
+    Pole,
+    SourceMap,
+    Thing,
+    build_pole_body,
+    plain_id,
+    unique_id,
+)
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
@@ -86,7 +95,7 @@ def cut_out(
     skipped += relief.notes
     things: list[Thing] = []
     poles: list[Pole] = []
-    taken: set[str] = set()
+    taken = Counter([GROUND])
     for source in maps:
         height_m = ground_m
         if source is roads:
@@ -410,13 +419,9 @@ def _off_m(points_m: FloatArray) -> float:
     return float(np.hypot(*np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))))
 
 
-def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
+def _unique(name: str, source: SourceMap, taken: Counter[str]) -> str:
     clean = plain_id(name) or "thing"
-    candidates = [clean, f"{source.name}-{clean}"]
-    candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]
-    found = next(one for one in candidates if one not in taken and one != "ground")
-    taken.add(found)
-    return found
+    return unique_id(f"{source.name}-{clean}" if clean in taken else clean, taken)
 
 
 # ---------- many junctions out of maps that are read once

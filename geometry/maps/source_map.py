@@ -138,35 +138,33 @@ def extrude(
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
 ) -> Mesh:
-    """A closed solid over a footprint: an outline (n, 2) and holes, in any direction.
+    """Closed solid over an outline (n, 2) with holes, in any direction; see the next one."""
+    outer = float_array(outer_m, (-1, 2), where)
+    if len(np.unique(outer, axis=0)) < 3:
+        refuse(where, f"{len(outer)} points", "at least three different points")
+    polygon = Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m])
+    return extrude_polygon(polygon, bottom_m=bottom_m, top_m=top_m, where=where)
 
-    Outlines that cross themselves are mended first. Raises InputError, with `where` in its message,
-    if no area is left or the roof is not above the floor.
+
+def extrude_polygon(
+    polygon: Polygon, *, bottom_m: float, top_m: float, where: str = "footprint"
+) -> Mesh:
+    """Closed solid over a polygon with its holes; one that crosses itself is mended first.
+
+    Raises InputError, with `where` in its message, if no area is left or the roof is not above the
+    floor.
     """
     import trimesh
 
     if not top_m > bottom_m:
         raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
-    outer = float_array(outer_m, (-1, 2), where)
-    if len(np.unique(outer, axis=0)) < 3:
-        refuse(where, f"{len(outer)} points", "at least three different points")
-    shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
-    parts = polygons_of(shape, above_m2=_MIN_FOOTPRINT_M2)
+    parts = polygons_of(make_valid(polygon), above_m2=_MIN_FOOTPRINT_M2)
     if not parts:
         refuse(where, "an outline without area", "a footprint")
     extruded = trimesh.creation.extrude_polygon
     solids = [extruded(part, top_m - bottom_m, engine="earcut") for part in parts]
     vertices, triangles = join([(solid.vertices, solid.faces) for solid in solids])
     return vertices + [0.0, 0.0, bottom_m], triangles
-
-
-def extrude_polygon(
-    polygon: Polygon, *, bottom_m: float, top_m: float, where: str = "footprint"
-) -> Mesh:
-    """Closed solid over a shapely polygon with its holes; raises as :func:`extrude`."""
-    holes = [np.asarray(ring.coords)[:, :2] for ring in polygon.interiors]
-    outer = np.asarray(polygon.exterior.coords)[:, :2]
-    return extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=where)
 
 
 def parts_of(shape: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
