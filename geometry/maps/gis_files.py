@@ -35,6 +35,7 @@ from .source_map import (
     kind_of_class,
     parse_length_m,
     parts_of,
+    polygons_of,
     shortened,
     thing_defaults,
     unique_id,
@@ -273,14 +274,12 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
     flat, where = shapely.force_2d(feature.geometry), feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
-    parts = parts_of(geometry)
-    if not any(part.geom_type == "Polygon" for part in parts):
-        style = {"cap_style": "flat", "join_style": "mitre"}
-        lines = [part for part in parts if part.geom_type in ("LineString", "LinearRing")]
+    areas, style = polygons_of(geometry), {"cap_style": "flat", "join_style": "mitre"}
+    if not areas:
+        lines = [one for one in parts_of(geometry) if one.geom_type in ("LineString", "LinearRing")]
         strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
-        parts = [part for strip in strips for part in parts_of(strip)]
+        areas = [part for strip in strips for part in polygons_of(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
-    areas = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
     pieces = [extrude_polygon(one, bottom_m=bottom_m, top_m=top_m, where=thing_id) for one in areas]
     if not pieces:
         refuse(thing_id, "no area", "a footprint")

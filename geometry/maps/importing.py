@@ -4,7 +4,7 @@ import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from functools import cache
@@ -292,10 +292,8 @@ def read_map(
     if not path.exists() or path.is_dir():
         refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
     check_file(path)
-    with ExitStack() as stack:
-        inside = path
-        if path.suffix.lower() == ".zip":
-            inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
+    is_packed = path.suffix.lower() == ".zip"
+    with unpacked(path, SUFFIXES[:-1]) if is_packed else nullcontext(path) as inside:
         source = _read(inside, options, progress)
     if options.offset_m is not None and not source.lanes:
         offset_m = np.array([*options.offset_m, 0.0])

@@ -59,9 +59,11 @@ def read_mesh(
     ids: Counter[str] = Counter()
     things = []
     for name, vertices, triangles in parts:
-        kind, mesh = kind_from_name(name), (vertices @ axes.T, _outwards(vertices, triangles))
+        if _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0:
+            triangles = triangles[:, ::-1]  # so that it faces outwards
+        kind = kind_from_name(name)
         its_class = kind.class_name if kind else class_name
-        things.append(Thing.of(unique_id(name, ids), its_class, mesh))
+        things.append(Thing.of(unique_id(name, ids), its_class, (vertices @ axes.T, triangles)))
     _check_size(things, where, unit)
     _check_roofs(things, where, up)
     skipped = tuple(counted(left_out, "no mesh"))
@@ -132,12 +134,6 @@ def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, 
     corners = triangles.reshape(-1, 3).astype(np.int32)
     is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
     return placed, corners[:, ::-1] if is_mirrored else corners
-
-
-def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Triangles of a closed part turned to face outwards; others as they are."""
-    is_inside_out = _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0
-    return triangles[:, ::-1] if is_inside_out else triangles
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:

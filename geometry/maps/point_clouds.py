@@ -39,7 +39,7 @@ _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14:
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
 Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
 _MAX_HEADER_BYTES = 65_536
-_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
+_PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}  # bytes, by type
 CELL_M = 1.0
 _MAX_CELLS = 16_000_000  # 4 km x 4 km
 _WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
@@ -203,10 +203,6 @@ def _one_line(error: BaseException) -> str:
 
 
 # ---------- PCD files
-_PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
-_PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
-
-
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     """Points with coordinates of an open PCD file, version 0.7, all of class 0; or InputError."""
     header = _pcd_header(file, where)
@@ -220,11 +216,13 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     if not 0 < n_points <= MAX_POINTS:
         raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
     formats = []
-    for index, name in enumerate(names):
-        kind = (kinds[index] if index < len(kinds) else "", sizes[index])
-        if kind not in _PCD_TYPES or not 0 < counts[index] <= 4096:
-            raise InputError(f"{where}: field {name}", kind, "a TYPE, SIZE and COUNT of PCD")
-        formats.append((f"{index}", _PCD_TYPES[kind], (counts[index],)))
+    for index, (name, size, count) in enumerate(zip(names, sizes, counts, strict=True)):
+        kind = kinds[index] if index < len(kinds) else ""
+        if size not in _PCD_SIZES.get(kind, ()) or not 0 < count <= 4096:
+            raise InputError(
+                f"{where}: field {name}", (kind, size), "a TYPE, SIZE and COUNT of PCD"
+            )
+        formats.append((f"{index}", f"<{kind.lower()}{size}", (count,)))
     columns = [names.index(axis) for axis in "xyz"]
     encoding = " ".join(header.get("DATA", []))
     if encoding == "ascii":

@@ -37,8 +37,7 @@ Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way do
 # Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
 Roadside = tuple[list[Part], list[Part]]
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
-_Widths = tuple[Sequence[float], Sequence[float], float]
-"""Widths [m] of lanes forward and backward, from left to right there, and of the centre lane."""
+_Widths = tuple[Sequence[float], Sequence[float]]  # [m] forward, backward; from left to right there
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
 End = tuple[int, bool]  # an edge and whether its first node is meant
 _MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
@@ -293,7 +292,8 @@ def _driving(
         [(place, n if keeps_left else len(lanes) - 1 - n, lane_m) for n, lane_m in enumerate(lanes)]
         for place, lanes in (("forward", widths[0]), ("backward", widths[1]))
     )
-    centre = [("centre", 0, widths[2])] if counts.has_centre else []
+    centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
+    centre = [("centre", 0, centre_m)] if counts.has_centre else []
     if keeps_left:
         return [*forward, *centre, *backward[::-1]]
     return [*backward[::-1], *centre, *forward]
@@ -309,7 +309,7 @@ def _lane_widths(
     forward = _listed_widths(tags, "forward", counts.n_forward, is_alone=not counts.n_backward)
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
-        return (forward, backward, centre_m), counts
+        return (forward, backward), counts
     keys = ("width:carriageway", "width", "est_width")
     total_m = tagged_length_m(tags, keys, (1.0, 100.0), note, "usual widths")
     if total_m is not None:
@@ -320,13 +320,10 @@ def _lane_widths(
             fitting = replace(counts, is_shared=free_m < 2.0 * narrow_m)
         n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
-            return _even(free_m / n_lanes, centre_m, fitting), fitting
-        note("its width does not fit its lanes; usual widths taken")
-    return _even(usual_m, centre_m, counts), counts
-
-
-def _even(width_m: float, centre_m: float, counts: LaneCounts) -> _Widths:
-    return [width_m] * counts.n_forward, [width_m] * counts.n_backward, centre_m
+            usual_m, counts = free_m / n_lanes, fitting
+        else:
+            note("its width does not fit its lanes; usual widths taken")
+    return ([usual_m] * counts.n_forward, [usual_m] * counts.n_backward), counts
 
 
 def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
