@@ -274,9 +274,10 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
     flat, where = shapely.force_2d(feature.geometry), feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
-    areas, style = polygons_of(geometry), {"cap_style": "flat", "join_style": "mitre"}
+    parts, style = parts_of(geometry), {"cap_style": "flat", "join_style": "mitre"}
+    areas = [one for one in parts if one.geom_type == "Polygon" and not one.is_empty]
     if not areas:
-        lines = [one for one in parts_of(geometry) if one.geom_type in ("LineString", "LinearRing")]
+        lines = [one for one in parts if one.geom_type in ("LineString", "LinearRing")]
         strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
         areas = [part for strip in strips for part in polygons_of(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
