@@ -417,19 +417,11 @@ class _Document:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
+        """Polygons of an element and of those in it, or to which it refers."""
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
             refuse(self.where, "elements or references nested too deeply", _GML)
-        n_dimensions = _n_dimensions(element) or n_dimensions
-        reference = element.attrib.get(_HREF, "")
-        if reference.startswith("#") and reference[1:] in self.by_id:
-            yield from self._polygons_of(self.by_id[reference[1:]], depth + 1, n_dimensions)
-        for child in element:
-            yield from self._polygons_of(child, depth + 1, n_dimensions)
-
-    def _polygons_of(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
-        name = local_name(element)
-        n_dimensions = _n_dimensions(element) or n_dimensions
+        name, n_dimensions = local_name(element), _n_dimensions(element) or n_dimensions
         if name in ("Polygon", "PolygonPatch", "Triangle", "Rectangle"):
             rings = [
                 self._ring(ring, n_dimensions)
@@ -440,15 +432,14 @@ class _Document:
             ]
             if rings and len(rings[0]):
                 yield rings
-        elif name == "OrientableSurface":
-            way = -1 if element.attrib.get("orientation") == "-" else 1
-            for polygon in self._polygons(element, depth, n_dimensions):
-                yield [ring[::way] for ring in polygon]
-        elif name == "Solid":
-            for child in (child for child in element if local_name(child) == "exterior"):
-                yield from self._polygons(child, depth, n_dimensions)
         elif name not in ("ImplicitGeometry", "MultiCurve", "MultiPoint"):
-            yield from self._polygons(element, depth, n_dimensions)
+            reference = element.attrib.get(_HREF, "")
+            inside = [self.by_id.get(reference[1:])] if reference.startswith("#") else []
+            inside += [one for one in element if name != "Solid" or local_name(one) == "exterior"]
+            is_turned = name == "OrientableSurface" and element.attrib.get("orientation") == "-"
+            for child in (one for one in inside if one is not None):
+                for polygon in self._polygons(child, depth + 1, n_dimensions):
+                    yield [ring[::-1] for ring in polygon] if is_turned else polygon
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
         words: list[str] = []
