@@ -336,9 +336,7 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                         *bounds,
                         kind=kind,
                         is_oneway=relation.tags.get("one_way", "yes") != "no",
-                        speed_limit_kmh=parse_speed_kmh(
-                            relation.tags.get("speed_limit", "").strip().lower()
-                        ),
+                        speed_limit_kmh=parse_speed_kmh(relation.tags.get("speed_limit", "")),
                         is_in_junction="turn_direction" in relation.tags,
                     )
                 )

@@ -39,7 +39,6 @@ class Relief:
 
     terrain: Terrain | None = None  # none: the plane z = 0
     zero_m: float = 0.0  # height of the middle of the junction as `source` counts heights
-    source: str = ""  # source of the heights; empty: nothing
     roads: SourceMap | None = None
     # ground of the map with the roads, as that counts heights, where another source has them
     roads_m: Terrain | None = None
@@ -131,7 +130,6 @@ def find_relief(
     return Relief(
         terrain=terrain,
         zero_m=middle_m,
-        source=name,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
         notes=(Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),),

@@ -480,10 +480,14 @@ def parse_length_m(text: str) -> float | None:
 
 
 def parse_speed_kmh(text: str) -> float | None:
-    """A speed such as "50", "50 km/h" or "30 mph", in lower case; None: it is no such text."""
-    match = _SPEED.fullmatch(text)
-    unit_kmh = _UNITS["units_kmh"].get(match[2]) if match else None
-    return None if match is None or unit_kmh is None else _number(match[1]) * unit_kmh
+    """A speed above 0 such as "50", "50 km/h" or "30 mph"; None: it is no such text.
+
+    >>> [parse_speed_kmh(text) for text in ("50 km/h", "30 mph", "0", "fast")]
+    [50.0, 48.28032, None, None]
+    """
+    match = _SPEED.fullmatch(text.strip().lower())
+    unit_kmh = _UNITS["units_kmh"].get(match[2], 0.0) if match else 0.0
+    return _number(match[1]) * unit_kmh or None if match else None
 
 
 def _number(text: str) -> float:
