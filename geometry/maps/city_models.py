@@ -1,6 +1,5 @@
 """City models: CityJSON 1.0 to 2.0 and text sequences of it; CityGML 1.0 to 3.0."""
 
-import json
 import re
 import sys
 from collections import Counter
@@ -9,20 +8,22 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Annotated, Any
 from xml.etree.ElementTree import Element
 
+import msgspec
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import load_data, read_text
+from ..files import load_data, read_table, read_text
 from ..notes import Note
 from ..scene import join
 from ..untrusted_files import local_name, parse_object, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
 from .source_map import (
     MAX_TRIANGLES,
+    UNITS_M,
     Polygon3D,
     SourceMap,
     Thing,
@@ -37,10 +38,12 @@ from .source_map import (
 )
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_MAX_RING = 100_000
-_SURFACES_AT = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2}
-_SURFACES_AT |= {"CompositeSolid": 2}
-_WORDS = ("name", "class", "function", "usage", "type")
+_Surfaces = list[list[list[Annotated[int, msgspec.Meta(ge=0)]]]]  # rings of indices of vertices
+_BOUNDARIES: dict[str, Any] = {
+    **dict.fromkeys(("MultiSurface", "CompositeSurface"), _Surfaces),
+    "Solid": list[_Surfaces],
+    **dict.fromkeys(("MultiSolid", "CompositeSolid"), list[list[_Surfaces]]),
+}
 _MAX_NAME = 80  # characters
 _TYPES: dict[str, Any] = load_data("geometry.maps", "words.toml")["city"]
 CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
@@ -48,8 +51,6 @@ CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
 _Table = Mapping[str, Any]
 _GML = "CityGML"
 _GEOMETRY = re.compile(r"lod([0-4])(\w+)")
-_FOOTPRINTS = ("FootPrint", "RoofEdge", "MultiSurface")
-_NAMES_OF_GML = ("name", "class", "function", "usage")
 _MAX_DEPTH = 100  # of elements, and of references to references
 _MAX_VISITS = 20  # per element: references to references could make more of few
 _GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
@@ -93,7 +94,7 @@ def read_cityjson(path: Path) -> SourceMap:
     templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
         with np.errstate(over="ignore"):  # _city_map refuses what is not finite
-            corners = _vectors(document.get("vertices", []), f"{where}: vertices")
+            corners = _vertices(document.get("vertices", []), f"{where}: vertices")
             vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
     skipped = counted(left_out, "no building, plant, wall or furniture")
@@ -103,12 +104,7 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    first = text.lstrip()[:_MAX_RING].split("\n", 1)[0]
-    try:
-        is_sequence = isinstance(json.loads(first), dict)
-    except (ValueError, RecursionError):
-        is_sequence = False
-    lines = text.splitlines() if is_sequence else [text]
+    lines = text.splitlines() if where.lower().endswith(".jsonl") else [text]
     for number, line in enumerate(lines, start=1):
         if line.strip():
             here = f"{where}: line {number}" if len(lines) > 1 else where
@@ -117,27 +113,17 @@ def _documents(text: str, where: str) -> Iterator[_Table]:
         refuse(where, "an empty file", "CityJSON")
 
 
-def _transform(table: Any, where: str) -> FloatArray:
-    """Scale and translation of vertices, (2, 3); 1 and 0 where the file has none."""
-    if table is None:
-        return np.array([np.ones(3), np.zeros(3)])
+def _transform(table: Any, where: str) -> list[FloatArray]:
+    """Scale and translation of vertices, (3,) each; 1 and 0 where the file has none."""
+    table = {"scale": [1.0] * 3, "translate": [0.0] * 3} if table is None else table
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: transform", table, "scale and translate")
     keys = ("scale", "translate")
-    return np.concatenate([_vectors([table.get(k)], f"{where}: transform.{k}") for k in keys])
+    return [float_array(table.get(key, ()), (3,), f"{where}: transform.{key}") for key in keys]
 
 
-def _vectors(values: Any, where: str) -> FloatArray:
-    if not isinstance(values, list):
-        raise InputError(where, values, "a list of points")
-    try:
-        array: FloatArray = np.array(values, dtype=np.float64).reshape(len(values), 3)
-    except (TypeError, ValueError, OverflowError):
-        got = Unquoted("something other than a list of points")
-        raise InputError(where, got, "x, y, z each") from None
-    if not np.isfinite(array).all():
-        refuse(where, "a coordinate that is not finite", "finite numbers")
-    return array
+def _vertices(values: Any, where: str) -> FloatArray:
+    return float_array(np.empty((0, 3)) if values == [] else values, (-1, 3), where)
 
 
 class _Templates:
@@ -146,27 +132,23 @@ class _Templates:
     def __init__(self, table: Any, where: str) -> None:
         table = table if isinstance(table, Mapping) else {}
         self.where = f"{where}: geometry-templates"
-        self.templates = table.get("templates", [])
+        self.templates = read_table(table.get("templates", []), list[Any], self.where)
         values = table.get("vertices-templates", [])
-        self.vertices = _vectors(values, f"{self.where}.vertices-templates")
+        self.vertices = _vertices(values, f"{self.where}.vertices-templates")
 
     def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
         """Polygons of a template, moved to its place."""
         index: Any = geometry.get("template")
+        here = f"{self.where}.templates[{index}]"
+        template = _at(self.templates, index, f"{where}.template")
         anchor: Any = geometry.get("boundaries")
-        if not _is_index(index, len(self.templates)):
-            raise InputError(f"{where}.template", index, f"0 to {len(self.templates) - 1}")
-        is_list = isinstance(anchor, list)
-        if not (is_list and len(anchor) == 1 and _is_index(anchor[0], len(vertices))):
-            raise InputError(f"{where}.boundaries", anchor, "the index of one vertex")
-        values = geometry.get("transformationMatrix", np.eye(4).reshape(-1).tolist())
-        if not isinstance(values, list) or len(values) != 16:
-            raise InputError(f"{where}.transformationMatrix", values, "16 numbers")
-        matrix = _vectors([[value, 0.0, 0.0] for value in values], where)[:, 0].reshape(4, 4)
-        template, here = self.templates[index], f"{self.where}.templates[{index}]"
+        anchor = anchor[0] if isinstance(anchor, list) and len(anchor) == 1 else anchor
+        foot = _at(vertices, anchor, f"{where}.boundaries")
+        values = geometry.get("transformationMatrix", np.eye(4).reshape(-1))
+        matrix = float_array(values, (16,), f"{where}.transformationMatrix").reshape(4, 4)
         if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
             refuse(here, "no geometry", "one")
-        turn, shift, foot = matrix[:3, :3].T, matrix[:3, 3], vertices[anchor[0]]
+        turn, shift = matrix[:3, :3].T, matrix[:3, 3]
         polygons = _polygons(template, self.vertices, here)
         return [[ring @ turn + shift + foot for ring in polygon] for polygon in polygons]
 
@@ -207,7 +189,9 @@ def _objects(
             id=name,
             type_name=type_name,
             polygons=tuple(polygons),
-            words=" ".join(str(attributes[key])[:_MAX_NAME] for key in _WORDS if key in attributes),
+            words=" ".join(
+                str(attributes[key])[:_MAX_NAME] for key in _TYPES["words"] if key in attributes
+            ),
             is_footprint=level < 1.0,
             height_m=_height_m(attributes),
         )
@@ -237,7 +221,7 @@ def _best(
         else:  # points and lines have none
             polygons = _polygons(geometry, vertices, here)
             try:
-                level = float(str(geometry.get("lod", "1"))) if kind in _SURFACES_AT else level
+                level = float(str(geometry.get("lod", "1"))) if kind in _BOUNDARIES else level
             except ValueError:
                 raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
         if polygons and _rank(level) > _rank(best[1]):
@@ -251,38 +235,25 @@ def _rank(level: float) -> float:
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    depth = _SURFACES_AT.get(str(geometry.get("type")))
-    if depth is None:
+    """Surfaces of a geometry, of solids those of the outer shells; points and lines have none."""
+    kind, here = str(geometry.get("type")), f"{where}.boundaries"
+    if kind not in _BOUNDARIES:
         return []
-    surfaces = _list(geometry.get("boundaries"), where)
-    if depth == 1:
-        surfaces = _list(surfaces[0], where) if surfaces else []
-    elif depth == 2:
-        shells = [_list(solid, where) for solid in surfaces]
-        surfaces = list(chain.from_iterable(_list(shell[0], where) for shell in shells if shell))
-    return [
-        [_ring(ring, vertices, where) for ring in rings]
-        for rings in (_list(surface, where) for surface in surfaces)
-        if rings
-    ]
+    nested: Any = read_table(geometry.get("boundaries"), _BOUNDARIES[kind], here)
+    if kind.endswith("Solid"):
+        solids = [nested] if kind == "Solid" else nested
+        nested = chain.from_iterable(shells[0] for shells in solids if shells)
+    surfaces = [rings for rings in nested if rings]
+    highest = max((index for rings in surfaces for ring in rings for index in ring), default=-1)
+    if highest >= len(vertices):
+        raise InputError(here, highest, f"vertices 0 to {len(vertices) - 1}")
+    return [[vertices[np.array(ring, dtype=np.int64)] for ring in rings] for rings in surfaces]
 
 
-def _list(value: Any, where: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise InputError(f"{where}.boundaries", value, "lists nested as its type demands")
-    return value
-
-
-def _ring(ring: Any, vertices: FloatArray, where: str) -> FloatArray:
-    indices = _list(ring, where)
-    for index in indices:
-        if not _is_index(index, len(vertices)):
-            raise InputError(f"{where}.boundaries", index, f"vertices 0 to {len(vertices) - 1}")
-    return vertices[np.array(indices, dtype=np.int64)]
-
-
-def _is_index(value: Any, n: int) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < n
+def _at(values: Any, index: Any, where: str) -> Any:
+    if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(values):
+        raise InputError(where, index, f"an index, 0 to {len(values) - 1}")
+    return values[index]
 
 
 def _city_map(
@@ -424,7 +395,7 @@ class _Document:
             id=_gml_id(feature) or type_name,
             type_name=type_name,
             polygons=tuple(chain.from_iterable(alike)),
-            words=" ".join(texts[name] for name in _NAMES_OF_GML if texts.get(name)),
+            words=" ".join(texts[name] for name in _TYPES["names"] if texts.get(name)),
             is_footprint=level == 0,
             height_m=_measured_height_m(feature),
         )
@@ -437,7 +408,7 @@ class _Document:
             match = _GEOMETRY.fullmatch(name)
             if match:
                 level = int(match[1])
-                is_flat = match[2] in _FOOTPRINTS
+                is_flat = match[2] in _TYPES["footprints"]
                 if level == 0 and (not is_flat or local_name(element) in _TYPES["surfaces"][1:]):
                     continue
                 rank = 2 if "Solid" in match[2] else int(match[2] != "RoofEdge")
@@ -446,19 +417,11 @@ class _Document:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
+        """Polygons of an element and of those in it, or to which it refers."""
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
             refuse(self.where, "elements or references nested too deeply", _GML)
-        n_dimensions = _n_dimensions(element) or n_dimensions
-        reference = element.attrib.get(_HREF, "")
-        if reference.startswith("#") and reference[1:] in self.by_id:
-            yield from self._polygons_of(self.by_id[reference[1:]], depth + 1, n_dimensions)
-        for child in element:
-            yield from self._polygons_of(child, depth + 1, n_dimensions)
-
-    def _polygons_of(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
-        name = local_name(element)
-        n_dimensions = _n_dimensions(element) or n_dimensions
+        name, n_dimensions = local_name(element), _n_dimensions(element) or n_dimensions
         if name in ("Polygon", "PolygonPatch", "Triangle", "Rectangle"):
             rings = [
                 self._ring(ring, n_dimensions)
@@ -469,15 +432,14 @@ class _Document:
             ]
             if rings and len(rings[0]):
                 yield rings
-        elif name == "OrientableSurface":
-            way = -1 if element.attrib.get("orientation") == "-" else 1
-            for polygon in self._polygons(element, depth, n_dimensions):
-                yield [ring[::way] for ring in polygon]
-        elif name == "Solid":
-            for child in (child for child in element if local_name(child) == "exterior"):
-                yield from self._polygons(child, depth, n_dimensions)
         elif name not in ("ImplicitGeometry", "MultiCurve", "MultiPoint"):
-            yield from self._polygons(element, depth, n_dimensions)
+            reference = element.attrib.get(_HREF, "")
+            inside = [self.by_id.get(reference[1:])] if reference.startswith("#") else []
+            inside += [one for one in element if name != "Solid" or local_name(one) == "exterior"]
+            is_turned = name == "OrientableSurface" and element.attrib.get("orientation") == "-"
+            for child in (one for one in inside if one is not None):
+                for polygon in self._polygons(child, depth + 1, n_dimensions):
+                    yield [ring[::-1] for ring in polygon] if is_turned else polygon
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
         words: list[str] = []
@@ -521,7 +483,7 @@ def _measured_height_m(feature: Element) -> float | None:
         for value in values:
             unit = value.attrib.get("uom", "m").rpartition("#")[2].rpartition(":")[2].lower()
             with suppress(ValueError, KeyError):
-                return float((value.text or "").strip()) * float(_TYPES["height_units_m"][unit])
+                return float((value.text or "").strip()) * UNITS_M[unit]
     return None
 
 

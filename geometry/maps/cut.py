@@ -3,13 +3,12 @@
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
 from typing import Any
 
 import numpy as np
 import shapely
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import FloatArray
 from ..junction import (
     ASSUMED,
     CONNECTING,
@@ -23,8 +22,17 @@ from ..notes import Note, assumptions
 from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
-from .relief import Elevation, Relief, find_relief
-from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing, build_pole_body, plain_id
+from .relief import Relief, find_relief
+from .source_map import (
+    MapJunction,
+    MapLane,
+    Pole,
+    SourceMap,
+    Thing,
+    build_pole_body,
+    plain_id,
+    unique_id,
+)
 
 LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
 _SAME_LEVEL_M = 3.0
@@ -44,7 +52,7 @@ _NEIGHBOURS_BEYOND_M = 20.0
 _LOWEST_M = 0.2  # lower things hide nobody
 _MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
 _THINGS_MORE_M = 30.0
-_FAR_FIELDS, _NEAR_FIELDS = ("lanes", "connections"), ("junctions", "things", "poles")
+_FAR_FIELDS, _LINES = ("lanes", "connections"), "crosswalks_m"
 _Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
@@ -72,7 +80,6 @@ def cut_out(
     *,
     radius_m: float,
     ground_m: float | None = None,
-    elevation: Elevation | None = None,
 ) -> Surroundings:
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
@@ -84,11 +91,11 @@ def cut_out(
     outline = frame.take(junction.outline_m, roads)
     skipped = [skip for source in maps for skip in source.skipped]
     half_m = radius_m + LANES_BEYOND_M
-    relief = find_relief(maps, junction, frame, half_m=half_m, elevation=elevation)
+    relief = find_relief(maps, junction, frame, half_m=half_m)
     skipped += relief.notes
     things: list[Thing] = []
     poles: list[Pole] = []
-    taken: set[str] = set()
+    taken = Counter([GROUND])
     for source in maps:
         height_m = ground_m
         if source is roads:
@@ -412,32 +419,26 @@ def _off_m(points_m: FloatArray) -> float:
     return float(np.hypot(*np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))))
 
 
-def _unique(name: str, source: SourceMap, taken: set[str]) -> str:
+def _unique(name: str, source: SourceMap, taken: Counter[str]) -> str:
     clean = plain_id(name) or "thing"
-    candidates = [clean, f"{source.name}-{clean}"]
-    candidates += [f"{clean}-{number}" for number in range(2, len(taken) + 3)]
-    found = next(one for one in candidates if one not in taken and one != "ground")
-    taken.add(found)
-    return found
+    return unique_id(f"{source.name}-{clean}" if clean in taken else clean, taken)
 
 
 # ---------- many junctions out of maps that are read once
-def _boxes(source: SourceMap) -> dict[str, FloatArray]:
-    """Lowest and highest x and y of what a map has, (n, 2, 2); without points it is nowhere."""
-    lines = {
+def _trees(source: SourceMap) -> dict[str, shapely.STRtree]:
+    """What a map has, to be found by the boxes around its points; by the names of the fields."""
+    points_m = {
         "lanes": [lane.centreline_m for lane in source.lanes],
         "connections": [lane.centreline_m for lane in source.connections],
         "junctions": [junction.outline_m for junction in source.junctions],
         "things": [thing.vertices_m for thing in source.things],
         "poles": [pole.position_m[None] for pole in source.poles],
+        "crosswalks_m": source.crosswalks_m.mean(axis=1, keepdims=True),
     }
-    nowhere = np.full((2, 2), np.nan)
-
-    def box(points: FloatArray) -> FloatArray:
-        flat = points[:, :2]
-        return np.stack([flat.min(axis=0), flat.max(axis=0)]) if len(flat) else nowhere
-
-    return {name: np.array([*map(box, some)]).reshape(-1, 2, 2) for name, some in lines.items()}
+    return {
+        name: shapely.STRtree([shapely.multipoints(one[:, :2]) for one in some])
+        for name, some in points_m.items()
+    }
 
 
 class Neighbourhoods:
@@ -446,7 +447,7 @@ class Neighbourhoods:
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
         self._share = (radius_m + _THINGS_MORE_M) / self._half_m  # of the square that has things
-        self._maps = [(source, _boxes(source)) for source in maps]
+        self._maps = [(source, _trees(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
         """Parts of the maps around a junction, which make the same scene as the whole ones."""
@@ -454,13 +455,13 @@ class Neighbourhoods:
         middle = junction.position_m
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         parts = []
-        for source, boxes in self._maps:
+        for source, trees in self._maps:
             here = corners
             if source.crs and roads.crs and source.crs != roads.crs:
                 here = transform(corners, roads.crs, source.crs)
             low, high = here.min(axis=0), here.max(axis=0)
             less = 0.5 * (1.0 - self._share) * (high - low)
-            part = _within(source, boxes, (low, high), near=(low + less, high - less))
+            part = _within(source, trees, (low, high), near=(low + less, high - less))
             has_any = part.things or part.poles or len(part.crosswalks_m) or len(part.ground_m)
             if source is roads or has_any:
                 parts.append(part)
@@ -468,26 +469,16 @@ class Neighbourhoods:
 
 
 def _within(
-    source: SourceMap, boxes: dict[str, FloatArray], square: _Square, *, near: _Square
+    source: SourceMap, trees: dict[str, shapely.STRtree], square: _Square, *, near: _Square
 ) -> SourceMap:
     """Lanes and ground of a square, and of a smaller one what stands and is painted there."""
-    found: dict[str, Any] = {
-        name: tuple(compress(getattr(source, name), _is_meeting(boxes[name], place)))
-        for place, names in ((square, _FAR_FIELDS), (near, _NEAR_FIELDS))
-        for name in names
-    }
-    middles = source.crosswalks_m.mean(axis=1)
-    ground = source.ground_m[:, :2]
-    return replace(
-        source,
-        **found,
-        crosswalks_m=source.crosswalks_m[_is_meeting(np.stack([middles, middles], 1), near)],
-        ground_m=source.ground_m[_is_meeting(np.stack([ground, ground], 1), square)],
-        skipped=assumptions(source.skipped),
-    )
-
-
-def _is_meeting(boxes: FloatArray, square: _Square) -> BoolArray:
-    """Which of some boxes (n, 2, 2) meet a rectangle, (n,)."""
+    found: dict[str, Any] = {}
+    for name, tree in trees.items():
+        low, high = square if name in _FAR_FIELDS else near
+        every, at = getattr(source, name), np.sort(tree.query(shapely.box(*low, *high))).tolist()
+        found[name] = tuple(every[index] for index in at) if name != _LINES else every[at]
     low, high = square
-    return np.asarray(((boxes[:, 0] <= high) & (boxes[:, 1] >= low)).all(axis=1), dtype=bool)
+    ground = source.ground_m[:, :2]
+    is_near = ((ground >= low) & (ground <= high)).all(axis=1)
+    skipped = assumptions(source.skipped)
+    return replace(source, **found, ground_m=source.ground_m[is_near], skipped=skipped)

@@ -103,7 +103,6 @@ class Georeference:
     crs: str  # projected, in metres, for pyproj; empty: unknown
     source_crs: str  # the horizontal part of the declared one; empty: none, or none that fits
     is_northing_first: bool = False  # the file's first coordinate is the northing or the latitude
-    is_projected: bool = False  # to_metres projects from source_crs to crs
     z_m: float = 1.0  # length of the file's unit of height
     notes: tuple[Note, ...] = ()  # on a declaration that was not followed
 
@@ -112,7 +111,7 @@ class Georeference:
         array: FloatArray = np.array(points, dtype=np.float64)
         if self.is_northing_first:
             array[:, :2] = array[:, 1::-1]
-        if self.is_projected:
+        if self.crs != self.source_crs:
             array[:, :2] = transform(array[:, :2], self.source_crs, self.crs)
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
@@ -184,7 +183,6 @@ def georeference(
         crs=local_crs(lonlat, WGS84, where=where),
         source_crs=name,
         is_northing_first=northing_first,
-        is_projected=True,
         z_m=z_m,
     )
 

@@ -25,6 +25,7 @@ from ..scene import CLASS_NAMES, join
 from ..untrusted_files import parse_object, unpacked
 from .georeferences import WGS84, Georeference, georeference
 from .source_map import (
+    UNITS_M,
     SourceMap,
     Thing,
     ThingKind,
@@ -32,7 +33,9 @@ from .source_map import (
     extrude_polygon,
     kind_from_name,
     kind_of_class,
+    parse_length_m,
     parts_of,
+    polygons_of,
     shortened,
     thing_defaults,
     unique_id,
@@ -40,17 +43,11 @@ from .source_map import (
 
 MAX_FEATURES = 200_000
 SUFFIXES = (".geojson", ".json", ".gpkg", ".shp")
-_GEOMETRY_TYPES = (
-    *("Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon"),
-    "GeometryCollection",
-)
 # First bytes of a file: GDAL would take other things under these names too, and follow their links.
 _MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
 _WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["gis"]
-_UNITS_M: dict[str, float] = _WORDS["units_m"]
-_NUMBER = re.compile(r"([-+]?\d{1,15}(?:[.,]\d{1,15})?(?:[eE][-+]?\d{1,2})?)\s*([a-z']*)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,8 +107,10 @@ def _read_geojson(path: Path) -> Features:
             values.setdefault("id", row["id"])
         geometry = None
         if table is not None:
-            if not isinstance(table, Mapping) or table.get("type") not in _GEOMETRY_TYPES:
-                raise InputError(f"{here}.geometry", table, "one of " + ", ".join(_GEOMETRY_TYPES))
+            if not isinstance(table, Mapping) or table.get("type") not in _WORDS["geometries"]:
+                raise InputError(
+                    f"{here}.geometry", table, "one of " + ", ".join(_WORDS["geometries"])
+                )
             try:
                 geometry = shape(table)
             except (
@@ -275,14 +274,13 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
 def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
     flat, where = shapely.force_2d(feature.geometry), feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
-    parts = parts_of(geometry)
-    if not any(part.geom_type == "Polygon" for part in parts):
-        style = {"cap_style": "flat", "join_style": "mitre"}
-        lines = [part for part in parts if part.geom_type in ("LineString", "LinearRing")]
+    parts, style = parts_of(geometry), {"cap_style": "flat", "join_style": "mitre"}
+    areas = [one for one in parts if one.geom_type == "Polygon" and not one.is_empty]
+    if not areas:
+        lines = [one for one in parts if one.geom_type in ("LineString", "LinearRing")]
         strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
-        parts = [part for strip in strips for part in parts_of(strip)]
+        areas = [part for strip in strips for part in polygons_of(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
-    areas = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
     pieces = [extrude_polygon(one, bottom_m=bottom_m, top_m=top_m, where=thing_id) for one in areas]
     if not pieces:
         refuse(thing_id, "no area", "a footprint")
@@ -311,7 +309,7 @@ def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
     for key, value in values.items():
         column = _column(key)
         base, _, unit = column.rpartition("_")
-        column, scale = (base, _UNITS_M[unit]) if unit in _UNITS_M and base else (column, 1.0)
+        column, scale = (base, UNITS_M[unit]) if unit in UNITS_M and base else (column, 1.0)
         number = _number(value) if column in names else None
         if number is not None:
             found.setdefault(names.index(column), number * scale)
@@ -324,10 +322,7 @@ def _number(value: Any) -> float | None:
         return None
     if isinstance(value, int | float):
         return float(value) if abs(value) <= sys.float_info.max else None
-    match = _NUMBER.fullmatch(str(value).strip().lower()[:60])
-    if match is None or (match[2] and match[2] not in _UNITS_M):
-        return None
-    return float(match[1].replace(",", ".")) * _UNITS_M.get(match[2], 1.0)
+    return parse_length_m(str(value)[:60])
 
 
 def _column(key: str) -> str:

@@ -4,7 +4,7 @@ import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from functools import cache
@@ -20,15 +20,16 @@ from ..files import Progress, check_file, load_data, open_file, read_text, silen
 from ..frames import parse_crs
 from ..junction import build_junction
 from ..notes import Note
-from ..scene import Instance, Lane, Scene, Site, area_of
+from ..scene import Instance, Lane, Scene, Site, area_of, join_bodies
 from ..scene_checks import arms_that_end
+from ..terrain import GROUND
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .georeferences import WGS84, transform
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles
-from .source_map import MapJunction, MapLane, Pole, SourceMap, Thing
+from .source_map import NOTHING, MapJunction, MapLane, Pole, SourceMap, Thing
 
 _MAX_LISTED = 12
 _NEAR_M = 100.0
@@ -241,10 +242,7 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         near.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m))
     scene = Scene(
         name=junction.id,
-        vertices_m=np.zeros((0, 3)),
-        triangles=np.zeros((0, 3), dtype=np.int32),
-        triangle_instance=np.zeros(0, dtype=np.int32),
-        instances=(Instance(id="ground", class_name="ground"),),
+        **join_bodies([(Instance(id=GROUND, class_name=GROUND), *NOTHING)]),
         sites=(),
         outline_m=junction.outline_m - middle,
         lanes=tuple(near),
@@ -294,10 +292,8 @@ def read_map(
     if not path.exists() or path.is_dir():
         refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
     check_file(path)
-    with ExitStack() as stack:
-        inside = path
-        if path.suffix.lower() == ".zip":
-            inside = stack.enter_context(unpacked(path, SUFFIXES[:-1]))
+    is_packed = path.suffix.lower() == ".zip"
+    with unpacked(path, SUFFIXES[:-1]) if is_packed else nullcontext(path) as inside:
         source = _read(inside, options, progress)
     if options.offset_m is not None and not source.lanes:
         offset_m = np.array([*options.offset_m, 0.0])
@@ -310,6 +306,7 @@ def read_map(
             things=tuple(things),
             poles=tuple(poles),
             crosswalks_m=source.crosswalks_m + offset_m[:2],
+            ground_m=source.ground_m + offset_m,
         )
     if crs and not source.crs:
         source = replace(source, crs=crs, source_crs=crs)
@@ -455,15 +452,14 @@ def cut_scene(
     if not chosen.n_driven:
         where = f"{roads.name}: junction {junction.id}"
         refuse(where, "no lane that leads into it", "a junction that cars drive into")
-    elevation = None
+    names = tuple(source.name for source in maps)
     if options.terrain is not None:
         progress("read terrain", 0, 0)
         half_m, middle_m = radius_m + LANES_BEYOND_M, junction.position_m
-        elevation = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
+        terrain = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
+        maps = [roads, terrain, *maps[1:]]  # before others: its heights count
     progress("cut the junction out", 0, 0)
-    surroundings = cut_out(
-        maps, junction, radius_m=radius_m, ground_m=options.ground_m, elevation=elevation
-    )
+    surroundings = cut_out(maps, junction, radius_m=radius_m, ground_m=options.ground_m)
     progress("find sites", 0, 0)
     surroundings, settled = settle_poles(surroundings)
     sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=radius_m)
@@ -482,7 +478,7 @@ def cut_scene(
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, radius_m),
     )
-    scene, names = replace(scene, notes=notes), tuple(source.name for source in maps)
+    scene = replace(scene, notes=notes)
     return ImportedScene(scene=scene, junctions=(chosen,), chosen=chosen, sources=names)
 
 

@@ -1,6 +1,5 @@
 """Maps of lanelets, pieces of lanes between a left and a right bound: Lanelet2 and CommonRoad."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +19,12 @@ from ..lines import along_m, apart, length_m, points_at
 from ..notes import Note
 from ..untrusted_files import local_name, read_xml
 from .georeferences import WGS84, local_crs, transform
-from .opendrive.junctions import fit_outline, lanes_by_junction, largest_polygon
+from .opendrive.junctions import (
+    fit_outline,
+    lanes_by_junction,
+    largest_polygon,
+    with_known_junctions,
+)
 from .openstreetmap.elements import Elements, Relation, read_elements
 from .source_map import (
     MapJunction,
@@ -31,12 +35,11 @@ from .source_map import (
     Thing,
     extrude,
     kind_of_class,
+    parse_speed_kmh,
 )
 
 _WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelets"]
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
-_SPEED = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(km/?h|kmph|mph|m/?s|mps)?\s*")
-_KMH = {"mph": 1.609344, "ms": 3.6, "m/s": 3.6, "mps": 3.6}
 _JOINED_M = 0.5  # between the end of a lanelet and the beginning of the next one, at both bounds
 _STEP_M = 2.0  # between points of a centreline
 _SAME_M = 0.01  # points nearer than this are one
@@ -126,11 +129,7 @@ def _build(
         outline_m = np.asarray(surface.exterior.coords)[:-1]
         junctions.append(MapJunction(id=name, name="", outline_m=outline_m, height_m=height_m))
         connections += _connections(roads, follows, group, name)
-    known = {junction.id: junction.id for junction in junctions}
-    ends = [(known.get(lane.from_junction, ""), known.get(lane.to_junction, "")) for lane in lanes]
-    pairs = zip(lanes, ends, strict=True)
-    linked = [replace(one, from_junction=begin, to_junction=end) for one, (begin, end) in pairs]
-    return linked, connections, junctions
+    return with_known_junctions(lanes, junctions), connections, junctions
 
 
 def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[Lanelet]:
@@ -188,25 +187,22 @@ def _lanes(
         for other in others:
             before[other].append(index)
 
-    def is_joint(one: int, other: int) -> bool:
-        return follows[one] == [other] and before[other] == [one] and other not in junction_of
-
-    done: set[int] = set()
     outside = [index for index in range(len(roads)) if index not in junction_of]
-    starts = [
-        one for one in outside if not any(is_joint(b, one) for b in before[one] if b in outside)
-    ]
+    joints = {
+        one: other
+        for one in outside
+        for other in follows[one]
+        if follows[one] == [other] and before[other] == [one] and other not in junction_of
+    }
+    done: set[int] = set()
+    starts = [one for one in outside if one not in joints.values()]
     for start in [*starts, *outside]:  # then what is left: rings
         if start in done:
             continue
         chain = [start]
-        done.add(start)
-        while len(follows[chain[-1]]) == 1:
-            (following,) = follows[chain[-1]]
-            if following in done or not is_joint(chain[-1], following):
-                break
+        while (following := joints.get(chain[-1], start)) != start:
             chain.append(following)
-            done.add(following)
+        done.update(chain)
         ends = (before[start], follows[chain[-1]])
         begin, end = (
             next((junction_of[one] for one in some if one in junction_of), "") for some in ends
@@ -340,7 +336,7 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                         *bounds,
                         kind=kind,
                         is_oneway=relation.tags.get("one_way", "yes") != "no",
-                        speed_limit_kmh=_speed_kmh(relation.tags.get("speed_limit", "")),
+                        speed_limit_kmh=parse_speed_kmh(relation.tags.get("speed_limit", "")),
                         is_in_junction="turn_direction" in relation.tags,
                     )
                 )
@@ -376,12 +372,6 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
     is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
     found = np.column_stack([plane_m, height_m])
     return found, "" if is_nowhere else crs, bool(np.isfinite(heights).any())
-
-
-def _speed_kmh(text: str) -> float | None:
-    """A limit such as "50", "50 km/h" or "30 mph"; None: none, or not understood."""
-    match = _SPEED.fullmatch(text.lower())
-    return None if match is None else float(match[1]) * _KMH.get(match[2] or "", 1.0)
 
 
 def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> FloatArray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import check_one_of, refuse
-from ..files import open_file, read_bytes, reading
+from ..files import load_data, open_file, read_bytes, reading
 from ..scene import CLASS_NAMES
 from ..untrusted_files import MAX_FILE_BYTES, check_gltf
 from .source_map import (
@@ -25,15 +25,7 @@ from .source_map import (
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}
-# Rows: east, north and up of the world frame in the file's axes; glTF's -z is north.
-UP_AXES = {
-    "x": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
-    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
-}
+UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")["up_axes"]
 _MIN_SIZE_M, _MAX_SIZE_M = 0.1, 20_000.0
 _SLANTED = (0.1, 0.98)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
 _MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by
@@ -67,9 +59,11 @@ def read_mesh(
     ids: Counter[str] = Counter()
     things = []
     for name, vertices, triangles in parts:
-        kind, mesh = kind_from_name(name), (vertices @ axes.T, _outwards(vertices, triangles))
+        if _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0:
+            triangles = triangles[:, ::-1]  # so that it faces outwards
+        kind = kind_from_name(name)
         its_class = kind.class_name if kind else class_name
-        things.append(Thing.of(unique_id(name, ids), its_class, mesh))
+        things.append(Thing.of(unique_id(name, ids), its_class, (vertices @ axes.T, triangles)))
     _check_size(things, where, unit)
     _check_roofs(things, where, up)
     skipped = tuple(counted(left_out, "no mesh"))
@@ -112,30 +106,18 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
 
 def _folder_resolver(path: Path) -> Any:
     """A resolver that opens files in the mesh's own folder only, and never through a network."""
-    from trimesh.resolvers import Resolver
+    from trimesh.resolvers import FilePathResolver
 
     folder = path.resolve().parent
 
-    class FolderResolver(Resolver):  # type: ignore[misc]
-        def __init__(self) -> None:
-            pass
-
+    class FolderResolver(FilePathResolver):  # type: ignore[misc]
         def get(self, name: str) -> bytes:
             target = (folder / name.strip()).resolve()
             if "://" in name or not target.is_relative_to(folder):
                 refuse(str(path), f"a reference to {name[:100]!r}", "files in its own folder")
             return read_bytes(target, max_bytes=MAX_FILE_BYTES)
 
-        def keys(self) -> list[str]:
-            return []
-
-        def namespaced(self, namespace: str) -> "FolderResolver":
-            refuse(str(path), f"a folder {namespace[:100]!r}", "plain files")
-
-        def write(self, name: str, data: Any) -> None:
-            refuse(str(path), "a reader that writes", "only reading")
-
-    return FolderResolver()
+    return FolderResolver(str(path))
 
 
 def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, NDArray[np.int32]]:
@@ -152,12 +134,6 @@ def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, 
     corners = triangles.reshape(-1, 3).astype(np.int32)
     is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
     return placed, corners[:, ::-1] if is_mirrored else corners
-
-
-def _outwards(vertices: FloatArray, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Triangles of a closed part turned to face outwards; others as they are."""
-    is_inside_out = _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0
-    return triangles[:, ::-1] if is_inside_out else triangles
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:

@@ -3,7 +3,7 @@
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,9 +32,6 @@ _FIELDS: dict[str, list[str]] = PLACE_FIELDS | _WORDS["site_fields"]
 _YES_NO: dict[str, bool] = _WORDS["answers"]
 _Row = tuple[str, dict[str, Any]]
 _NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
-_COUNTS = ("weight", "count", "accidents", "aadt", "traffic", "value")
-_NAMES = ("name", "id", "district", "title")
-_JUNCTIONS = ("junction", "junction_id")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,10 +56,8 @@ class SiteWish:
     @property
     def n_said(self) -> int:
         """How many details are given."""
-        numbers = (self.z_m, self.min_height_m, self.max_height_m, self.cost_eur)
-        others = (self.capacity_units, self.has_power, self.has_fibre)
-        said = [value is not None for value in (*numbers, *others)]
-        return sum(said) + bool(self.kind) + self.is_forbidden
+        details = fields(self)[2:]  # but for id and position
+        return sum(getattr(self, one.name) != one.default for one in details)
 
 
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
@@ -303,7 +298,9 @@ def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
     for number, feature in enumerate(table.features, start=1):
         if feature.geometry is not None and not feature.geometry.is_empty:
             values = {str(key).strip().lower(): value for key, value in feature.values.items()}
-            name = next((str(values[key]) for key in _NAMES if key in values), f"area {number}")
+            name = next(
+                (str(values[key]) for key in _WORDS["names"] if key in values), f"area {number}"
+            )
             place = _in_crs(feature, table, crs)
             areas.append(Area(where=feature.where, name=name, geometry=place, values=values))
     if not areas:
@@ -336,7 +333,7 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     found = _column(names, column, path)
     counts = [_count(row, found, where) for where, row in rows]
     junctions: tuple[str, ...] = ()
-    by = next((name for name, plain in names.items() if plain in _JUNCTIONS), None)
+    by = next((name for name, plain in names.items() if plain in _WORDS["junctions"]), None)
     if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
     elif places is None:
@@ -356,7 +353,7 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
             raise InputError(f"{path}: column", column, f"one of {known}")
         return column
     plain = {lower: name for name, lower in names.items()}
-    return next((plain[name] for name in _COUNTS if name in plain), "")
+    return next((plain[name] for name in _WORDS["counts"] if name in plain), "")
 
 
 def _count(row: Mapping[str, Any], column: str, where: str) -> float:

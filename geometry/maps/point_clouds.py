@@ -39,8 +39,7 @@ _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14:
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
 Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
 _MAX_HEADER_BYTES = 65_536
-_MAX_LZF_BYTES = 200_000_000  # unpacked a byte at a time: half a minute
-_PCD_TYPES = {("F", 4): "<f4", ("F", 8): "<f8"}
+_PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}  # bytes, by type
 CELL_M = 1.0
 _MAX_CELLS = 16_000_000  # 4 km x 4 km
 _WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
@@ -204,10 +203,6 @@ def _one_line(error: BaseException) -> str:
 
 
 # ---------- PCD files
-_PCD_TYPES |= {("I", n): f"<i{n}" for n in (1, 2, 4, 8)}
-_PCD_TYPES |= {("U", n): f"<u{n}" for n in (1, 2, 4, 8)}
-
-
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     """Points with coordinates of an open PCD file, version 0.7, all of class 0; or InputError."""
     header = _pcd_header(file, where)
@@ -221,21 +216,22 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     if not 0 < n_points <= MAX_POINTS:
         raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
     formats = []
-    for index, name in enumerate(names):
-        kind = (kinds[index] if index < len(kinds) else "", sizes[index])
-        if kind not in _PCD_TYPES or not 0 < counts[index] <= 4096:
-            raise InputError(f"{where}: field {name}", kind, "a TYPE, SIZE and COUNT of PCD")
-        formats.append((f"{index}", _PCD_TYPES[kind], (counts[index],)))
+    for index, (name, size, count) in enumerate(zip(names, sizes, counts, strict=True)):
+        kind = kinds[index] if index < len(kinds) else ""
+        if size not in _PCD_SIZES.get(kind, ()) or not 0 < count <= 4096:
+            raise InputError(
+                f"{where}: field {name}", (kind, size), "a TYPE, SIZE and COUNT of PCD"
+            )
+        formats.append((f"{index}", f"<{kind.lower()}{size}", (count,)))
     columns = [names.index(axis) for axis in "xyz"]
     encoding = " ".join(header.get("DATA", []))
     if encoding == "ascii":
         first = np.cumsum([0, *counts])
         chunks = _pcd_ascii(file, [int(first[column]) for column in columns], n_points, where)
-    elif encoding in ("binary", "binary_compressed"):
-        read = _pcd_binary if encoding == "binary" else _pcd_compressed
-        chunks = read(file, np.dtype(formats), columns, n_points, where)
+    elif encoding == "binary":
+        chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
     else:
-        raise InputError(f"{where}: DATA", encoding, "ascii, binary or binary_compressed")
+        raise InputError(f"{where}: DATA", encoding, "ascii or binary; convert it first")
     n_found = 0
     for xyz in chunks:
         xyz = xyz[~np.isnan(xyz).any(axis=1)]
@@ -302,61 +298,6 @@ def _pcd_ascii(
             yield numbers.reshape(-1, 3)
     if n_found < n_points:
         refuse(where, f"{n_found:,} of {n_points:,} points: cut off", "all of them")
-
-
-def _pcd_compressed(
-    file: BinaryIO, record: np.dtype[Any], columns: list[int], n_points: int, where: str
-) -> Iterator[FloatArray]:
-    """All x, then all y, and so on, packed by LZF after two lengths."""
-    head = file.read(8)
-    n_packed, n_bytes = struct.unpack("<2I", head) if len(head) == 8 else (0, 0)
-    if n_bytes != n_points * record.itemsize or n_bytes > _MAX_LZF_BYTES:
-        expected = f"{n_points * record.itemsize:,}, and at most {_MAX_LZF_BYTES:,}"
-        refuse(where, f"{n_bytes:,} bytes of unpacked points", expected)
-    data = _unpack_lzf(file.read(n_packed), n_bytes)
-    if data is None:
-        refuse(where, "damaged compressed points", f"{n_bytes:,} bytes")
-    xyz = []
-    for column in columns:
-        offset = sum(record[before].itemsize for before in range(column)) * n_points
-        kind, shape = record[column].subdtype or (record[column], (1,))
-        values = np.frombuffer(data, dtype=kind, count=n_points * shape[0], offset=offset)
-        with np.errstate(invalid="ignore"):  # NaNs of the signalling kind
-            xyz.append(values[:: shape[0]].astype(np.float64))
-    yield np.stack(xyz, axis=1)
-
-
-def _unpack_lzf(packed: bytes, n_bytes: int) -> bytes | None:
-    """Unpack LZF: runs of literal bytes, and copies of earlier ones; None if the data is damaged.
-
-    A control byte below 32 is followed by one more literal byte than it says. Otherwise its upper
-    three bits are the length of a copy (7: the next byte adds to it), less two, and its lower five
-    bits and the next byte its distance, less one.
-    """
-    data = bytearray()
-    place = 0
-    try:
-        while place < len(packed) and len(data) <= n_bytes:
-            control = packed[place]
-            place += 1
-            if control < 32:
-                data += packed[place : place + control + 1]
-                place += control + 1
-                continue
-            length = control >> 5
-            if length == 7:
-                length += packed[place]
-                place += 1
-            start = len(data) - ((control & 31) << 8) - packed[place] - 1
-            place += 1
-            length += 2
-            if start < 0:
-                return None
-            piece = bytes(data[start : start + length])
-            data += (piece * (length // len(piece) + 1))[:length]
-    except IndexError:
-        return None
-    return bytes(data) if len(data) == n_bytes else None
 
 
 # ---------- the ground

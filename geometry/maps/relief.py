@@ -34,20 +34,11 @@ _EXPECTED = "a GeoTIFF of heights"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Elevation:
-    """Ground from a file of heights."""
-
-    name: str  # of the file
-    points_m: FloatArray  # (n, 3), in the coordinates of the map with the roads
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief:
     """The ground around a junction: its middle is at z = 0."""
 
     terrain: Terrain | None = None  # none: the plane z = 0
     zero_m: float = 0.0  # height of the middle of the junction as `source` counts heights
-    source: str = ""  # source of the heights; empty: nothing
     roads: SourceMap | None = None
     # ground of the map with the roads, as that counts heights, where another source has them
     roads_m: Terrain | None = None
@@ -113,23 +104,18 @@ def find_relief(
     frame: LocalFrame,
     *,
     half_m: float,
-    elevation: Elevation | None = None,
 ) -> Relief:
     """The ground within a square around a junction of the first map.
 
-    Heights are those of `elevation`, or of the first of the other maps that has some near the
-    junction, or of the roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have
-    no say.
+    Heights are those of the first of the other maps that has some near the junction, or of the
+    roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have no say.
     """
     roads = maps[0]
     own = _near(frame.take(roads.ground_m, roads), half_m)
     if roads.heights == "absolute":
         own = _on_level(own, roads, junction, frame)
-    found = [(roads.name, own)]
-    for other in reversed(maps[1:]):
-        found.insert(0, (other.name, _near(frame.take(other.ground_m, other), half_m)))
-    if elevation is not None:
-        found.insert(0, (elevation.name, _near(frame.take(elevation.points_m, roads), half_m)))
+    found = [(other.name, _near(frame.take(other.ground_m, other), half_m)) for other in maps[1:]]
+    found.append((roads.name, own))
     name, points = next((one for one in found if len(one[1])), ("", own))
     if not name:
         return Relief()
@@ -144,7 +130,6 @@ def find_relief(
     return Relief(
         terrain=terrain,
         zero_m=middle_m,
-        source=name,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
         notes=(Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),),
@@ -169,12 +154,12 @@ def _on_level(
 
 
 # ---------- heights of the ground from GeoTIFF rasters
-def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> Elevation:
-    """Read the heights of a raster in the square around a place, `half_m` to each side.
+def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> SourceMap:
+    """Read the heights of a raster in the square around a place as a map of ground alone.
 
     `path`: one band of heights in metres, with a reference system. `crs`: that of `middle_m` and of
-    the points returned. Raises InputError: it is no such GeoTIFF, lies elsewhere, is too coarse,
-    too fine or in too large blocks. MissingExtraError: rasterio is not installed.
+    the map. `half_m`: to each side. Raises InputError: it is no such GeoTIFF, lies elsewhere, is
+    too coarse, too fine or in too large blocks. MissingExtraError: rasterio is not installed.
     """
     try:
         import rasterio
@@ -196,7 +181,7 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
         rasterio.open(path, driver="GTiff") as raster,
     ):
         points = _read(raster, str(path), crs, middle_m, half_m)
-    return Elevation(name=path.name, points_m=points)
+    return SourceMap(name=path.name, crs=crs, source_crs=crs, ground_m=points)
 
 
 def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float) -> FloatArray:

@@ -13,7 +13,7 @@ from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
-from ..files import float_of
+from ..files import float_of, load_data
 from ..junction import compass_point
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
@@ -27,7 +27,6 @@ from .source_map import (
     PoleKind,
     SourceMap,
     Thing,
-    load_auto_sites,
     load_pole_kinds,
     mount_range_m,
     plain_id,
@@ -43,6 +42,7 @@ _STEP_M = 0.25
 _LONGER_M = 1.0  # the outline is not square to every lane
 _BELOW_ROOF_M = 0.3  # a sensor and its bracket
 AUTO, MAP, KERB = "auto", "map", "kerb:"
+_AUTO: dict[str, float] = load_data("geometry.maps", "sites.toml")["auto"]
 _SPACINGS_M = (2.0, 100.0)
 # Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
 SETBACK_M = 0.5
@@ -257,7 +257,6 @@ def _own_poles(
     wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
 ) -> list[SiteWish]:
     """Poles that are sites by default: no low sign posts, and none of another junction."""
-    rules = load_auto_sites()
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
     own_m = shapely.distance(feet, area_of(surroundings.outline_m))
     other_m = np.full(len(wishes), np.inf)
@@ -265,16 +264,16 @@ def _own_poles(
         other_m = np.minimum(other_m, shapely.distance(feet, area_of(outline)))
     heights_m = {pole.id: pole.height_m for pole in surroundings.poles}
     sign_m = load_pole_kinds()["sign"].height_m
-    is_other = (other_m <= rules.neighbour_m) & (other_m < own_m)
+    is_other = (other_m <= _AUTO["neighbour_m"]) & (other_m < own_m)
     kept: list[SiteWish] = []
     low: list[SiteWish] = []
     far: list[SiteWish] = []
     for wish, is_far in zip(wishes, is_other.tolist(), strict=True):
-        is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < rules.min_sign_m
+        is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < _AUTO["min_sign_m"]
         (far if is_far else low if is_low else kept).append(wish)
     for group, noun, why in (
-        (far, "poles", f"within {rules.neighbour_m:g} m of another junction, nearer than here"),
-        (low, "sign posts", f"lower than {rules.min_sign_m:g} m"),
+        (far, "poles", f"within {_AUTO['neighbour_m']:g} m of another junction, nearer than here"),
+        (low, "sign posts", f"lower than {_AUTO['min_sign_m']:g} m"),
     ):
         if group:
             what = f"{len(group)} {noun}, such as {group[0].id}"
@@ -287,16 +286,15 @@ def _masts(
     poles: Sequence[SiteWish], surroundings: Surroundings, radius_m: float, notes: list[Note]
 ) -> list[SiteWish]:
     """Masts along the kerbs where no pole is near the junction's middle, which is noted."""
-    rules = load_auto_sites()
     nearest_m = min((float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf)
-    if nearest_m <= rules.near_m:
+    if nearest_m <= _AUTO["near_m"]:
         return []
     where = f"none within {radius_m:g} m"
     if poles:
         where = f"the nearest one stands {nearest_m:.0f} m from the junction's middle"
-    why = f"{where}: masts every {rules.spacing_m:g} m along the kerbs were added"
+    why = f"{where}: masts every {_AUTO['spacing_m']:g} m along the kerbs were added"
     notes.append(Note("poles of the map", why))
-    return _kerbs(surroundings, rules.spacing_m, radius_m)
+    return _kerbs(surroundings, _AUTO["spacing_m"], radius_m)
 
 
 def _below_roofs(

@@ -24,7 +24,7 @@ Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
 _SAME_M = 1e-3  # corners closer than this are one
 _MIN_AREA_M2 = 1e-6  # of a polygon in space
 _MIN_FOOTPRINT_M2 = 0.01
-_NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
+NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
@@ -34,6 +34,13 @@ _MAX_SKIPPED = 100  # entries
 _MAX_NAME = 200  # characters of a name that are looked at
 _MAX_NESTED = 50  # collections within collections
 _SECTIONS = 10  # of a pole's cylinder
+_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
+_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
+_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
+_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
+_SPEED = re.compile(r"([0-9]{1,3}(?:[.,][0-9]{1,9})?)\s*([a-z/]*)")
+_UNITS = load_data("geometry.maps", "words.toml")
+UNITS_M: dict[str, float] = _UNITS["units_m"]
 MIN_POLE_M = 2.5
 """A lower pole is a bollard: sensors on it could be reached from the pavement."""
 
@@ -48,7 +55,7 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     """
     rings = [ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3]
     if not rings or len(_without_repeats(rings_m[0])) < 3:
-        return _NOTHING
+        return NOTHING
     vertices: FloatArray = np.concatenate(rings)
     middle = vertices.mean(axis=0)
     outer = rings[0] - middle
@@ -56,7 +63,7 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     normal = np.array([products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))])
     length = float(np.sqrt(normal @ normal))
     if not length > 2.0 * _MIN_AREA_M2:
-        return _NOTHING
+        return NOTHING
     normal /= length
     if len(vertices) == 3:
         return vertices, np.array([[0, 1, 2]], dtype=np.int32)
@@ -87,7 +94,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
-        return _NOTHING
+        return NOTHING
     corners, triangles = join(pieces)
     rounded = np.round(corners / _SAME_M).astype(np.int64)
     _, taken, merged = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -131,35 +138,33 @@ def extrude(
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
 ) -> Mesh:
-    """A closed solid over a footprint: an outline (n, 2) and holes, in any direction.
+    """Closed solid over an outline (n, 2) with holes, in any direction; see the next one."""
+    outer = float_array(outer_m, (-1, 2), where)
+    if len(np.unique(outer, axis=0)) < 3:
+        refuse(where, f"{len(outer)} points", "at least three different points")
+    polygon = Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m])
+    return extrude_polygon(polygon, bottom_m=bottom_m, top_m=top_m, where=where)
 
-    Outlines that cross themselves are mended first. Raises InputError, with `where` in its message,
-    if no area is left or the roof is not above the floor.
+
+def extrude_polygon(
+    polygon: Polygon, *, bottom_m: float, top_m: float, where: str = "footprint"
+) -> Mesh:
+    """Closed solid over a polygon with its holes; one that crosses itself is mended first.
+
+    Raises InputError, with `where` in its message, if no area is left or the roof is not above the
+    floor.
     """
     import trimesh
 
     if not top_m > bottom_m:
         raise InputError(f"{where}: height", top_m - bottom_m, "metres, > 0")
-    outer = float_array(outer_m, (-1, 2), where)
-    if len(np.unique(outer, axis=0)) < 3:
-        refuse(where, f"{len(outer)} points", "at least three different points")
-    shape = make_valid(Polygon(outer, [float_array(hole, (-1, 2), where) for hole in holes_m]))
-    parts = polygons_of(shape, above_m2=_MIN_FOOTPRINT_M2)
+    parts = polygons_of(make_valid(polygon), above_m2=_MIN_FOOTPRINT_M2)
     if not parts:
         refuse(where, "an outline without area", "a footprint")
     extruded = trimesh.creation.extrude_polygon
     solids = [extruded(part, top_m - bottom_m, engine="earcut") for part in parts]
     vertices, triangles = join([(solid.vertices, solid.faces) for solid in solids])
     return vertices + [0.0, 0.0, bottom_m], triangles
-
-
-def extrude_polygon(
-    polygon: Polygon, *, bottom_m: float, top_m: float, where: str = "footprint"
-) -> Mesh:
-    """Closed solid over a shapely polygon with its holes; raises as :func:`extrude`."""
-    holes = [np.asarray(ring.coords)[:, :2] for ring in polygon.interiors]
-    outer = np.asarray(polygon.exterior.coords)[:, :2]
-    return extrude(outer, bottom_m=bottom_m, top_m=top_m, holes_m=holes, where=where)
 
 
 def parts_of(shape: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
@@ -300,16 +305,12 @@ class Omissions:
             names.append(name)
 
     def listed(self) -> tuple[Note, ...]:
-        """One entry per kind and reason."""
+        """One entry per kind and reason; of many, the first."""
         entries = []
         for (kind, why), names in self.found.items():
             many = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
             entries.append(Note(names[0] if len(names) == 1 else many, why))
-        if len(entries) > _MAX_SKIPPED:
-            n_more = len(entries) - _MAX_SKIPPED + 1
-            more = Note(f"{n_more} more kinds of things", "see those above")
-            entries = [*entries[: _MAX_SKIPPED - 1], more]
-        return tuple(entries)
+        return shortened(entries)
 
 
 def plain_id(name: str) -> str:
@@ -430,22 +431,6 @@ class PoleKind:
     capacity_units: int  # sensors that it can carry
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AutoSites:
-    """Rules for sites where nothing else is asked for: ``[auto]`` of ``data/sites.toml``."""
-
-    spacing_m: float  # between masts along the kerbs
-    near_m: float  # they are assumed where no pole is as near to the middle
-    neighbour_m: float  # poles as near to another junction are that one's
-    min_sign_m: float  # lower sign posts are no sites
-
-
-@cache
-def load_auto_sites() -> AutoSites:
-    """Read ``[auto]`` of ``data/sites.toml``."""
-    return msgspec.convert(load_data(__package__, "sites.toml")["auto"], AutoSites)
-
-
 @cache
 def load_pole_kinds() -> dict[str, PoleKind]:
     """All kinds of poles by name, from ``data/sites.toml``."""
@@ -473,3 +458,37 @@ def mount_range_m(pole: Pole) -> tuple[float, float]:
         return low, high
     top = min(max(high, low), max(pole.height_m, 1.0))
     return min(low, top), top
+
+
+# ---------- numbers as people write them
+def parse_length_m(text: str) -> float | None:
+    r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
+
+    >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
+    [3.5, 3.6576000000000004, 3.5, None]
+    >>> round(parse_length_m("6'7\""), 4)
+    2.0066
+    """
+    text = text.strip().lower().removeprefix("~").strip()
+    if match := _FEET_AND_INCHES.fullmatch(text):
+        return _number(match[1]) * UNITS_M["ft"] + _number(match[2]) * UNITS_M["in"]
+    match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
+    *numbers, unit = match.groups() if match else ("", "?")
+    if unit not in UNITS_M:
+        return None
+    return sum(map(_number, numbers)) / len(numbers) * UNITS_M[unit]
+
+
+def parse_speed_kmh(text: str) -> float | None:
+    """A speed above 0 such as "50", "50 km/h" or "30 mph"; None: it is no such text.
+
+    >>> [parse_speed_kmh(text) for text in ("50 km/h", "30 mph", "0", "fast")]
+    [50.0, 48.28032, None, None]
+    """
+    match = _SPEED.fullmatch(text.strip().lower())
+    unit_kmh = _UNITS["units_kmh"].get(match[2], 0.0) if match else 0.0
+    return _number(match[1]) * unit_kmh or None if match else None
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))

@@ -1,7 +1,7 @@
 """Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -15,13 +15,8 @@ from ...lines import along_m, unit
 from ...scene import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
 from .lanes import RoadEnds, SampledSection, lane_kind
-from .roads import NO_JUNCTION, Road, RoadLink, numbered, take_id
+from .roads import NO_JUNCTION, Road, RoadLink, load_facts, numbered, take_id
 
-_WITHOUT_SURFACE = {
-    "direct": "its roads join without connecting roads: it has no surface of its own",
-    "virtual": "it lies on a continuous road: no lane ends at it",
-    "crossing": "its roads cross without a connection",
-}
 _AHEAD_M = 10.0  # over which the direction of a road is taken
 _MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
 _ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
@@ -54,19 +49,20 @@ def read_junction_records(
 ) -> dict[str, JunctionRecord]:
     """Junctions of a document, by id; raises InputError if an id is missing or double."""
     found: dict[str, JunctionRecord] = {}
+    without_surface = load_facts()["without_surface"]
     for element, here in numbered(root, "junction", where):
         junction_id = take_id(element, here)
         if junction_id in found:
             raise InputError(f"{here}.id", junction_id, "every id once")
         kind = element.get("type", "default")
-        if kind in _WITHOUT_SURFACE:
+        if kind in without_surface:
             name = f"junction {junction_id} ({kind})"
-            omissions.add(f"{kind} junctions", name, _WITHOUT_SURFACE[kind])
+            omissions.add(f"{kind} junctions", name, without_surface[kind])
         roads = [connection.get("incomingRoad", "") for connection in element.iter("connection")]
         found[junction_id] = JunctionRecord(
             id=junction_id,
             name=element.get("name", "").strip(),
-            has_surface=kind not in _WITHOUT_SURFACE,
+            has_surface=kind not in without_surface,
             incoming=tuple(dict.fromkeys(road for road in roads if road)),
             element=element,
         )
@@ -187,15 +183,28 @@ def build_junctions(
         name = record.name or " / ".join(dict.fromkeys(filter(None, streets)))
         height_m = float(points[nearest, 2])
         junctions.append(MapJunction(id=record.id, name=name, outline_m=outline, height_m=height_m))
+    return junctions, with_known_junctions(lanes, junctions, apart)
+
+
+def with_known_junctions(
+    lanes: Iterable[MapLane],
+    junctions: Sequence[MapJunction],
+    apart: Container[tuple[str, str]] = (),
+) -> list[MapLane]:
+    """Lanes that name these junctions alone, and none that they lie `apart` from, by its id."""
     there = {junction.id for junction in junctions}
 
     def known(lane: MapLane, name: str) -> str:
         return name if name in there and (name, lane.id) not in apart else ""
 
-    ends = [(known(lane, lane.from_junction), known(lane, lane.to_junction)) for lane in lanes]
-    pairs = zip(lanes, ends, strict=True)
-    linked = [replace(one, from_junction=begin, to_junction=end) for one, (begin, end) in pairs]
-    return junctions, linked
+    return [
+        replace(
+            lane,
+            from_junction=known(lane, lane.from_junction),
+            to_junction=known(lane, lane.to_junction),
+        )
+        for lane in lanes
+    ]
 
 
 def lanes_by_junction(lanes: Iterable[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:

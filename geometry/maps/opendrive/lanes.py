@@ -1,12 +1,11 @@
 """Lanes of roads: sampled as points, joined along lane sections and with short stubs."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
@@ -35,9 +34,8 @@ _MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
 _SAME_POINT_M = 0.005
 _MIN_LENGTH_M = 0.01
 _STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its width there counts
-_STUB_M = 5.0
-_SAME_POINT_M_STUBS = 0.5
-_MAX_IN_A_ROW = 8
+_STUB_M = 5.0  # shorter lanes at a junction are no lanes of their own
+_GAP_M = 0.5  # between such a stub and the lane that goes on
 RoadEnds = tuple[str, str]  # junctions at the start and at the end of a road; empty: none
 
 
@@ -335,45 +333,31 @@ def _runs(
 # ---------- short roads at the mouth of a junction
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
     """Join very short lanes at a junction to those of their kind that go on within half a metre."""
-    joined = list(lanes)
-    for _ in range(_MAX_IN_A_ROW):
-        n_before = len(joined)
-        joined = _join_once(joined)
-        if len(joined) == n_before:
-            break
-    return joined
-
-
-def _join_once(lanes: Sequence[MapLane]) -> list[MapLane]:
-    short = [at for at, lane in enumerate(lanes) if length_m(lane.centreline_m) < _STUB_M]
-    stubs = [at for at in short if bool(lanes[at].from_junction) != bool(lanes[at].to_junction)]
-    if not stubs:
-        return [*lanes]
-    trees = [cKDTree(np.array([lane.centreline_m[end] for lane in lanes])) for end in (0, -1)]
-    result: dict[int, MapLane] = dict(enumerate(lanes))
-    touched: set[int] = set()
-    for index in stubs:
-        stub = lanes[index]
+    joined, waiting = list(lanes), deque(lanes)
+    while waiting:
+        stub = waiting.popleft()
         leads_out = bool(stub.from_junction)
-        tip = stub.centreline_m[-1 if leads_out else 0]
-        distance_m, near = trees[0 if leads_out else 1].query(tip, k=min(4, len(lanes)))
-        for gap_m, other in zip(np.atleast_1d(distance_m), np.atleast_1d(near), strict=True):
-            lane = lanes[int(other)]
+        is_short = length_m(stub.centreline_m) < _STUB_M and leads_out != bool(stub.to_junction)
+        if not is_short or stub not in joined:  # by now it may be part of another
+            continue
+        own, others = (-1, 0) if leads_out else (0, -1)
+        tips = np.array([lane.centreline_m[others] for lane in joined])
+        gaps_m = np.linalg.norm(tips - stub.centreline_m[own], axis=1)
+        for at in np.argsort(gaps_m, kind="stable")[: int((gaps_m <= _GAP_M).sum())].tolist():
+            lane = joined[at]
             is_taken = lane.from_junction if leads_out else lane.to_junction
-            if gap_m > _SAME_POINT_M_STUBS or other == index or lane.kind != stub.kind or is_taken:
+            if lane is stub or lane.kind != stub.kind or is_taken:
                 continue
-            if touched & {index, int(other)}:
-                break  # the next round comes to it
             pieces = [stub, lane] if leads_out else [lane, stub]
             lengths_m = [length_m(piece.centreline_m) for piece in pieces]
-            result[int(other)] = replace(
+            joined[at] = replace(
                 lane,
                 width_m=float(np.average([one.width_m for one in pieces], weights=lengths_m)),
                 centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
                 from_junction=pieces[0].from_junction,
                 to_junction=pieces[1].to_junction,
             )
-            del result[index]
-            touched |= {index, int(other)}
+            waiting.append(joined[at])  # it may be short, too
+            joined.remove(stub)
             break
-    return list(result.values())
+    return joined

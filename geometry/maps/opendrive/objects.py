@@ -34,7 +34,6 @@ from .roads import Offset, Road, RoadElement, load_facts, take_number, take_numb
 
 _MAX_CHARACTERS = 100  # of a name that is looked at
 _MAX_WORDS = 3  # that are read as one
-_SAYS_NOTHING = ("", "none", "obstacle", "unknown", "undefined", "object", "other", "misc")
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
 _MIN_LENGTH_M = 0.5
@@ -45,11 +44,6 @@ _MIN_SIZE_M = 0.5
 _MAX_PLACES = 100_000  # of all objects of a file
 _MAX_VERTICES = 5_000_000
 _CLASSES = {"tree": "vegetation", "obstacle": "wall"}
-_NOT_TAKEN = {
-    "tunnel": "nothing is known of its walls",
-    "bridge": "nothing is known of its parapets and piers",
-    "objectReference": "the object itself is taken on the road that has it",
-}
 _NO_SIZE = "it has no outline, length, width or radius"
 _PAINT = "paint on the road, or nothing above it"
 _CELL_M = 0.05
@@ -71,7 +65,7 @@ def object_kind(element: Element) -> str | None:
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
-    for text in (object_type,) if plain not in _SAYS_NOTHING else (name, subtype):
+    for text in (object_type,) if plain not in load_facts()["says_nothing"] else (name, subtype):
         for kind, listed in load_facts()["object_words"].items():
             if has_word((text,), listed):
                 return str(kind)
@@ -280,7 +274,7 @@ def _taken_objects(
     """Objects of a kind that matters; the others are noted."""
     names: Counter[str] = Counter()
     for road in roads.values():
-        for tag, why in _NOT_TAKEN.items():
+        for tag, why in load_facts()["not_taken"].items():
             for element in road.element.findall(f"objects/{tag}"):
                 name = f"road {road.id} {tag} {element.get('id', '')[:60]}".strip()
                 omissions.add(f"{tag}s", name, why)

@@ -13,8 +13,8 @@ from ...errors import InputError, MissingExtraError, Unquoted, refuse
 from ...files import Progress, counted, silent, write_atomically
 from ...notes import Note
 from ..georeferences import WGS84, local_crs, transform
-from ..source_map import SourceMap
-from .elements import DEFAULTS, Elements, Way, parse_length_m, read_elements
+from ..source_map import SourceMap, parse_length_m
+from .elements import DEFAULTS, Elements, Way, read_elements
 from .junctions import find_junctions
 from .lane_lines import build_lanes
 from .network import build_network, is_for_cars, is_oneway, lines_of, runs_backward

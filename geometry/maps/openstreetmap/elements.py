@@ -6,7 +6,7 @@ import re
 import zlib
 from array import array
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,19 +19,16 @@ from ...arrays import FloatArray, IntArray
 from ...errors import refuse
 from ...files import load_data, open_file, reading
 from ...untrusted_files import MAX_FILE_BYTES, check_pbf
-from ..source_map import Omissions
+from ..source_map import Omissions, parse_length_m
 
 DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
+WORDS: dict[str, Any] = DEFAULTS["words"]
 Tags = dict[str, str]
+TagNote = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
-_UNITS_M: dict[str, float] = DEFAULTS["units_m"]
-_NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
-_LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
-_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
-_RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
 OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
 
 
@@ -210,13 +207,7 @@ class Area:
 
     id: str  # "w5", or of a multipolygon's second ring "r7.1"
     tags: Tags
-    outer_m: FloatArray  # (n, 2), closed
-    holes_m: tuple[FloatArray, ...] = ()  # (k, 2) each
-
-    @property
-    def polygon(self) -> Polygon:
-        """Area as a shapely polygon, which may be invalid."""
-        return Polygon(self.outer_m, self.holes_m)
+    polygon: Polygon  # may be invalid
 
 
 def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
@@ -243,7 +234,9 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
         if not way.is_closed or (way.rows < 0).any():
             elements.omissions.add("outlines", f"way {way.id}", _BROKEN)
         else:
-            yield Area(id=f"w{way.id}", tags=way.tags, outer_m=elements.positions_m[way.rows])
+            yield Area(
+                id=f"w{way.id}", tags=way.tags, polygon=Polygon(elements.positions_m[way.rows])
+            )
 
 
 def _multipolygon(
@@ -267,7 +260,7 @@ def _multipolygon(
                 holes[int(inside[0])].append(ring)
     for number, ring in enumerate(rings[False]):
         name = numbered(f"r{relation.id}", number)
-        yield Area(id=name, tags=tags, outer_m=ring, holes_m=tuple(holes[number]))
+        yield Area(id=name, tags=tags, polygon=Polygon(ring, holes[number]))
 
 
 def numbered(name: str, number: int, between: str = ".") -> str:
@@ -310,26 +303,20 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
 
 
 # ---------- values of tags
-def parse_length_m(text: str) -> float | None:
-    r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
-
-    >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
-    [3.5, 3.6576000000000004, 3.5, None]
-    >>> round(parse_length_m("6'7\""), 4)
-    2.0066
-    """
-    text = text.strip().lower().removeprefix("~").strip()
-    if match := _FEET_AND_INCHES.fullmatch(text):
-        return _number(match[1]) * _UNITS_M["ft"] + _number(match[2]) * _UNITS_M["in"]
-    match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
-    *numbers, unit = match.groups() if match else ("", "?")
-    if unit not in _UNITS_M:
-        return None
-    return sum(map(_number, numbers)) / len(numbers) * _UNITS_M[unit]
-
-
-def _number(text: str) -> float:
-    return float(text.replace(",", "."))
+def tagged_length_m(
+    tags: Tags,
+    keys: Iterable[str],
+    bounds_m: tuple[float, float],
+    note: TagNote,
+    instead: str = "the usual one",
+) -> float | None:
+    """First length of some tags within bounds; the others are noted."""
+    for key in (key for key in keys if key in tags):
+        length_m = parse_length_m(tags[key])
+        if length_m is not None and bounds_m[0] <= length_m <= bounds_m[1]:
+            return length_m
+        note(f"{key} makes no sense; {instead} taken")
+    return None
 
 
 def parse_count(text: str, *, highest: int) -> int | None:

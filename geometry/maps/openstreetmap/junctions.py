@@ -241,7 +241,8 @@ def _is_staggered(network: Network, street: Street) -> bool:
     (first, is_along), (last, runs_along) = street.parts[0], street.parts[-1]
     sides = []
     for at, edge, is_first in ((0, first, is_along), (-1, last, not runs_along)):
-        ends = [one for one in network.ends[int(street.rows[at])] if not _is_yard(network, one)]
+        meeting = [(network.edges[one[0]], one) for one in network.ends[int(street.rows[at])]]
+        ends = [one for other, one in meeting if not other.is_service]
         others = [one for one in ends if (network.edges[one[0]], one[1]) != (edge, is_first)]
         if len(ends) != 3 or len(others) != 2:
             return False
@@ -250,10 +251,6 @@ def _is_staggered(network: Network, street: Street) -> bool:
         turns_deg = [(network.bearing_deg(one) - ahead_deg) % 360.0 for one in others]
         sides.append(max(turns_deg, key=lambda turn: abs(turn - 180.0)) < 180.0)
     return sides[0] == sides[1]  # to the same hand of who looks along the street from either end
-
-
-def _is_yard(network: Network, end: End) -> bool:
-    return network.edges[end[0]].is_service
 
 
 # ---------- junctions

@@ -16,38 +16,30 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...lines import points_at, steps_m, true_runs
 from ...scene import Turn
+from ..source_map import parse_length_m, parse_speed_kmh
 from .elements import (
     DEFAULTS,
     OPPOSITE,
+    WORDS,
     Elements,
+    TagNote,
     Tags,
     Way,
     is_yes,
     numbered,
     parse_count,
-    parse_length_m,
     reversed_tags,
     side_value,
+    tagged_length_m,
 )
 
-Note = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
 Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
-_ON_CARRIAGEWAY = ("lane", "half_on_kerb", "shoulder", "yes")
-_BESIDE_CARRIAGEWAY = ("street_side", "on_kerb")
-_OLD_ORIENTATIONS = ("parallel", "diagonal", "perpendicular")
-_OLD_POSITIONS = {"street_side": "street_side", "on_kerb": "on_kerb", "lay_by": "street_side"}
-_CYCLE_LANES = ("lane", "opposite_lane")
-_CYCLE_TRACKS = ("track", "opposite_track")
 # Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
 Roadside = tuple[list[Part], list[Part]]
-_KMH_PER_MPH = 1.609344
-_SPEED = re.compile(r"(\d{1,3}(?:[.,]\d{1,3})?)\s*(mph|km/h|kmh|kph)?")
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
-_Widths = tuple[Sequence[float], Sequence[float], float]
-"""Widths [m] of lanes forward and backward, from left to right there, and of the centre lane."""
+_Widths = tuple[Sequence[float], Sequence[float]]  # [m] forward, backward; from left to right there
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
 End = tuple[int, bool]  # an edge and whether its first node is meant
-_ACCESS = ("motorcar", "motor_vehicle", "vehicle", "access")  # the most specific first
 _MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
 
 
@@ -77,7 +69,7 @@ def runs_backward(tags: Tags) -> bool:
     return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
 
 
-def count_lanes(tags: Tags, note: Note) -> LaneCounts:
+def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
     """Lanes of a road in each direction, a one-way one along its nodes; odd tags are noted."""
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
@@ -126,7 +118,7 @@ def count_lanes(tags: Tags, note: Note) -> LaneCounts:
 
 
 # ---------- strips next to the driving lanes
-def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> Roadside:
+def roadside_strips(tags: Tags, note: TagNote, *, side: str, keeps_left: bool) -> Roadside:
     """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
     is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
     is_forward = is_near or is_oneway(tags)
@@ -135,14 +127,8 @@ def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> R
 
     def width(key: str, usual_m: float) -> float:
         keys = (f"{key}:{side}:width", f"{key}:both:width", f"{key}:width")
-        text = next((tags[one] for one in keys if one in tags), None)
-        if text is None:
-            return usual_m
-        width_m = parse_length_m(text)
-        if width_m is None or not 0.5 <= width_m <= 15.0:
-            note(f"{key} width makes no sense; the usual one taken")
-            return usual_m
-        return width_m
+        width_m = tagged_length_m(tags, keys, (0.5, 15.0), note)
+        return usual_m if width_m is None else width_m
 
     usual = DEFAULTS["cross_section"]
     plain = tags.get("cycleway", "")
@@ -153,14 +139,14 @@ def roadside_strips(tags: Tags, note: Note, *, side: str, keeps_left: bool) -> R
         tags.get(f"cycleway:{side}:oneway") == "-1"
     )
     cycles_forward = is_forward and not (is_against and is_oneway(tags))
-    if cycleway in _CYCLE_LANES:
+    if cycleway in WORDS["cycle_lanes"]:
         inner.append(("cycling", width("cycleway", usual["cycle_lane_width_m"]), cycles_forward))
     position, orientation = _parking(tags, side)
-    if position in (*_ON_CARRIAGEWAY, *_BESIDE_CARRIAGEWAY):
+    if position in (*WORDS["on_carriageway"], *WORDS["beside_carriageway"]):
         usual_m = usual.get(f"{orientation}_parking_width_m", usual["parallel_parking_width_m"])
         part = ("parking", width("parking", usual_m), is_forward)
-        (inner if position in _ON_CARRIAGEWAY else outer).append(part)
-    if cycleway in _CYCLE_TRACKS:
+        (inner if position in WORDS["on_carriageway"] else outer).append(part)
+    if cycleway in WORDS["cycle_tracks"]:
         outer.append(("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward))
     sidewalk = side_value(tags, "sidewalk", side)
     if sidewalk == "yes" or (sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)):
@@ -179,9 +165,9 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
             return "no", ""
         return position, orientation
     old = side_value(tags, "parking:lane", side) or ""
-    if old in _OLD_ORIENTATIONS:
+    if old in WORDS["old_orientations"]:
         where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
-        return _OLD_POSITIONS.get(where, "lane"), old
+        return WORDS["old_positions"].get(where, "lane"), old
     return "no", ""
 
 
@@ -226,7 +212,7 @@ class CrossSection:
         return replace(self, strips=tuple(map(turned, self.strips[::-1])))
 
 
-def build_cross_section(tags: Tags, note: Note, *, keeps_left: bool) -> CrossSection:
+def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> CrossSection:
     """Strips side by side along a road, a one-way one along its nodes; senseless tags are noted."""
     left = roadside_strips(tags, note, side="left", keeps_left=keeps_left)
     right = roadside_strips(tags, note, side="right", keeps_left=keeps_left)
@@ -265,7 +251,7 @@ def _driving_strips(
     driving: Sequence[tuple[str, int, float]],
     counts: LaneCounts,
     left_m: float,
-    note: Note,
+    note: TagNote,
     *,
     keeps_left: bool,
 ) -> Iterator[Strip]:
@@ -306,14 +292,15 @@ def _driving(
         [(place, n if keeps_left else len(lanes) - 1 - n, lane_m) for n, lane_m in enumerate(lanes)]
         for place, lanes in (("forward", widths[0]), ("backward", widths[1]))
     )
-    centre = [("centre", 0, widths[2])] if counts.has_centre else []
+    centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
+    centre = [("centre", 0, centre_m)] if counts.has_centre else []
     if keeps_left:
         return [*forward, *centre, *backward[::-1]]
     return [*backward[::-1], *centre, *forward]
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, note: Note
+    tags: Tags, counts: LaneCounts, beside_m: float, note: TagNote
 ) -> tuple[_Widths, LaneCounts]:
     limits = DEFAULTS["cross_section"]
     narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
@@ -322,14 +309,9 @@ def _lane_widths(
     forward = _listed_widths(tags, "forward", counts.n_forward, is_alone=not counts.n_backward)
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
-        return (forward, backward, centre_m), counts
-    total_m = None
-    for key in (key for key in ("width:carriageway", "width", "est_width") if key in tags):
-        total_m = parse_length_m(tags[key])
-        if total_m is not None and 1.0 < total_m < 100.0:
-            break
-        note(f"{key} makes no sense; usual widths taken")
-        total_m = None
+        return (forward, backward), counts
+    keys = ("width:carriageway", "width", "est_width")
+    total_m = tagged_length_m(tags, keys, (1.0, 100.0), note, "usual widths")
     if total_m is not None:
         free_m = total_m - beside_m - centre_m
         fitting = counts
@@ -338,13 +320,10 @@ def _lane_widths(
             fitting = replace(counts, is_shared=free_m < 2.0 * narrow_m)
         n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
-            return _even(free_m / n_lanes, centre_m, fitting), fitting
-        note("its width does not fit its lanes; usual widths taken")
-    return _even(usual_m, centre_m, counts), counts
-
-
-def _even(width_m: float, centre_m: float, counts: LaneCounts) -> _Widths:
-    return [width_m] * counts.n_forward, [width_m] * counts.n_backward, centre_m
+            usual_m, counts = free_m / n_lanes, fitting
+        else:
+            note("its width does not fit its lanes; usual widths taken")
+    return ([usual_m] * counts.n_forward, [usual_m] * counts.n_backward), counts
 
 
 def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
@@ -360,7 +339,7 @@ def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) ->
 
 
 def _listed_turns(
-    tags: Tags, direction: str, count: int, note: Note, *, is_alone: bool
+    tags: Tags, direction: str, count: int, note: TagNote, *, is_alone: bool
 ) -> list[tuple[Turn, ...]]:
     """Where cars may drive from each lane by its markings, from left to right."""
     text = tags.get(f"turn:lanes:{direction}") or (tags.get("turn:lanes") if is_alone else None)
@@ -400,13 +379,9 @@ def _speed_kmh(text: str) -> float | None:
     words: dict[str, float] = DEFAULTS["speed_limits"]["words_kmh"]
     if text in words:
         return words[text]
-    if match := _ZONE.fullmatch(text):
-        speed_kmh = float(match[1])
-    elif match := _SPEED.fullmatch(text):
-        speed_kmh = float(match[1].replace(",", ".")) * (_KMH_PER_MPH if match[2] == "mph" else 1.0)
-    else:
-        return None
-    return round(speed_kmh, 1) if speed_kmh > 0.0 else None
+    zone = _ZONE.fullmatch(text)
+    speed_kmh = parse_speed_kmh(zone[1] if zone else text)
+    return round(speed_kmh, 1) if speed_kmh else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -486,7 +461,7 @@ def is_for_cars(tags: Tags) -> bool:
     return (
         tags.get("highway") in DEFAULTS["roads"]
         and tags.get("area") != "yes"
-        and next((tags[key] for key in _ACCESS if key in tags), "yes") != "no"
+        and next((tags[key] for key in WORDS["access"] if key in tags), "yes") != "no"
         and tags.get("service") not in ("parking_aisle", "driveway", "drive-through", "slipway")
     )
 

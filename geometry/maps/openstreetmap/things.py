@@ -18,44 +18,37 @@ from ..source_map import (
     Omissions,
     Pole,
     Thing,
-    extrude,
     extrude_polygon,
+    parse_length_m,
     polygons_of,
     unit_ball,
     unit_cylinder,
 )
 from .elements import (
     DEFAULTS,
+    WORDS,
     Area,
     Elements,
     Relation,
+    TagNote,
     Tags,
     Way,
     find_areas,
     is_yes,
     numbered,
-    parse_length_m,
     parse_number,
+    tagged_length_m,
 )
 from .junctions import Reach
-from .network import Edge, Network, Note, axis_points, known_runs, level, lines_of
+from .network import Edge, Network, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
-_KINDS = ("wall", "city_wall", "retaining_wall", "fence", "hedge")
-_WOODS = (("natural", "wood"), ("natural", "scrub"), ("landuse", "forest"))
 _TRUNK_SIDES = 8
-_POLES = ("mast", "utility_pole", "pole")
-_ROADSIDE = {"street_lamp": "lamp post", "traffic_signals": "traffic light", "traffic_sign": "sign"}
 _NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
-_NO_POLE = ("wall", "wall_mounted", "building", "ceiling", "suspended", "wire", "ground", "bridge")
 _Place = tuple[Reach, float]  # a street and how far along it [m]
-_FOOTWAYS = ("footway", "path", "pedestrian")
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 _LEAST_M = 0.5  # of a footway on a carriageway
-_NOT_THERE = ("no", "construction", "proposed", "demolished", "razed", "collapsed")
-_COVERED = ("yes", "arcade", "colonnade")
 _LEAST_M2 = 1.0  # of what is left of a building
-_GATES = ("gate", "gatehouse", "city_gate")
 _Span = tuple[float, float, bool]  # bottom and top above the ground [m], whether they are assumed
 
 
@@ -65,7 +58,7 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
     for way in elements.ways:
         tags = way.tags
         kind = tags.get("barrier", "")
-        if kind not in _KINDS:
+        if kind not in WORDS["barriers"]:
             continue
         note = partial(elements.omissions.add, "barriers", f"way {way.id}")
         fence = tags.get("fence_type", tags.get("material", ""))
@@ -73,8 +66,12 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
             why = "seen through: no fence_type that says otherwise"
             elements.omissions.add("fences", f"way {way.id}", why)
             continue
-        tagged_m = _tagged_m(tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note)
-        thick_m = _tagged_m(tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note)
+        tagged_m = tagged_length_m(
+            tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note
+        )
+        thick_m = tagged_length_m(
+            tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
+        )
         top_m = float(limits[kind]["height_m"]) if tagged_m is None else tagged_m
         thick_m = float(limits[kind]["thickness_m"]) if thick_m is None else thick_m
         for number, footprint in enumerate(_footprints(way, elements, thick_m)):
@@ -95,19 +92,6 @@ def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Po
     for line_m in lines_of(way, elements):
         strip = LineString(line_m).buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre")
         yield from polygons_of(strip)
-
-
-def _tagged_m(
-    tags: Tags, keys: Sequence[str], bounds_m: tuple[float, float], note: Note
-) -> float | None:
-    """First length of some tags within bounds; the others are noted."""
-    for key in keys:
-        if key in tags:
-            size_m = parse_length_m(tags[key])
-            if size_m is not None and bounds_m[0] <= size_m <= bounds_m[1]:
-                return size_m
-            note(f"{key} makes no sense; the usual one taken")
-    return None
 
 
 # ---------- trees
@@ -131,15 +115,15 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
             for number, foot in enumerate(feet):
                 note = partial(add, "trees", element)
                 yield _tree(f"w{one.id} tree {number}", foot, one.tags, note)
-        if any(one.tags.get(key) == value for key, value in _WOODS):
+        if any(one.tags.get(key) == value for key, value in WORDS["woods"]):
             add("woods", element, "the positions of its trees and bushes are unknown")
 
 
-def _tree(name: str, foot_m: FloatArray, tags: Tags, note: Note) -> Thing:
+def _tree(name: str, foot_m: FloatArray, tags: Tags, note: TagNote) -> Thing:
     usual = DEFAULTS["tree"]
 
     def size_m(keys: Sequence[str], highest_m: float) -> float | None:
-        return _tagged_m(tags, keys, (0.05, highest_m), note)
+        return tagged_length_m(tags, keys, (0.05, highest_m), note)
 
     tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
     height_m = usual["height_m"] if tagged_m is None else tagged_m
@@ -176,7 +160,7 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
             continue
         node_id = int(elements.node_ids[row])
         support = tags.get("support") or tags.get("lamp_mount") or tags.get("camera:mount", "")
-        if support in _NO_POLE:
+        if support in WORDS["no_pole"]:
             why = "on a wall or a wire, without a pole"
             elements.omissions.add(f"{kind}s", f"node {node_id}", why)
             continue
@@ -199,9 +183,9 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
 
 
 def _kind(tags: Tags) -> str:
-    kind = _ROADSIDE.get(tags.get("highway", ""), "sign" if "traffic_sign" in tags else "")
+    kind = WORDS["roadside"].get(tags.get("highway", ""), "sign" if "traffic_sign" in tags else "")
     has_camera = tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole"
-    is_pole = has_camera or tags.get("man_made") in _POLES or tags.get("power") == "pole"
+    is_pole = has_camera or tags.get("man_made") in WORDS["poles"] or tags.get("power") == "pole"
     return kind or ("pole" if is_pole else "")
 
 
@@ -259,7 +243,10 @@ def find_crosswalks(network: Network) -> FloatArray:
     covered: set[int] = set()  # nodes that lie on a mapped footway over a road
     tree = shapely.STRtree([shapely.linestrings(edge.points_m) for edge in network.edges])
     for way in elements.ways:
-        if way.tags.get("footway") != "crossing" or way.tags.get("highway") not in _FOOTWAYS:
+        if (
+            way.tags.get("footway") != "crossing"
+            or way.tags.get("highway") not in WORDS["footways"]
+        ):
             continue
         for rows in known_runs(way, elements):
             walk = LineString(elements.positions_m[rows])
@@ -401,7 +388,7 @@ def _stands(area: Area, omissions: Omissions) -> bool:
     kinds = [tags[key] for key in ("building", "building:part") if key in tags]
     if all(kind == "no" for kind in kinds):
         return False
-    if any(kind in _NOT_THERE for kind in kinds):
+    if any(kind in WORDS["not_there"] for kind in kinds):
         omissions.add("buildings", _element(area), "not built yet, or no longer there")
         return False
     if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
@@ -432,9 +419,7 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
     for number, shape in enumerate(shapes):
-        outer_m, *holes_m = (np.asarray(r.coords) for r in (shape.exterior, *shape.interiors))
-        piece_id = numbered(name, number, " ")
-        yield replace(area, id=piece_id, outer_m=outer_m, holes_m=tuple(holes_m))
+        yield replace(area, id=numbered(name, number, " "), polygon=shape)
 
 
 def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[Thing]:
@@ -456,10 +441,9 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
-    bottom_m, top_m, is_assumed = span
-    heights, where = {"bottom_m": bottom_m, "top_m": top_m}, _element(area)
+    (bottom_m, top_m, is_assumed), where = span, _element(area)
     try:
-        mesh = extrude(area.outer_m, **heights, holes_m=area.holes_m, where=where)
+        mesh = extrude_polygon(area.polygon, bottom_m=bottom_m, top_m=top_m, where=where)
     except InputError as error:
         omissions.add("buildings", where, f"its outline has {error.got}")
         return
@@ -502,12 +486,11 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
     tags, usual = area.tags, DEFAULTS["building"]
-    for key in ("height", "building:height", "est_height"):
-        if key in tags:
-            height_m = parse_length_m(tags[key])
-            if height_m is not None and 0.0 < height_m <= usual["max_height_m"]:
-                return height_m
-            omissions.add("buildings", _element(area), f"{key} makes no sense; the next best taken")
+    note = partial(omissions.add, "buildings", _element(area))
+    keys, bounds_m = ("height", "building:height", "est_height"), (1e-9, usual["max_height_m"])
+    height_m = tagged_length_m(tags, keys, bounds_m, note, "the next best")
+    if height_m is not None:
+        return height_m
     storey_m = usual["storey_height_m"]
     levels = _levels(tags, "building:levels")
     roof_m = parse_length_m(tags.get("roof:height", ""))
@@ -556,7 +539,10 @@ class _Passages:
 
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
         """Area of the ways that lead through a building, and their clear height."""
-        is_gate = area.tags.get("historic") in _GATES or _building_kind(area.tags) in _GATES
+        is_gate = (
+            area.tags.get("historic") in WORDS["gates"]
+            or _building_kind(area.tags) in WORDS["gates"]
+        )
         whole = make_valid(area.polygon)
         near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
         leading = [(strip, clear_m) for strip, clear_m, is_marked in near if is_gate or is_marked]
@@ -568,7 +554,7 @@ class _Passages:
 
 
 def _leads_through(tags: Tags) -> bool:
-    return tags.get("tunnel") == "building_passage" or tags.get("covered") in _COVERED
+    return tags.get("tunnel") == "building_passage" or tags.get("covered") in WORDS["covered"]
 
 
 # ---------- bridges over roads

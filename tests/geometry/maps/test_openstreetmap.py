@@ -20,8 +20,8 @@ from osm_text import OsmText, arm_lanes, arms_of, crossing
 from geometry.errors import InputError, MissingExtraError
 from geometry.junction import distance_to_outline_m
 from geometry.maps.openstreetmap import fetch_openstreetmap, read_openstreetmap
-from geometry.maps.openstreetmap.elements import DEFAULTS, parse_length_m
-from geometry.maps.source_map import SourceMap
+from geometry.maps.openstreetmap.elements import DEFAULTS
+from geometry.maps.source_map import SourceMap, parse_length_m
 
 RealInput = Callable[[str], Path]
 

@@ -7,7 +7,6 @@ import pytest
 
 from geometry.maps.cut import build_scene, cut_out
 from geometry.maps.importing import ImportOptions, import_scene
-from geometry.maps.relief import Elevation
 from geometry.maps.source_map import MapJunction, MapLane, Pole, SourceMap, Thing, extrude
 from geometry.scene_files import load_scene_folder, save_scene
 from geometry.terrain import ground_height_m, terrain_of
@@ -111,13 +110,14 @@ def test_a_bridge_over_the_junction_is_not_its_ground():
 def test_a_file_of_heights_comes_before_the_roads_and_carries_what_they_carry():
     rng = np.random.default_rng(0)
     places = rng.uniform(-180.0, 180.0, size=(8000, 2))
-    hill = Elevation(
+    hill = SourceMap(
         name="dem.tif",
-        points_m=np.column_stack([places, 50.0 + 0.1 * places[:, 1]]),
+        crs="",
+        ground_m=np.column_stack([places, 50.0 + 0.1 * places[:, 1]]),
     )
     aside = np.array([30.0, 30.0])
     source = roads(things=(house("sign", aside, float(on_slope(aside[None])[0, 2]) + 5.0),))
-    found = cut_out([source], JUNCTION, radius_m=RADIUS_M, elevation=hill)
+    found = cut_out([source, hill], JUNCTION, radius_m=RADIUS_M)
     assert found.terrain.at([0.0, 40.0]) == pytest.approx(4.0, abs=0.02)
     assert found.things[0].vertices_m[:, 2].min() == pytest.approx(3.0 + 5.0, abs=0.05)
 

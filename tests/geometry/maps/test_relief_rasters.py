@@ -57,7 +57,7 @@ def read(tmp_path):
     def build(raster, *, crs=UTM, middle_m=AT_M, half_m=100.0):
         raster.write(tmp_path / "dem.tif")
         path = tmp_path / "dem.tif"
-        return read_elevation(path, crs=crs, middle_m=middle_m, half_m=half_m).points_m
+        return read_elevation(path, crs=crs, middle_m=middle_m, half_m=half_m).ground_m
 
     return build
 
