@@ -17,9 +17,9 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.lidar import LidarModel
-from geometry.poses import Pose, camera_rotation
+from geometry.poses import Pose
 from geometry.raycast import FloatRays
-from geometry.sensors import CameraModel, pixel_grid
+from geometry.sensors import CameraModel
 from geometry.weather import Weather
 from scenarios.runs import Run
 
@@ -49,10 +49,8 @@ from .picture import (
     build_shot,
     expose_image,
     ground_albedo,
-    lens_rays,
     names_of,
     pixel_rays,
-    ray_parts,
     shade_image,
     shade_rays,
     smooth_image,
@@ -65,7 +63,6 @@ _MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150
 _CHUNK = 40_000  # pixels drawn at a time: fit into a cache
 _BLOCK_PX = 12  # sides of the blocks of pixels that are tried as a whole
 _SKY_M, _SUN_M = 2.0e3, 1.0e6  # so far they are taken to be: beyond all, and its rays parallel
-_Rays = Callable[[IntArray], FloatRays]  # of pixels, row * w + column, one metre deep
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,7 +71,8 @@ class Still:
 
     backdrop: Backdrop
     shot: Shot
-    raw: Shades  # (h, w): through the middles of the pixels
+    rays: FloatRays  # (h * w, 3): through the middles of the pixels, one metre deep
+    raw: Shades  # (h, w): what they see
     surfaces: Surfaces | None  # (h, w, 3), where headlights may shine
     is_edge: BoolArray  # (h, w): pixels that are smoothed
     smooth: FloatRays  # (h, w, 3): radiance with smooth edges, cd/m^2
@@ -104,10 +102,11 @@ def draw_still(
         smooth_image(shot, window, smooth, np.flatnonzero(is_edge), pool.map)
     mirrored = surfaces.mirrored.reshape(-1, 3)
     mirrors = np.flatnonzero(mirrored.any(axis=1))
-    rays, mirrored = tile_rays(shot, window.rows, window.columns), mirrored[mirrors]
+    rays, mirrored = tile_rays(pose, camera, window.rows, window.columns), mirrored[mirrors]
     return Still(
         backdrop=backdrop,
         shot=shot,
+        rays=rays,
         raw=raw,
         surfaces=surfaces if weather.has_lamps else None,
         is_edge=is_edge,
@@ -164,30 +163,23 @@ def _add_moving(
         frame_index=frame_index,
         materials=base.materials,
     )
-    right, ahead = ray_parts(shot, window.rows, window.columns)
-    raw = still.raw
+    rays, raw = still.rays, still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
     radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
 
-    def rays(part: IntArray) -> FloatRays:
-        rows, columns = np.divmod(part, window.width)
-        if ahead.ndim == 3:
-            return ahead[rows, columns]
-        return ahead[rows] + right[columns]
-
     def shade(part: IntArray) -> None:
-        shades, _ = shade_rays(shot, rays(part))
+        shades, _ = shade_rays(shot, rays[part])
         for whole, values in zip(image, shades, strict=True):
             whole.reshape(-1, *whole.shape[2:])[part] = values
 
     def shine(part: IntArray) -> None:
-        ways = rays(part)
-        lit.reshape(-1)[part] = _find_lit(shot, ways * raw.depth_m.take(part)[:, None], 0.0)
-        more = _headlight_radiance(still, shot, part, ways)
+        local = rays[part] * raw.depth_m.reshape(-1, 1)[part]
+        lit.reshape(-1)[part] = _find_lit(shot, local, 0.0)
+        more = _headlight_radiance(still, shot, part, local)
         radiance[part] += more
         smooth.reshape(-1, 3)[part] += more
 
-    changed = _find_changed(still, shot, moving, rays, each)
+    changed = _find_changed(still, shot, moving, each)
     _in_parts(each, shade, np.flatnonzero(changed))
     lit = np.zeros(changed.shape, dtype=np.bool_)
     may_be_lit = _of_blocks(_find_lit(shot, *still.blocks), changed)
@@ -205,11 +197,10 @@ def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) ->
         list(each(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
 
 
-def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatRays) -> FloatRays:
-    """Radiance (n, 3) that headlights add to pixels (n,) of a still."""
+def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, local: FloatRays) -> FloatRays:
+    """Radiance (n, 3) that headlights add to pixels (n,) of a still, at points (n, 3)."""
     assert still.surfaces is not None
     surfaces = Surfaces(*(array.reshape(-1, 3)[pixels] for array in still.surfaces))
-    local = ways * still.raw.depth_m.reshape(-1)[pixels, None]
     origin = shot.mesh.origin_m.astype(np.float32)
     distance = np.sqrt(np.einsum("ij,ij->i", local, local))
     lux = surfaces.lux.copy()
@@ -321,9 +312,7 @@ def _lights(shot: Shot) -> list[tuple[FloatRays, float]]:
     return [(place.astype(np.float32), reach_m) for place, reach_m in lights]
 
 
-def _find_changed(
-    still: Still, shot: Shot, moving: Sequence[Mesh], rays: _Rays, each: Each
-) -> BoolArray:
+def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], each: Each) -> BoolArray:
     """Pixels (h, w) that what moves may change, but for the light of its headlights.
 
     Those where a box around it is seen, throws a shadow, or is mirrored. Blocks of pixels are tried
@@ -347,7 +336,7 @@ def _find_changed(
         rows, columns = np.divmod(part, width)
         block = rows // _BLOCK_PX * -(-width // _BLOCK_PX) + columns // _BLOCK_PX
         depth: FloatRays = depth_m.take(part)
-        found, ways = np.zeros(len(part), dtype=np.bool_), rays(part)
+        found, ways = np.zeros(len(part), dtype=np.bool_), still.rays[part]
         for box, possible in zip(boxes, may_show, strict=True):
             some = np.flatnonzero(possible[block])
             found[some] |= _meets(box, np.zeros(3, np.float32), ways[some], depth[some])
@@ -436,7 +425,7 @@ def draw_crop(
         materials=materials,
     )
     size = (window.height, window.width)
-    shades, _ = shade_rays(shot, tile_rays(shot, window.rows, window.columns))
+    shades, _ = shade_rays(shot, tile_rays(pose, camera, window.rows, window.columns))
     image = Shades._make(part.reshape(*size, *part.shape[1:]) for part in shades)
     edges = np.flatnonzero(find_edges(image.radiance))
     smooth_image(shot, window, image.radiance, edges, map)
@@ -471,16 +460,7 @@ def silhouette(
 ) -> BoolArray:
     """Pixels (h, w) of a window that the VRU covers where nothing hides it."""
     vru = place_mesh(build_moving_meshes(run, frame_index, with_vut=False)[-1], pose.position_m)
-    if camera.is_pinhole:
-        right, down, ahead = camera_rotation(pose.yaw_deg, pose.pitch_deg).T.astype(np.float32)
-        focal = camera.focal_length_px
-        across = np.arange(window.width) + (window.left + 0.5 - 0.5 * camera.width_px)
-        below = np.arange(window.height) + (window.top + 0.5 - 0.5 * camera.height_px)
-        columns = (across / focal).astype(np.float32)[None, :, None] * right
-        rows = (below / focal).astype(np.float32)[:, None, None] * down
-        ways = np.ascontiguousarray((ahead + rows + columns).reshape(-1, 3))
-    else:
-        ways = lens_rays(pose, pixel_grid(camera)[window.rows, window.columns].reshape(-1, 2))
+    ways = tile_rays(pose, camera, window.rows, window.columns)
     _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
     return (triangle >= 0).reshape(window.height, window.width)
 
