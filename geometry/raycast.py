@@ -31,13 +31,13 @@ class RayCaster(Protocol):
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         """True if a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
 
-    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """How far along vectors (n, 3), of any length, the first triangle is, (n,), or inf."""
-
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """As :meth:`first_hit`, and the row of the triangle that is hit; -1 where nothing is."""
+        """How far along vectors (n, 3), of any length, the first triangle is, (n,), and its row.
+
+        Infinite and -1 where nothing is hit.
+        """
 
 
 class Open3dCaster:
@@ -63,10 +63,6 @@ class Open3dCaster:
         hits = self._scene.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads)
         return np.asarray(hits.numpy())
 
-    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """See :class:`RayCaster`."""
-        return self.first_triangle(origins_m, vectors_m)[0]
-
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
@@ -85,8 +81,7 @@ class EmbreexCaster:
     """Rays by embreex, the Embree binding that trimesh uses."""
 
     name = "embree"
-    # Embree stops at the end of a ray; "nothing hit" is read off that end.
-    _FAR = np.float32(1.0e6)
+    _FAR = np.float32(1.0e6)  # where rays end
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -98,7 +93,7 @@ class EmbreexCaster:
         if not self._is_empty:
             self._mesh = TriangleMesh(self._scene, vertices, faces)
             # The first query commits the scene, which must not happen in two threads at once.
-            self.first_hit(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+            self.is_blocked(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         """See :class:`RayCaster`."""
@@ -106,16 +101,6 @@ class EmbreexCaster:
             return np.zeros(len(origins_m), dtype=bool)
         hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=1.0, query="OCCLUDED")
         return np.asarray(hits != -1)
-
-    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        """See :class:`RayCaster`."""
-        if self._is_empty or len(origins_m) == 0:
-            return np.full(len(origins_m), np.inf, dtype=np.float32)
-        ends = np.full(len(origins_m), self._FAR, dtype=np.float32)
-        rays = _contiguous(origins_m, vectors_m)
-        share: FloatRays = self._scene.run(*rays, dists=ends, query="DISTANCE")
-        share[share >= self._FAR] = np.inf
-        return share
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays

@@ -169,7 +169,7 @@ Body = tuple[Instance, FloatArray, Any]
 Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
 
 
-def join(meshes: Sequence[Mesh]) -> Mesh:
+def join(meshes: Sequence[tuple[FloatArray, NDArray[Any]]]) -> Mesh:
     """Several meshes as one."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]

@@ -170,7 +170,7 @@ def cast_crops(
     starts = near_depth[:, None] * directions
     for part, origin in zip(parts, origins.astype(np.float32), strict=True):
         starts[part] += origin
-    depth = solid.caster.first_hit(starts, directions) + near_depth
+    depth = solid.caster.first_triangle(starts, directions)[0] + near_depth
     return [depth[part] for part in parts]
 
 

@@ -124,10 +124,6 @@ class _Recorder:
         self.calls[-1].append((self.caster.is_blocked, self.rays[-1]))
         return self.caster.is_blocked(origins_m, vectors_m)
 
-    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        self.rays.append((np.array(origins_m), np.array(vectors_m)))
-        return self.caster.first_hit(origins_m, vectors_m)
-
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:

@@ -135,7 +135,8 @@ def _cast(
     turn, shift = placed.turn[row], placed.shift[row]
     near = camera.near_m / np.linalg.norm(ways, axis=1)
     starts = (near[:, None] * ways - shift) @ turn
-    depth = solid.caster.first_hit(starts.astype(np.float32), (ways @ turn).astype(np.float32))
+    rays = starts.astype(np.float32), (ways @ turn).astype(np.float32)
+    depth, _ = solid.caster.first_triangle(*rays)
     return np.asarray(depth.astype(np.float64) + near)
 
 

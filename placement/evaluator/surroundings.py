@@ -21,7 +21,7 @@ from geometry.files import load_data, pick, take_number, take_text
 from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, to_world, wrap_deg
 from geometry.raycast import RayCaster, build_caster
-from geometry.scene import Scene
+from geometry.scene import Scene, join
 from geometry.sensors import CameraModel
 from geometry.terrain import Terrain, on_ground, pitch_on_ground_deg, terrain_of
 from geometry.weather import Weather, pick_weather
@@ -103,12 +103,7 @@ class Solid:
     @cached_property
     def _caster(self) -> RayCaster:
         """Built when a LiDAR asks for it: a camera's pixels need no rays."""
-        starts = np.cumsum([0, *(len(mesh.vertices_m) for mesh in self.meshes)])
-        triangles = [
-            mesh.triangles + start for mesh, start in zip(self.meshes, starts, strict=False)
-        ]
-        vertices = [mesh.vertices_m for mesh in self.meshes]
-        return build_caster(np.concatenate(vertices), np.concatenate(triangles))
+        return build_caster(*join([(mesh.vertices_m, mesh.triangles) for mesh in self.meshes]))
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -152,12 +147,13 @@ def build_static(
 @lru_cache(maxsize=8)
 def _build_parked(obstruction: tuple[PlacedActor, ...], middle_m: tuple[float, float]) -> Mesh:
     """Parked bodies; layouts that are judged one after the other meet the same ones."""
-    vertices, triangles = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
-    for body in obstruction:
-        shape = body.actor.shapes[0]
-        triangles.append(shape.triangles.astype(np.int64) + sum(map(len, vertices)))
-        vertices.append(to_world(shape.vertices_m, body.pose) - [*middle_m, 0.0])
-    return Mesh(vertices_m=np.concatenate(vertices), triangles=np.concatenate(triangles))
+    nothing = np.empty((0, 3)), np.empty((0, 3), dtype=np.int32)
+    placed = [(body.actor.shapes[0], body.pose) for body in obstruction]
+    bodies = [
+        (to_world(one.vertices_m, at) - [*middle_m, 0.0], one.triangles) for one, at in placed
+    ]
+    vertices, triangles = join([nothing, *bodies])
+    return Mesh(vertices_m=vertices, triangles=triangles.astype(np.int64))
 
 
 # ---------- surroundings of runs

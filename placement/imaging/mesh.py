@@ -24,7 +24,7 @@ from geometry.lidar import (
 )
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster, build_caster
-from geometry.scene import Scene
+from geometry.scene import Scene, join
 from geometry.terrain import on_ground
 from geometry.weather import Weather
 from scenarios.runs import Run
@@ -175,9 +175,6 @@ class _MovedCaster:
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         return self._caster.is_blocked(origins_m + self._shift, vectors_m)
 
-    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        return self._caster.first_hit(origins_m + self._shift, vectors_m)
-
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
@@ -195,9 +192,6 @@ class _TwoCasters:
         free = np.flatnonzero(~blocked)
         blocked[free] = self._second.is_blocked(origins_m[free], vectors_m[free])
         return blocked
-
-    def first_hit(self, origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
-        return self.first_triangle(origins_m, vectors_m)[0]
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
@@ -286,13 +280,11 @@ def _body_normals(shape: Shape, *, is_round: bool) -> FloatRays:
 
 
 def _join(meshes: Sequence[Mesh]) -> Mesh:
-    n_vertices = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
+    vertices, triangles = join([(mesh.vertices_m, mesh.triangles) for mesh in meshes])
     n_things = np.cumsum([0, *(len(mesh.things) for mesh in meshes)])
     return Mesh(
-        vertices_m=np.concatenate([mesh.vertices_m for mesh in meshes]),
-        triangles=np.concatenate(
-            [mesh.triangles + n for mesh, n in zip(meshes, n_vertices[:-1], strict=True)]
-        ).astype(np.int32),
+        vertices_m=vertices,
+        triangles=triangles,
         triangle_thing=np.concatenate(
             [mesh.triangle_thing + n for mesh, n in zip(meshes, n_things[:-1], strict=True)]
         ).astype(np.int32),

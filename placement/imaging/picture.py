@@ -201,39 +201,24 @@ def _shade_lit(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     return Shades(radiance, instance, depth), surfaces
 
 
-def tile_rays(shot: Shot, rows: slice, columns: slice) -> FloatRays:
+def tile_rays(pose: Pose, camera: CameraModel, rows: slice, columns: slice) -> FloatRays:
     """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
-    right, ahead = ray_parts(shot, rows, columns)
-    if ahead.ndim == 3:
-        return ahead.reshape(-1, 3)
-    return (ahead[:, None] + right).reshape(-1, 3)
-
-
-def ray_parts(shot: Shot, rows: slice, columns: slice) -> tuple[FloatRays, FloatRays]:
-    """Parts (n, 3) by column and by row whose sums are the rays of a tile's pixels.
-
-    Through a lens they are no such sums: the second is (h, w, 3), the rays; the first is empty.
-    """
-    camera = shot.camera
     if not camera.is_pinhole:
-        at_depth_1 = pixel_grid(camera)[rows, columns]
-        rays = lens_rays(shot.pose, at_depth_1.reshape(-1, 2)).reshape(*at_depth_1.shape[:2], 3)
-        return np.empty((0, 3), dtype=np.float32), rays
+        return _lens_rays(pose, pixel_grid(camera)[rows, columns].reshape(-1, 2))
     focal = camera.focal_length_px
     across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
     down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
-    rotation = camera_rotation(shot.pose.yaw_deg, shot.pose.pitch_deg)
-    return (
-        (across[:, None] * rotation[:, 0]).astype(np.float32),
-        (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32),
-    )
+    rotation = camera_rotation(pose.yaw_deg, pose.pitch_deg)
+    right = (across[:, None] * rotation[:, 0]).astype(np.float32)
+    ahead = (down[:, None] * rotation[:, 1] + rotation[:, 2]).astype(np.float32)
+    return (ahead[:, None] + right).reshape(-1, 3)
 
 
 def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRays:
     """Rays through points of the image, one metre deep, (n, 3)."""
     camera = shot.camera
     if not camera.is_pinhole:
-        return lens_rays(shot.pose, picture_rays(columns_px, rows_px, camera))
+        return _lens_rays(shot.pose, picture_rays(columns_px, rows_px, camera))
     in_camera = np.empty((len(columns_px), 3), dtype=np.float32)
     in_camera[:, 0] = (columns_px - 0.5 * camera.width_px) / camera.focal_length_px
     in_camera[:, 1] = (rows_px - 0.5 * camera.height_px) / camera.focal_length_px
@@ -242,7 +227,7 @@ def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRa
     return in_camera @ rotation.T.astype(np.float32)
 
 
-def lens_rays(pose: Pose, at_depth_1: FloatArray) -> FloatRays:
+def _lens_rays(pose: Pose, at_depth_1: FloatArray) -> FloatRays:
     """Rays (n, 3) of points (n, 2) at depth 1; zeros where a lens shows nothing."""
     in_camera = np.column_stack([at_depth_1, np.ones(len(at_depth_1))])
     in_camera[np.isnan(at_depth_1).any(axis=1)] = 0.0
@@ -511,7 +496,7 @@ def shade_image(
             slice(part.start + first, part.stop + first)
             for part, first in zip(tile, (window.top, window.left), strict=True)
         )
-        shades, met = shade_rays(shot, tile_rays(shot, rows, columns))
+        shades, met = shade_rays(shot, tile_rays(shot.pose, shot.camera, rows, columns))
         wholes, parts = (image, shades) if surfaces is None else (image + surfaces, shades + met)
         for whole, part in zip(wholes, parts, strict=True):
             whole[tile] = part.reshape(whole[tile].shape)

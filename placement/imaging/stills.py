@@ -11,15 +11,15 @@ set by fewer pixels of the whole image.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.kernels import kernel
 from geometry.lidar import LidarModel
-from geometry.poses import Pose, camera_rotation
+from geometry.poses import Pose
 from geometry.raycast import FloatRays
-from geometry.sensors import CameraModel, pixel_grid
+from geometry.sensors import CameraModel
 from geometry.weather import Weather
 from scenarios.runs import Run
 
@@ -49,10 +49,8 @@ from .picture import (
     build_shot,
     expose_image,
     ground_albedo,
-    lens_rays,
     names_of,
     pixel_rays,
-    ray_parts,
     shade_image,
     shade_rays,
     smooth_image,
@@ -64,6 +62,7 @@ from .picture import (
 _MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150 m
 _CHUNK = 40_000  # pixels drawn at a time: fit into a cache
 _BLOCK_PX = 12  # sides of the blocks of pixels that are tried as a whole
+_SKY_M, _SUN_M = 2.0e3, 1.0e6  # so far they are taken to be: beyond all, and its rays parallel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,12 +71,15 @@ class Still:
 
     backdrop: Backdrop
     shot: Shot
-    raw: Shades  # (h, w): through the middles of the pixels
+    rays: FloatRays  # (h * w, 3): through the middles of the pixels, one metre deep
+    raw: Shades  # (h, w): what they see
     surfaces: Surfaces | None  # (h, w, 3), where headlights may shine
     is_edge: BoolArray  # (h, w): pixels that are smoothed
     smooth: FloatRays  # (h, w, 3): radiance with smooth edges, cd/m^2
     mirrors: IntArray  # (n,): pixels with a mirrored ray, row * w + column, ascending
+    mirror_m: FloatRays  # (n, 3): where it begins, from the camera
     mirrored: FloatRays  # (n, 3): where it goes
+    blocks: "_Blocks"  # of pixels
 
 
 def draw_still(
@@ -100,15 +102,19 @@ def draw_still(
         smooth_image(shot, window, smooth, np.flatnonzero(is_edge), pool.map)
     mirrored = surfaces.mirrored.reshape(-1, 3)
     mirrors = np.flatnonzero(mirrored.any(axis=1))
+    rays, mirrored = tile_rays(pose, camera, window.rows, window.columns), mirrored[mirrors]
     return Still(
         backdrop=backdrop,
         shot=shot,
+        rays=rays,
         raw=raw,
         surfaces=surfaces if weather.has_lamps else None,
         is_edge=is_edge,
         smooth=smooth,
         mirrors=mirrors,
-        mirrored=mirrored[mirrors],
+        mirror_m=rays[mirrors] * raw.depth_m.reshape(-1, 1)[mirrors],
+        mirrored=mirrored,
+        blocks=_build_blocks(rays.reshape(*raw.depth_m.shape, 3), raw.depth_m),
     )
 
 
@@ -157,32 +163,27 @@ def _add_moving(
         frame_index=frame_index,
         materials=base.materials,
     )
-    right, ahead = ray_parts(shot, window.rows, window.columns)
-    view = still.raw.depth_m, right, ahead
-    changed = _find_changed(still, shot, moving, view)
-    raw = still.raw
+    rays, raw = still.rays, still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
     radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
 
-    def rays(part: IntArray) -> FloatRays:
-        rows, columns = np.divmod(part, window.width)
-        if ahead.ndim == 3:
-            return ahead[rows, columns]
-        return ahead[rows] + right[columns]
-
     def shade(part: IntArray) -> None:
-        shades, _ = shade_rays(shot, rays(part))
+        shades, _ = shade_rays(shot, rays[part])
         for whole, values in zip(image, shades, strict=True):
             whole.reshape(-1, *whole.shape[2:])[part] = values
 
     def shine(part: IntArray) -> None:
-        more = _headlight_radiance(still, shot, part, rays(part))
+        local = rays[part] * raw.depth_m.reshape(-1, 1)[part]
+        lit.reshape(-1)[part] = _find_lit(shot, local, 0.0)
+        more = _headlight_radiance(still, shot, part, local)
         radiance[part] += more
         smooth.reshape(-1, 3)[part] += more
 
+    changed = _find_changed(still, shot, moving, each)
     _in_parts(each, shade, np.flatnonzero(changed))
-    lit = _find_lit(shot, changed, view)
-    _in_parts(each, shine, np.flatnonzero(lit))
+    lit = np.zeros(changed.shape, dtype=np.bool_)
+    may_be_lit = _of_blocks(_find_lit(shot, *still.blocks), changed)
+    _in_parts(each, shine, np.flatnonzero(may_be_lit & ~changed & np.isfinite(raw.depth_m)))
     around = _grown(changed)
     smooth[around] = image.radiance[around]
     unlike = around | (lit & ~still.is_edge)  # what the still says nothing of
@@ -196,11 +197,10 @@ def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) ->
         list(each(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
 
 
-def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, ways: FloatRays) -> FloatRays:
-    """Radiance (n, 3) that headlights add to pixels (n,) of a still."""
+def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, local: FloatRays) -> FloatRays:
+    """Radiance (n, 3) that headlights add to pixels (n,) of a still, at points (n, 3)."""
     assert still.surfaces is not None
     surfaces = Surfaces(*(array.reshape(-1, 3)[pixels] for array in still.surfaces))
-    local = ways * still.raw.depth_m.reshape(-1)[pixels, None]
     origin = shot.mesh.origin_m.astype(np.float32)
     distance = np.sqrt(np.einsum("ij,ij->i", local, local))
     lux = surfaces.lux.copy()
@@ -232,45 +232,150 @@ def _grown(mask: BoolArray) -> BoolArray:
     return grown
 
 
-def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], view: "View") -> BoolArray:
-    """Pixels (h, w) that what moves may change, but for the light of its headlights."""
-    origin_m = shot.mesh.origin_m
-    boxes = np.stack([_box(mesh, origin_m) for mesh in moving])
-    lamps = [
-        [*(lamp.position_m - origin_m), lamp.reach_m]
-        for lamp in shot.lamps
-        if not isinstance(lamp, HeadLamp)
-    ]
-    x, y, z = shot.sky.to_sun.tolist()
-    to_sun = (x, y, z) if shot.sky.sun_lux.any() and z > 0.0 else (0.0, 0.0, 0.0)
-    changed = np.zeros(still.raw.depth_m.shape, dtype=np.bool_)
-    _mark(changed, view, boxes, to_sun, np.array(lamps).reshape(-1, 4))
-    _mark_mirrored(changed, view, boxes, still.mirrors, still.mirrored)
-    return changed
+# ---------- pixels that what moves may change
+class _Box(NamedTuple):
+    """The box around a body; it holds more than the body does."""
+
+    middle_m: FloatRays  # (3,): from the camera, in the axes of the world
+    turn: FloatRays  # (3, 3): columns ahead, left, up
+    half_m: FloatRays  # (3,): half its length, width and height
+    radius_m: FloatRays  # ()
 
 
-def _find_lit(shot: Shot, changed: BoolArray, view: "View") -> BoolArray:
-    """Pixels (h, w) of a still on which headlights may shine."""
-    lit = np.zeros(changed.shape, dtype=np.bool_)
-    heads = [
-        [*(lamp.position_m - shot.mesh.origin_m), lamp.reach_m, *lamp.R_world_lamp[:, 0]]
-        for lamp in shot.lamps
-        if isinstance(lamp, HeadLamp)
-    ]
-    if heads:
-        _mark_lit(lit, changed, view, np.array(heads))
-    return lit
+class _Blocks(NamedTuple):
+    """Spheres around what blocks of pixels see, from the camera."""
+
+    middle_m: FloatRays  # (n, 3)
+    radius_m: FloatRays  # (n,)
 
 
-def _box(mesh: Mesh, origin_m: FloatArray) -> FloatArray:
-    """The box around a body, (9,): middle, cosine and sine of its yaw, half sizes, radius."""
+def _build_blocks(rays: FloatRays, depth_m: FloatRays) -> _Blocks:
+    """Blocks of pixels (h, w), row by row, by rays one metre deep and depths."""
+    seen = rays * np.minimum(depth_m, np.float32(_SKY_M))[..., None]
+    rows, columns = (np.arange(0, side, _BLOCK_PX) for side in depth_m.shape)
+    low, high = (
+        bound.reduceat(bound.reduceat(seen, rows, axis=0), columns, axis=1).reshape(-1, 3)
+        for bound in (np.minimum, np.maximum)
+    )
+    half: FloatRays = np.float32(0.5) * (high - low)
+    return _Blocks(low + half, np.sqrt(_dot(half, half)) + np.float32(1e-3))
+
+
+def _box(mesh: Mesh, origin_m: FloatArray) -> _Box:
     yaw = math.radians(mesh.things[0].pose.yaw_deg)
     cos, sin = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     local = (mesh.vertices_m - origin_m) @ turn
     low, high = local.min(axis=0) - _MARGIN_M, local.max(axis=0) + _MARGIN_M
     middle, half = turn @ (0.5 * (low + high)), 0.5 * (high - low)
-    return np.concatenate([middle, turn[:2, 0], half, [math.sqrt(half @ half)]])
+    radius = np.array(np.linalg.norm(half))
+    return _Box(*(one.astype(np.float32) for one in (middle, turn, half, radius)))
+
+
+def _dot(one: FloatRays, other: FloatRays) -> FloatRays:
+    return np.asarray(np.einsum("...i,...i->...", one, other))
+
+
+def _may_meet(
+    box: _Box, points_m: FloatRays, ways: FloatRays, radius_m: FloatRays | float
+) -> BoolArray:
+    """True (...,) if rays along ways (..., 3) may meet the sphere around a box.
+
+    They begin within a radius (...,) of points (..., 3). All rays of a point are parallel, or all
+    end where point + way is: then they come nearer to one another.
+    """
+    to_box = box.middle_m - points_m
+    along, away = _dot(to_box, ways), _dot(to_box, to_box) - (box.radius_m + radius_m) ** 2
+    return (away <= 0.0) | ((along >= 0.0) & (away * _dot(ways, ways) <= along * along))
+
+
+def _meets(box: _Box, points_m: FloatRays, ways: FloatRays, most: FloatRays | float) -> BoolArray:
+    """True (n,) if rays from points along ways, (n, 3) each, meet a box before `most` times it."""
+    found = _may_meet(box, points_m, ways, 0.0)
+    some = np.flatnonzero(found)
+    to_box = (box.middle_m - np.broadcast_to(points_m, ways.shape)[some]) @ box.turn
+    turned = ways[some] @ box.turn
+    with np.errstate(divide="ignore", invalid="ignore"):  # along a face
+        one, other = (to_box - box.half_m) / turned, (to_box + box.half_m) / turned
+    near, far = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+    far = np.minimum(far, np.broadcast_to(most, found.shape)[some])
+    found[some] = np.maximum(near, 0.0) <= far
+    return found
+
+
+def _lights(shot: Shot) -> list[tuple[FloatRays, float]]:
+    """Places of lamps that stand, and of the sun, from the camera, and how far their light goes."""
+    lamps = [lamp for lamp in shot.lamps if not isinstance(lamp, HeadLamp)]
+    lights = [(lamp.position_m - shot.mesh.origin_m, lamp.reach_m) for lamp in lamps]
+    if shot.sky.sun_lux.any() and shot.sky.to_sun[2] > 0.0:
+        lights.append((_SUN_M * shot.sky.to_sun, np.inf))
+    return [(place.astype(np.float32), reach_m) for place, reach_m in lights]
+
+
+def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], each: Each) -> BoolArray:
+    """Pixels (h, w) that what moves may change, but for the light of its headlights.
+
+    Those where a box around it is seen, throws a shadow, or is mirrored. Blocks of pixels are tried
+    as a whole first: what moves changes few of them.
+    """
+    boxes, (middle, radius) = [_box(mesh, shot.mesh.origin_m) for mesh in moving], still.blocks
+    may_show = np.array([_may_meet(box, middle, -middle, radius) for box in boxes])
+    shades = []  # lights, and the blocks that each of the boxes may keep theirs from
+    for place, reach_m in _lights(shot):
+        ways, may_shade = place - middle, np.zeros(may_show.shape, dtype=np.bool_)
+        near = np.flatnonzero(_dot(ways, ways) <= (reach_m + radius) ** 2)
+        for box, mask in zip(boxes, may_shade, strict=True):
+            mask[near] = _may_meet(box, middle[near], ways[near], radius[near])
+        if may_shade.any():
+            shades.append((place, reach_m, may_shade))
+    depth_m = still.raw.depth_m
+    changed = np.zeros(depth_m.shape, dtype=np.bool_)
+    flat, width = changed.reshape(-1), depth_m.shape[1]
+
+    def mark(part: IntArray) -> None:
+        rows, columns = np.divmod(part, width)
+        block = rows // _BLOCK_PX * -(-width // _BLOCK_PX) + columns // _BLOCK_PX
+        depth: FloatRays = depth_m.take(part)
+        found, ways = np.zeros(len(part), dtype=np.bool_), still.rays[part]
+        for box, possible in zip(boxes, may_show, strict=True):
+            some = np.flatnonzero(possible[block])
+            found[some] |= _meets(box, np.zeros(3, np.float32), ways[some], depth[some])
+        left = np.flatnonzero(~found & np.isfinite(depth))  # nothing is shaded in the sky
+        at, block = ways[left] * depth[left, None], block[left]
+        for place, reach_m, may_shade in shades:
+            for box, possible in zip(boxes, may_shade, strict=True):
+                some = np.flatnonzero(possible[block])
+                to_light = place - at[some]
+                is_lit = _dot(to_light, to_light) <= reach_m**2
+                found[left[some]] |= is_lit & _meets(box, at[some], to_light, 1.0)
+        flat[part] = found
+
+    possible = np.any([may_show, *(one for _, _, one in shades)], axis=(0, 1))
+    _in_parts(each, mark, np.flatnonzero(_of_blocks(possible, changed)))
+    for first in range(0, len(still.mirrors), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        for box in boxes:
+            hit = _meets(box, still.mirror_m[part], still.mirrored[part], np.inf)
+            flat[still.mirrors[part][hit]] = True
+    return changed
+
+
+def _of_blocks(mask: BoolArray, like: BoolArray) -> BoolArray:
+    """Pixels (h, w) of the blocks in a mask (n,)."""
+    height, width = like.shape
+    whole = mask.reshape(-1, -(-width // _BLOCK_PX)).repeat(_BLOCK_PX, axis=0)
+    return whole.repeat(_BLOCK_PX, axis=1)[:height, :width]
+
+
+def _find_lit(shot: Shot, points_m: FloatRays, radius_m: FloatRays | float) -> BoolArray:
+    """True (...,) of points (..., 3) within a radius of which a headlight may shine."""
+    lit = np.zeros(points_m.shape[:-1], dtype=np.bool_)
+    for lamp in shot.lamps:
+        if isinstance(lamp, HeadLamp):
+            ways = points_m - (lamp.position_m - shot.mesh.origin_m).astype(np.float32)
+            is_ahead = ways @ lamp.R_world_lamp[:, 0].astype(np.float32) > -radius_m
+            lit |= is_ahead & (_dot(ways, ways) < (lamp.reach_m + radius_m) ** 2)
+    return lit
 
 
 # ---------- crops
@@ -320,7 +425,7 @@ def draw_crop(
         materials=materials,
     )
     size = (window.height, window.width)
-    shades, _ = shade_rays(shot, tile_rays(shot, window.rows, window.columns))
+    shades, _ = shade_rays(shot, tile_rays(pose, camera, window.rows, window.columns))
     image = Shades._make(part.reshape(*size, *part.shape[1:]) for part in shades)
     edges = np.flatnonzero(find_edges(image.radiance))
     smooth_image(shot, window, image.radiance, edges, map)
@@ -355,16 +460,7 @@ def silhouette(
 ) -> BoolArray:
     """Pixels (h, w) of a window that the VRU covers where nothing hides it."""
     vru = place_mesh(build_moving_meshes(run, frame_index, with_vut=False)[-1], pose.position_m)
-    if camera.is_pinhole:
-        right, down, ahead = camera_rotation(pose.yaw_deg, pose.pitch_deg).T.astype(np.float32)
-        focal = camera.focal_length_px
-        across = np.arange(window.width) + (window.left + 0.5 - 0.5 * camera.width_px)
-        below = np.arange(window.height) + (window.top + 0.5 - 0.5 * camera.height_px)
-        columns = (across / focal).astype(np.float32)[None, :, None] * right
-        rows = (below / focal).astype(np.float32)[:, None, None] * down
-        ways = np.ascontiguousarray((ahead + rows + columns).reshape(-1, 3))
-    else:
-        ways = lens_rays(pose, pixel_grid(camera)[window.rows, window.columns].reshape(-1, 2))
+    ways = tile_rays(pose, camera, window.rows, window.columns)
     _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
     return (triangle >= 0).reshape(window.height, window.width)
 
@@ -401,195 +497,3 @@ def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
         fov_range_deg=None,
         lens=None,
     )
-
-
-# ---------- kernels
-Point = tuple[float, float, float]  # or a way: in the axes of the world, from the camera
-# Depths in pixels (h, w), and the parts of their rays by column (w, 3) and by row (h, 3); through a
-# lens nothing, and the rays (h, w, 3).
-View = tuple[FloatRays, FloatRays, FloatRays]
-
-
-@kernel
-def _ray(view: View, row: int, column: int) -> Point:
-    """The ray through the middle of a pixel, one metre deep."""
-    return _sum_ray(view[1], view[2], row, column)
-
-
-@kernel
-def _sum_ray(right: FloatRays, ahead: FloatRays, row: int, column: int) -> Point:
-    """As :func:`_ray`; only arguments tell the compiler how many axes they have."""
-    if ahead.ndim == 3:
-        return (
-            float(ahead[row, column, 0]),
-            float(ahead[row, column, 1]),
-            float(ahead[row, column, 2]),
-        )
-    return (
-        float(ahead[row, 0]) + right[column, 0],
-        float(ahead[row, 1]) + right[column, 1],
-        float(ahead[row, 2]) + right[column, 2],
-    )
-
-
-@kernel
-def _times(p: Point, factor: float) -> Point:
-    return p[0] * factor, p[1] * factor, p[2] * factor
-
-
-@kernel
-def _away(row: FloatArray, p: Point) -> Point:
-    """From a point to the one whose coordinates a row of numbers begins with."""
-    return row[0] - p[0], row[1] - p[1], row[2] - p[2]
-
-
-@kernel
-def _dot(p: Point, q: Point) -> float:
-    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-
-
-@kernel
-def _may_meet(box: FloatArray, p: Point, v: Point, radius: float) -> bool:
-    """True if rays along v from within a radius of p may meet the sphere around a box.
-
-    All rays are parallel, or all end where p + v is: then they come nearer to one another.
-    """
-    d = _away(box, p)
-    along, away = _dot(d, v), _dot(d, d) - (box[8] + radius) ** 2
-    return bool(away <= 0.0 or (along >= 0.0 and away * _dot(v, v) <= along * along))
-
-
-@kernel
-def _meets(box: FloatArray, p: Point, v: Point, most: float) -> bool:
-    """True if a ray from p along v meets a box before `most` times v."""
-    if not _may_meet(box, p, v, 0.0):
-        return False
-    d, cos, sin = _away(box, p), box[3], box[4]
-    near, far = 0.0, most
-    for middle, way, half in (  # the two faces of the box across each of its axes
-        (cos * d[0] + sin * d[1], cos * v[0] + sin * v[1], box[5]),
-        (cos * d[1] - sin * d[0], cos * v[1] - sin * v[0], box[6]),
-        (d[2], np.float64(v[2]), box[7]),
-    ):
-        if abs(way) < 1e-12:
-            if abs(middle) > half:
-                return False
-            continue
-        first, second = (middle - half) / way, (middle + half) / way
-        near, far = max(near, min(first, second)), min(far, max(first, second))
-        if near > far:
-            return False
-    return True
-
-
-@kernel
-def _around(view: View, block: tuple[int, int, int, int], sky_m: float) -> tuple[Point, float]:
-    """Middle and radius of a sphere around what a block of pixels sees; the sky is at `sky_m`."""
-    top, bottom, first, last = block
-    low, high = (math.inf, math.inf, math.inf), (-math.inf, -math.inf, -math.inf)
-    for row in range(top, bottom):  # pixels of the block
-        for column in range(first, last):
-            depth = float(view[0][row, column])
-            x, y, z = _times(_ray(view, row, column), sky_m if math.isinf(depth) else depth)
-            low = min(low[0], x), min(low[1], y), min(low[2], z)
-            high = max(high[0], x), max(high[1], y), max(high[2], z)
-    size = math.sqrt((high[0] - low[0]) ** 2 + (high[1] - low[1]) ** 2 + (high[2] - low[2]) ** 2)
-    middle = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
-    return middle, 0.5 * size + 1e-3
-
-
-@kernel
-def _is_changed(
-    ray: Point,
-    depth: float,
-    boxes: FloatArray,
-    to_sun: Point,
-    lamps: FloatArray,
-    possible: BoolArray,
-) -> bool:
-    """True if one of the possible boxes is seen in a pixel, or throws a shadow there."""
-    for index in range(len(boxes)):  # boxes that may be seen there
-        if possible[index, 0] and _meets(boxes[index], (0.0, 0.0, 0.0), ray, depth):
-            return True
-    if math.isinf(depth):
-        return False
-    at = _times(ray, depth)
-    for index in range(len(boxes)):  # boxes that may hide the sun, or a lamp
-        if possible[index, 1] and _meets(boxes[index], at, to_sun, math.inf):
-            return True
-        for lamp in range(len(lamps)):
-            if possible[index, 2 + lamp]:
-                way = _away(lamps[lamp], at)
-                is_lit = _dot(way, way) <= lamps[lamp, 3] ** 2
-                if is_lit and _meets(boxes[index], at, way, 1.0):
-                    return True
-    return False
-
-
-@kernel
-def _mark(
-    changed: BoolArray, view: View, boxes: FloatArray, to_sun: Point, lamps: FloatArray
-) -> None:
-    """Mark pixels where a box is seen, or throws a shadow of sun or lamp.
-
-    Blocks of pixels are tried as a whole first: what moves changes few of them.
-    """
-    n_boxes, n_lamps = len(boxes), len(lamps)
-    sky_m = 1.0  # beyond all boxes
-    for index in range(n_boxes):
-        box = boxes[index]
-        away = math.sqrt(box[0] ** 2 + box[1] ** 2 + box[2] ** 2) + box[8]
-        sky_m = max(sky_m, 1.01 * away)
-    # Of each box: may it be seen, hide the sun, hide each lamp?
-    possible = np.empty((n_boxes, 2 + n_lamps), dtype=np.bool_)
-    for top in range(0, changed.shape[0], _BLOCK_PX):  # blocks of pixels
-        bottom = min(top + _BLOCK_PX, changed.shape[0])
-        for first in range(0, changed.shape[1], _BLOCK_PX):
-            last = min(first + _BLOCK_PX, changed.shape[1])
-            at, radius = _around(view, (top, bottom, first, last), sky_m)
-            for index in range(n_boxes):  # as a whole, by spheres around block and box
-                box = boxes[index]
-                possible[index, 0] = _may_meet(box, at, _times(at, -1.0), radius)
-                possible[index, 1] = to_sun[2] > 0.0 and _may_meet(box, at, to_sun, radius)
-                for lamp in range(n_lamps):
-                    way = _away(lamps[lamp], at)
-                    is_near = _dot(way, way) <= (lamps[lamp, 3] + radius) ** 2
-                    possible[index, 2 + lamp] = is_near and _may_meet(box, at, way, radius)
-            if not possible.any():
-                continue
-            for row in range(top, bottom):  # then pixel by pixel
-                for column in range(first, last):
-                    ray, depth = _ray(view, row, column), float(view[0][row, column])
-                    changed[row, column] = _is_changed(ray, depth, boxes, to_sun, lamps, possible)
-
-
-@kernel
-def _mark_lit(lit: BoolArray, changed: BoolArray, view: View, heads: FloatArray) -> None:
-    """Mark pixels that are not changed and lie before a headlight, in its reach."""
-    for row in range(lit.shape[0]):  # pixels, and the headlights that may reach each
-        for column in range(lit.shape[1]):
-            depth = float(view[0][row, column])
-            if changed[row, column] or math.isinf(depth):
-                continue
-            at = _times(_ray(view, row, column), depth)
-            for lamp in range(len(heads)):
-                way, head = _away(heads[lamp], at), heads[lamp]
-                is_ahead = _dot(way, (head[4], head[5], head[6])) < 0.0
-                if is_ahead and _dot(way, way) < head[3] ** 2:
-                    lit[row, column] = True
-
-
-@kernel
-def _mark_mirrored(
-    changed: BoolArray, view: View, boxes: FloatArray, mirrors: IntArray, mirrored: FloatRays
-) -> None:
-    """Mark pixels whose mirrored ray meets a box."""
-    width = changed.shape[1]
-    for number in range(len(mirrors)):  # pixels with a mirrored ray, and the boxes
-        row, column = mirrors[number] // width, mirrors[number] % width
-        at = _times(_ray(view, row, column), float(view[0][row, column]))
-        way = mirrored[number]
-        to = float(way[0]), float(way[1]), float(way[2])
-        for index in range(len(boxes)):
-            if not changed[row, column]:
-                changed[row, column] = _meets(boxes[index], at, to, math.inf)

@@ -62,10 +62,10 @@ class Bodies:
             rotation = self.rotation[body]
             yield (
                 body,
-                self.casters[self.kind[body]].first_hit(
+                self.casters[self.kind[body]].first_triangle(
                     ((origins_m - self.position_m[body]) @ rotation).astype(np.float32),
                     (vectors_m @ rotation).astype(np.float32),
-                ),
+                )[0],
             )
 
 

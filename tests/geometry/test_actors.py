@@ -41,7 +41,7 @@ def _depth_m(shape, axis: int, *, side: int = -1, step_m: float = 0.01) -> np.nd
     vectors = np.zeros_like(origins)
     vectors[..., axis] = -10.0 * side
     caster = build_caster(shape.vertices_m, shape.triangles, library="embree")
-    share = caster.first_hit(origins.reshape(-1, 3), vectors.reshape(-1, 3))
+    share = caster.first_triangle(origins.reshape(-1, 3), vectors.reshape(-1, 3))[0]
     return 10.0 * share.reshape(len(up), len(across))
 
 

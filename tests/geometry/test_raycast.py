@@ -42,7 +42,7 @@ def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     is_hit = (entry > margin) & (leave > entry + margin)
     is_missed = (entry > leave + margin) | (leave < -margin)
     assert (is_inside | is_hit | is_missed).mean() > 0.9
-    share = caster.first_hit(origins, vectors)
+    share = caster.first_triangle(origins, vectors)[0]
     assert share[is_hit] == pytest.approx(entry[is_hit], rel=1e-4, abs=1e-5)
     assert share[is_inside] == pytest.approx(leave[is_inside], rel=1e-4, abs=1e-5)
     assert np.isposinf(share[is_missed]).all()
@@ -72,7 +72,9 @@ def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(libr
     caster = build_caster(np.concatenate(walls), faces, library=library)
     origins = np.array([[0, 0.1, 0.2]] * 3 + [[4, 0.1, 0.2]], dtype=np.float32)
     vectors = np.array([[1, 0, 0], [12, 0, 0], [-1, 0, 0], [0.5, 0, 0]], dtype=np.float32)
-    assert caster.first_hit(origins, vectors) == pytest.approx([3.0, 0.25, np.inf, 4.0], rel=1e-6)
+    assert caster.first_triangle(origins, vectors)[0] == pytest.approx(
+        [3.0, 0.25, np.inf, 4.0], rel=1e-6
+    )
 
 
 @pytest.mark.system
@@ -85,9 +87,9 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     origins, vectors = _random_rays(rng, 4000, 60.0)
     one, other = (build_caster(vertices, triangles, library=name) for name in raycast.CASTERS)
     assert np.array_equal(one.is_blocked(origins, vectors), other.is_blocked(origins, vectors))
-    hits = one.first_hit(origins, vectors)
+    hits = one.first_triangle(origins, vectors)[0]
     assert np.isfinite(hits).any()
-    np.testing.assert_allclose(hits, other.first_hit(origins, vectors), rtol=1e-5)
+    np.testing.assert_allclose(hits, other.first_triangle(origins, vectors)[0], rtol=1e-5)
 
 
 @pytest.mark.system
@@ -124,7 +126,6 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
     origins, vectors = _random_rays(rng, 2000, 60.0)
     share, index = caster.first_triangle(origins, vectors)
     assert (share.dtype, index.dtype) == (np.float32, np.int64)
-    np.testing.assert_array_equal(share, caster.first_hit(origins, vectors))
     is_hit = np.isfinite(share)
     assert is_hit.any()
     assert np.array_equal(is_hit, index >= 0)
@@ -144,7 +145,7 @@ def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
         rng.uniform(-50.0, 50.0, (90, 3)), rng.integers(0, 90, (60, 3)), library=library
     )
     origins, vectors = _random_rays(rng, 2000, 60.0)
-    share = caster.first_hit(origins, vectors)
+    share = caster.first_triangle(origins, vectors)[0]
     is_clear = np.abs(share - 1.0) > 1e-5
     assert np.array_equal(caster.is_blocked(origins, vectors)[is_clear], (share <= 1.0)[is_clear])
 
@@ -154,7 +155,7 @@ def test_nothing_is_hit_where_nothing_is(library):
     caster = build_caster(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), library=library)
     origins, vectors = _random_rays(np.random.default_rng(0), 10, 5.0)
     assert not caster.is_blocked(origins, vectors).any()
-    assert np.isposinf(caster.first_hit(origins, vectors)).all()
+    assert np.isposinf(caster.first_triangle(origins, vectors)[0]).all()
     share, index = caster.first_triangle(origins, vectors)
     assert np.isposinf(share).all()
     assert (index == -1).all()
@@ -164,7 +165,7 @@ def test_nothing_is_hit_where_nothing_is(library):
 def test_no_rays_give_no_answers(library):
     none = np.zeros((0, 3), dtype=np.float32)
     assert _wall(library).is_blocked(none, none).shape == (0,)
-    assert _wall(library).first_hit(none, none).shape == (0,)
+    assert _wall(library).first_triangle(none, none)[0].shape == (0,)
     assert [len(part) for part in _wall(library).first_triangle(none, none)] == [0, 0]
 
 
@@ -176,7 +177,7 @@ def test_answers_have_the_declared_types_and_rays_may_be_strided(library):
     blocked = caster.is_blocked(rays[:, :3], rays[:, 3:])
     assert blocked.dtype == np.bool_
     assert blocked.tolist() == [True, False, True, False]
-    share = caster.first_hit(rays[:, :3], rays[:, 3:])
+    share = caster.first_triangle(rays[:, :3], rays[:, 3:])[0]
     assert share.dtype == np.float32
     assert share == pytest.approx([0.5, 2.0, 0.5, 2.0])
 
@@ -187,11 +188,11 @@ def test_two_threads_get_the_answers_of_one(library):
     vertices, triangles = rng.uniform(-50, 50, (300, 3)), rng.integers(0, 300, (200, 3))
     batches = [_random_rays(rng, 20_000, 60.0) for _ in range(8)]
     alone = build_caster(vertices, triangles, library=library)
-    expected = [(alone.is_blocked(*rays), alone.first_hit(*rays)) for rays in batches]
+    expected = [(alone.is_blocked(*rays), alone.first_triangle(*rays)[0]) for rays in batches]
     shared = build_caster(vertices, triangles, library=library)
     with ThreadPoolExecutor(2) as pool:
         blocked = list(pool.map(lambda rays: shared.is_blocked(*rays), batches))
-        share = list(pool.map(lambda rays: shared.first_hit(*rays), batches))
+        share = list(pool.map(lambda rays: shared.first_triangle(*rays)[0], batches))
     for (one_blocked, one_share), two_blocked, two_share in zip(
         expected, blocked, share, strict=True
     ):

@@ -106,7 +106,7 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
     origins = np.column_stack([x, np.full(len(x), -20.0), z])
     caster = build_caster(thing.vertices_m, thing.triangles)
     ahead = np.tile([0.0, 1.0, 0.0], (len(x), 1))
-    is_hit = np.isfinite(caster.first_hit(origins, ahead))
+    is_hit = np.isfinite(caster.first_triangle(origins, ahead)[0])
     margin = 2.0 * point_clouds.VOXEL_M
     inner = (np.abs(x) < 5.0 - margin) & (z < 4.0 - margin)
     outer = (np.abs(x) > 5.0 + margin) | (z > 4.0 + margin)
