@@ -83,6 +83,9 @@ def xml_text(template: str, **values: Any) -> str:
     import xml.etree.ElementTree as ET
 
     root = ET.fromstring(_templates().get_template(template).render(values))
+    for element in root.iter():
+        if not len(element) and not (element.text or "").strip():
+            element.text = None  # blanks of the template, where nothing was filled in
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
