@@ -78,7 +78,7 @@ def _templates() -> Any:
     return Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
 
 
-def xml_text(template: str, **values: Any) -> str:
+def xml_text(template: str, *, namespace: str = "", **values: Any) -> str:
     """XML document of a template of this folder, indented; texts in it are escaped."""
     import xml.etree.ElementTree as ET
 
@@ -86,6 +86,8 @@ def xml_text(template: str, **values: Any) -> str:
     for element in root.iter():
         if not len(element) and not (element.text or "").strip():
             element.text = None  # blanks of the template, where nothing was filled in
+    if namespace:
+        root.set("xmlns", namespace)
     ET.indent(root)
     text = ET.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
