@@ -4,7 +4,6 @@ The folder has a folder for each junction with its scene and front, written as s
 known; started again, only what is missing, or whose inputs have changed, is computed.
 """
 
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -35,6 +34,7 @@ from placement.question import Question, question_text, save_question
 from placement.setting import check_question
 from scenarios.weights import weight_files
 
+from ..export.gpkg import geopackage
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
 from ..figures.axes import NARROW_IN, to_png
@@ -64,7 +64,7 @@ from .answer import (
     load_manifest,
     load_summary,
 )
-from .workers import JunctionTask, check_memory, run_junctions, start_workers
+from .workers import JunctionTask, LocalWorkers, check_memory, run_junctions
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
 JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
@@ -105,7 +105,7 @@ def run_city(
     progress.kept = f"nothing was written to {out}"
     grid = build_grid(question, is_coarse=search.is_coarse)
     check_question(question)
-    check_memory(memory)
+    max_bytes = check_memory(memory)
     progress("read maps", 0, 0)
     city = inputs.load_city(maps, search.reading, wish)
     for source in city.roads:
@@ -122,7 +122,8 @@ def run_city(
     if n_todo:
         todo = {one.scene_name: one for one in city.junctions if one.folder not in done}
         n_processes = min(n_workers, n_todo)
-        with start_workers(n_workers=n_processes, memory=memory, tell=tell) as started:
+        with LocalWorkers(n_processes, max_bytes=max_bytes) as started:
+            tell(tr("Workers: {n}, of at most {memory} memory each.", n=n_processes, memory=memory))
             progress(SOLVE, len(done), len(city.junctions))
             for task, answer in run_junctions(started, map(task_of, todo.values())):
                 one = todo[task.options.name]
@@ -497,20 +498,17 @@ def _poles(
 
 
 def _to_geopackage(
-    units: Sequence[Mapping[str, Any]],
-    poles: Sequence[Mapping[str, Any]],
+    units: list[dict[str, Any]],
+    poles: list[dict[str, Any]],
     junctions: Sequence[CityJunctionRecord],
     *,
     crs: str,
 ) -> bytes:
     """Layers "units" (points with height), "poles" and "junctions" in the coordinates of the map.
 
-    Units and poles may be of maps with other reference systems. Format: OGC 12-128, "GeoPackage
-    Encoding Standard".
+    Units and poles may be of maps with other reference systems.
     """
     import geopandas as gpd
-    import pandas as pd
-    import pyogrio
 
     columns = (
         *("id", "name", "map", "weight", "district", "units", "cost_eur", "year"),
@@ -528,19 +526,10 @@ def _to_geopackage(
     if units:
         heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
         points = gpd.points_from_xy(*zip(*places(units), strict=True), z=heights_m)
-        layers.append(("units", "Point Z", [dict(unit) for unit in units], points))
+        layers.append(("units", "Point Z", units, points))
         points = gpd.points_from_xy(*zip(*places(poles), strict=True))
-        layers.append(("poles", "Point", [dict(pole) for pole in poles], points))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / GEOPACKAGE
-        for name, kind, records, geometry in layers:
-            pyogrio.write_dataframe(
-                gpd.GeoDataFrame(pd.DataFrame(records), geometry=geometry, crs=crs),
-                *(path, name, "GPKG"),
-                geometry_type=kind,
-                append=path.exists(),
-            )
-        return read_bytes(path)
+        layers.append(("poles", "Point", poles, points))
+    return geopackage(layers, crs)
 
 
 _GOT = (

@@ -8,7 +8,6 @@ import resource
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from itertools import islice
 from multiprocessing.connection import Connection
@@ -25,7 +24,6 @@ from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
 from placement.compute import Compute
 from placement.question import Question
 
-from ..language import tr
 from ..progress import follow_parent
 from ..results.record import build_unit_records
 from ..scene import cause_of
@@ -208,16 +206,6 @@ def _serve(pipe: Connection) -> None:
         except Exception as error:  # whatever it is, the parent decides
             answer = (False, RuntimeError(f"{type(error).__name__}: {error}"))
         pipe.send(answer)
-
-
-@contextmanager
-def start_workers(
-    *, n_workers: int, memory: str, tell: Callable[[str], None]
-) -> Iterator[LocalWorkers]:
-    """Processes on this machine, each with at most so much memory."""
-    with LocalWorkers(n_workers, max_bytes=check_memory(memory)) as processes:
-        tell(tr("Workers: {n}, of at most {memory} memory each.", n=n_workers, memory=memory))
-        yield processes
 
 
 _UNITS = {"": 1, "B": 1, **{f"{unit}B": 1000**power for power, unit in enumerate("kMGT", start=1)}}
