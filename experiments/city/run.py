@@ -6,11 +6,8 @@ known; started again, only what is missing, or whose inputs have changed, is com
 
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from dataclasses import replace as replace_field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +37,12 @@ from ..export.places import placed_records
 from ..figures.axes import NARROW_IN, to_png
 from ..language import speaking, tr
 from ..parts.bill_of_materials import build_bill
-from ..progress import WRITING, StageProgress, follow_parent
+from ..progress import WRITING, StageProgress
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
 from ..results.record import Record, to_plain
 from ..results.tables import csv_text
+from ..side_process import LocalWorkers, in_processes
 from . import inputs, pages
 from .answer import (
     FRONT,
@@ -64,7 +62,7 @@ from .answer import (
     load_manifest,
     load_summary,
 )
-from .workers import JunctionTask, LocalWorkers, check_memory, run_junctions
+from .workers import JunctionTask, check_memory, run_junctions
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
 JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
@@ -343,19 +341,12 @@ def _write_served(
 ) -> list[Served]:
     """Write what junctions with units have, by several processes where many are new."""
     progress(SERVE, 0, len(tasks))
-    served: list[Served] = []
+    served = {}
     n_processes = min(n_workers, sum(task.is_new for task in tasks) // _NEW_FOR_A_PROCESS)
-    with ExitStack() as stack:
-        answers: Iterator[Served] = map(write_served, tasks)
-        if n_processes > 1:
-            pool = ProcessPoolExecutor(
-                n_processes, mp_context=get_context("spawn"), initializer=follow_parent
-            )
-            answers = stack.enter_context(pool).map(write_served, tasks)
-        for answer in answers:
-            served.append(answer)
-            progress(SERVE, len(served), len(tasks))
-    return served
+    for task, answer in in_processes(write_served, tasks, n=n_processes):
+        served[task.one.folder] = answer
+        progress(SERVE, len(served), len(tasks))
+    return [served[task.one.folder] for task in tasks]
 
 
 def _served_tasks(

@@ -3,12 +3,8 @@
 Each file is written whole or not at all, and what is there already is not drawn again.
 """
 
-import multiprocessing
-import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -35,7 +31,8 @@ from placement.imaging.materials import Materials, load_materials, vary_material
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
-from ..progress import StageProgress, follow_parent
+from ..progress import StageProgress
+from ..side_process import TRIES, WorkerDiedError, in_processes
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""
@@ -47,7 +44,6 @@ MASKS, DEPTHS = "instances", "depth"
 _VEHICLE = "car"  # the study's actor type
 _MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
 _LEAST_VEHICLE_PX = 20  # pixels; of less a vehicle has no label
-_TRIES = 3  # of a task whose worker dies
 
 Content = str | bytes | Callable[[BinaryIO], object]
 
@@ -109,12 +105,9 @@ def draw_task(task: DrawTask) -> int:
 
     Raises OSError: something cannot be written.
     """
-    parent = os.getppid()
     draw = _drawer(task)
     n_bytes = 0
     for index, frame, stem in task.frames:
-        if os.getppid() != parent:  # whoever asked for it is gone
-            break
         files = task.files(stem)
         if files["picture"].exists():
             continue
@@ -224,40 +217,15 @@ def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress)
     """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
     n_all, n_drawn, n_bytes = sum(len(task.frames) for task in tasks), 0, 0
     progress(DRAW, 0, n_all)
-
-    def note(task: DrawTask, size: int) -> None:
-        nonlocal n_drawn, n_bytes
-        n_drawn += len(task.frames)
-        n_bytes += size
-        progress(DRAW, n_drawn, n_all)
-
-    if n_workers == 1:
-        for task in tasks:
-            note(task, draw_task(task))
-        return n_bytes
-    left = dict(enumerate(tasks))
-    for attempt in range(1, _TRIES + 1):
-        executor = ProcessPoolExecutor(
-            n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=follow_parent
-        )
-        pending: dict[Future[int], int] = {}
-        try:
-            pending = {executor.submit(draw_task, task): key for key, task in left.items()}
-            for future in as_completed(pending):
-                note(left[pending[future]], future.result())
-                del left[pending[future]]
-            return n_bytes
-        except BrokenProcessPool:
-            if attempt == _TRIES:
-                raise InputError(
-                    "--workers",
-                    Unquoted(f"a process that was killed, {_TRIES} times"),
-                    "enough memory for each: fewer workers",
-                ) from None
-        finally:
-            for future in pending:
-                future.cancel()
-            executor.shutdown(wait=False)
+    try:
+        for task, size in in_processes(draw_task, tasks, n=n_workers):
+            n_drawn += len(task.frames)
+            n_bytes += size
+            progress(DRAW, n_drawn, n_all)
+    except WorkerDiedError:
+        got = f"a process that was killed, {TRIES} times"
+        expected = "enough memory for each: fewer workers"
+        raise InputError("--workers", Unquoted(got), expected) from None
     return n_bytes
 
 
