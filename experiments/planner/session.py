@@ -216,7 +216,7 @@ class MapFile:
     path: Path
     name: str
     options: dict[str, Any] = field(default_factory=dict)  # of maps: sites, keeps_left
-    found: dict[str, Any] | None = None
+    found: dict[str, Any] = field(default_factory=dict)  # empty: nobody has looked yet
 
 
 class Session:
