@@ -18,7 +18,7 @@ from placement.detectors.evidence import Interval
 from placement.detectors.fitting import ResponseFit, fit_lasting_share, fit_response, share_by_track
 
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
-from ...perception_lab.fit import table_text
+from ...perception_lab.fit import draw_intervals, table_text
 from ...results.numbers import number, percent
 from ...results.tables import page_of
 from .projection import (
@@ -389,13 +389,9 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
         for place, (name, groups) in enumerate(watched.items()):
             shift = 0.24 * (place - 0.5 * (len(watched) - 1))
             places = np.array([names.index(one.words) + shift for one in groups])
-            value = np.array([one.measured.value for one in groups])
-            low = value - [one.measured.low for one in groups]
-            high = [one.measured.high for one in groups] - value
             marker, colour = _STYLES[name]
-            bars = np.maximum([low, high], 0.0)
             look = {"fmt": marker, "color": colour, "ms": 4, "capsize": 2, "linewidth": 1.0}
-            handles[name] = axes.errorbar(places, value, yerr=bars, **look)
+            handles[name] = draw_intervals(axes, places, [one.measured for one in groups], **look)
             predicted = [one.predicted for one in groups]
             (handles["table `response`"],) = axes.plot(places, predicted, "_k", ms=7, mew=2.0)
         axes.set_xticks(range(len(names)), [_short(name) for name in names], rotation=40)
