@@ -186,30 +186,23 @@ def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
     return rows
 
 
-def _first_sentence(rows: list[tuple[str, Interval, float]]) -> str:
-    off = [row for row in rows if not row[1].low <= row[2] <= row[1].high]
-    words = "; ".join(
-        f"{what} {number(measured.value)} ({number(measured.low)} to {number(measured.high)}), "
-        f"not {number(predicted)}"
-        for what, measured, predicted in off
-    )
-    return (
-        f"By more than its 95 % interval, {len(off)} of {len(rows)} figures differ from what the "
-        f"camera model and the built-in table `response` predict: {words}."
-    )
-
-
 def text(m: Measured) -> str:
     """The report, as Markdown."""
     in_16, height_px = m.car.halves["sequence"], m.car.sightings.height_px
     rows = (m.lidar.hidden_level == 0) & (m.lidar.distance_m < lidar_reach_m())
     seen = m.lidar.sightings
+    compared = comparisons(m)
     fitted = {words: one for words, one in m.watched.items() if one.name in m.fits}
     return page_of(
         files(__package__) / "reality.md.j2",
         m=m,
         command=COMMAND,
-        first=_first_sentence(comparisons(m)),
+        n_compared=len(compared),
+        off=[
+            f"{what} {_plain(measured)}, not {number(predicted)}"
+            for what, measured, predicted in compared
+            if not measured.low <= predicted <= measured.high
+        ],
         percent=percent,
         plain=_plain,
         share=_share,
