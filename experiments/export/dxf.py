@@ -10,7 +10,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 
 from . import ExportFormat, load_extra
-from .places import find_views, metric_points, moved
+from .places import find_views, metric_points
 
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}
 _VIEWS = 140
@@ -53,7 +53,7 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
         on = {"layer": "UNITS"}
         space.add_line(*([*end, at_m[2]] for end in ends.tolist()), dxfattribs=on)
         space.add_text(unit.id, height=_TEXT_M, dxfattribs=on).set_placement(ends[1])
-    for view in moved(find_views(layout, scene), place):
+    for view in find_views(layout, scene, place):
         # Without what the format forbids in names.
         name = re.sub(r'[<>/\\":;?*|=`,]', "_", view.unit)
         layer = f"VIEWS-{name}" if view.unit else "UNSEEN"

@@ -1,6 +1,7 @@
 """Layouts as GeoPackage."""
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,7 +14,6 @@ from .places import (
     find_views,
     longitude_latitude,
     map_points,
-    moved,
     placed_records,
     positions_m,
     require_crs,
@@ -63,10 +63,8 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
     )
     layers = [("units", "Point Z", records, points)]
     if views:
-        found = find_views(layout, scene)
-        shown = moved(found, lambda points_m: map_points(points_m, scene))
-        areas = [view.record() for view in found]  # in square metres
-        layers.append(("views", "", areas, [view.area for view in shown]))
+        found = find_views(layout, scene, partial(map_points, scene=scene))
+        layers.append(("views", "", [one.record() for one in found], [one.area for one in found]))
     return geopackage(layers, scene.source_crs or scene.crs)
 
 

@@ -1,5 +1,7 @@
 """Layouts for Google Earth and other globes: KML."""
 
+from functools import partial
+
 from geometry.errors import InputError
 from geometry.frames import to_carla_yaw
 from geometry.scene import Scene
@@ -9,7 +11,6 @@ from . import ExportFormat, xml_text
 from .places import (
     find_views,
     longitude_latitude,
-    moved,
     placed_records,
     positions_m,
     require_crs,
@@ -35,12 +36,7 @@ def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
     for name, value in texts:
         if isinstance(value, str) and not value.isprintable():  # XML has no words for most others
             raise InputError(f"kml: {name}", value, "printable text")
-    found = find_views(layout, scene) if views else []
-    areas = moved(found, lambda points_m: longitude_latitude(points_m, scene.crs))
-    shown = []
-    for view, there in zip(found, areas, strict=True):
-        record = view.record()
-        shown.append((record.pop("id"), record, getattr(there.area, "geoms", [there.area])))
+    place = partial(longitude_latitude, crs=scene.crs)
     return xml_text(
         "kml.xml.j2",
         namespace="http://www.opengis.net/kml/2.2",
@@ -50,7 +46,7 @@ def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
         headings_deg=[
             float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0 for unit in layout.units
         ],
-        views=shown,
+        views=find_views(layout, scene, place) if views else [],
     )
 
 

@@ -6,7 +6,7 @@ import math
 import xml.etree.ElementTree as ET
 from functools import cache
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -162,27 +162,23 @@ def validate_openscenario(text: str) -> None:
     """
     expected = f"XML that {_SCHEMA} accepts"
     try:
-        element = ET.fromstring(text)
+        ET.fromstring(text)
     except ET.ParseError as error:
         raise InputError("OpenSCENARIO", Unquoted(error), expected) from None
-    quick = _schema("lxml.etree")
-    lxml = importlib.import_module("lxml.etree")
-    if quick.validate(lxml.fromstring(text.encode(), lxml.XMLParser(resolve_entities=False))):
-        return
-    for problem in _schema("xmlschema").iter_errors(element):  # says where, but takes long
-        raise InputError(f"OpenSCENARIO: {problem.path}", Unquoted(problem.reason), expected)
-    raise InputError("OpenSCENARIO", Unquoted(quick.error_log.last_error.message), expected)
+    lxml, schema = importlib.import_module("lxml.etree"), _schema()
+    parser = lxml.XMLParser(resolve_entities=False)
+    if not schema.validate(lxml.fromstring(text.encode(), parser)):
+        first = schema.error_log[0]
+        raise InputError(f"OpenSCENARIO: {first.path}", Unquoted(first.message), expected)
 
 
 @cache
-def _schema(library: Literal["lxml.etree", "xmlschema"]) -> Any:
-    """The schema as a library has it: scenariogeneration brings both."""
+def _schema() -> Any:
+    """The schema, which scenariogeneration brings along, as lxml has it."""
     load_xosc()
-    build = importlib.import_module(library).XMLSchema
     for file in importlib.metadata.files(_DISTRIBUTION) or ():
         if file.name == _SCHEMA:
-            path = str(file.locate())
-            return build(file=path) if library == "lxml.etree" else build(path)
+            return importlib.import_module("lxml.etree").XMLSchema(file=str(file.locate()))
     raise MissingExtraError(
         f"OpenSCENARIO needs {_SCHEMA}, which this {_DISTRIBUTION} lacks: "
         "pip install --force-reinstall place-rsus[openscenario]"
