@@ -19,11 +19,12 @@ from msgspec.structs import replace
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import read_bytes
+from geometry.files import read_bytes, read_table
 from placement.city.choose import Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.timing import TOLERANCE
+from placement.recordings.files import json_of
 
 from ..language import language, tr, trn
 from ..results.numbers import euros, joined, percent
@@ -133,11 +134,7 @@ class CityManifest(Record, frozen=True, kw_only=True):
 
 def load_manifest(path: Path) -> CityManifest:
     """Read ``manifest.json``; InputError if it is something else."""
-    data = read_bytes(path)
-    try:
-        found = msgspec.json.decode(data, type=CityManifest)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus city") from None
+    found = read_table(json_of(path), CityManifest, str(path))
     if found.schema != SCHEMA:
         raise InputError(f"{path}: schema", found.schema, SCHEMA)
     return found
