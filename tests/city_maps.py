@@ -37,7 +37,7 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
 
 
 @contextmanager
-def _no_workers(**settings: Any) -> Iterator[None]:
+def _no_workers(n: int, **settings: Any) -> Iterator[None]:
     yield None
 
 
@@ -48,5 +48,5 @@ def _run_here(client: None, tasks: Any) -> Iterator[Any]:
 
 def solve_here(patch: pytest.MonkeyPatch) -> None:
     """Solve junctions in this process, in place of workers."""
-    patch.setattr(run, "start_workers", _no_workers)
+    patch.setattr(run, "LocalWorkers", _no_workers)
     patch.setattr(run, "run_junctions", _run_here)

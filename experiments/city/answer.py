@@ -5,7 +5,7 @@
 """
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -18,12 +18,13 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from geometry.arrays import FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes
+from geometry.errors import InputError, Unquoted, refuse
+from geometry.files import read_bytes, read_table
 from placement.city.choose import Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
 from placement.optimiser.timing import TOLERANCE
+from placement.recordings.files import json_of
 
 from ..language import language, tr, trn
 from ..results.numbers import euros, joined, percent
@@ -35,6 +36,7 @@ SCHEMA = "place-rsus/city/1"
 MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
 _CHOICE_S = 120.0
 _MAX_STEPS = 200
+_OF_POINT = ("units", "cost_eur", "apr", "apr_one_failed")
 
 _T = TypeVar("_T")
 Count = Annotated[int, Meta(ge=0)]
@@ -132,11 +134,7 @@ class CityManifest(Record, frozen=True, kw_only=True):
 
 def load_manifest(path: Path) -> CityManifest:
     """Read ``manifest.json``; InputError if it is something else."""
-    data = read_bytes(path)
-    try:
-        found = msgspec.json.decode(data, type=CityManifest)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus city") from None
+    found = read_table(json_of(path), CityManifest, str(path))
     if found.schema != SCHEMA:
         raise InputError(f"{path}: schema", found.schema, SCHEMA)
     return found
@@ -309,7 +307,7 @@ def choose_for_city(
     years = np.zeros_like(first) if phases is None else phases.year
     got = zip((choice.rows - first).tolist(), years.tolist(), strict=True)
     got_at = dict(zip(solved, got, strict=True))
-    junctions = _junctions(out, city, values, records, existing, got=got_at)
+    junctions = [*_junctions(out, city, values, records, existing, got=got_at)]
     result = CityResult(
         language=language(),
         maps=city.records,
@@ -388,68 +386,40 @@ def _junctions(
     existing: dict[str, Layout],
     *,
     got: Mapping[int, tuple[int, int]],
-) -> list[CityJunctionRecord]:
-    """All junctions; those with a front with the point that was chosen: its number and year."""
-    junctions = []
-    for index, record in enumerate(records):
-        head = _junction_head(city, values, index, record)
+) -> Iterator[CityJunctionRecord]:
+    """All junctions; those with a front with the point that was chosen: its number and year.
+
+    Layouts are read from the folder.
+    """
+    for index, (one, record) in enumerate(zip(city.junctions, records, strict=True)):
+        gets: dict[str, Any] = {}
         if record.front is not None and index in got:
             number, year = got[index]
-            has_units = city.junctions[index].scene_name in existing
-            head = _with_point(head, record.front, number, year, out, has_units=has_units)
-        junctions.append(head)
-    return junctions
-
-
-def _junction_head(
-    city: City, values: CityValues, index: int, record: CityFrontRecord
-) -> CityJunctionRecord:
-    """A junction, without what it gets."""
-    one = city.junctions[index]
-    x, y = one.surveyed.position.tolist()
-    return CityJunctionRecord(
-        id=one.surveyed.junction.id,
-        name=one.surveyed.junction.name,
-        map=one.roads.name,
-        folder=f"{JUNCTIONS}/{one.folder}",
-        x=x,
-        y=y,
-        weight=float(values.weight[index] / values.weight.sum()),
-        district=", ".join(name for name, members in values.districts if index in members),
-        reason=record.reason,
-        cause=record.cause,
-    )
-
-
-def _with_point(
-    head: CityJunctionRecord,
-    front: JunctionFront,
-    number: int,
-    year: int,
-    out: Path,
-    *,
-    has_units: bool,
-) -> CityJunctionRecord:
-    """A junction with a point of its front; the layout is read from the folder."""
-    point = front.points[number]
-    layout: tuple[UnitRecord, ...] = ()
-    if point.units or has_units:
-        path = out / head.folder / FRONT
-        found = load_front(path)
-        if found is None or number >= len(found.layouts):
-            raise InputError(str(path), Unquoted("a file that has changed"), "what was written")
-        layout = found.layouts[number]
-    return replace(
-        head,
-        units=point.units,
-        cost_eur=point.cost_eur,
-        apr_before=front.points[0].apr,
-        apr=point.apr,
-        apr_one_failed=point.apr_one_failed,
-        layout=layout,
-        kept=max(len(layout) - point.units, 0),
-        year=year,
-    )
+            point = record.front.points[number]
+            layout: tuple[UnitRecord, ...] = ()
+            if point.units or one.scene_name in existing:
+                path = out / JUNCTIONS / one.folder / FRONT
+                found = load_front(path)
+                if found is None or number >= len(found.layouts):
+                    refuse(str(path), "a file that has changed", "what was written")
+                layout = found.layouts[number]
+            gets = {name: getattr(point, name) for name in _OF_POINT}
+            gets |= {"apr_before": record.front.points[0].apr, "year": year}
+            gets |= {"layout": layout, "kept": max(len(layout) - point.units, 0)}
+        x, y = one.surveyed.position.tolist()
+        yield CityJunctionRecord(
+            id=one.surveyed.junction.id,
+            name=one.surveyed.junction.name,
+            map=one.roads.name,
+            folder=f"{JUNCTIONS}/{one.folder}",
+            x=x,
+            y=y,
+            weight=float(values.weight[index] / values.weight.sum()),
+            district=", ".join(name for name, members in values.districts if index in members),
+            reason=record.reason,
+            cause=record.cause,
+            **gets,
+        )
 
 
 def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) -> list[int]:

@@ -4,14 +4,10 @@ The folder has a folder for each junction with its scene and front, written as s
 known; started again, only what is missing, or whose inputs have changed, is computed.
 """
 
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from dataclasses import replace as replace_field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +31,18 @@ from placement.question import Question, question_text, save_question
 from placement.setting import check_question
 from scenarios.weights import weight_files
 
+from ..export.gpkg import geopackage
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
 from ..figures.axes import NARROW_IN, to_png
 from ..language import speaking, tr
 from ..parts.bill_of_materials import build_bill
-from ..progress import WRITING, StageProgress, follow_parent
+from ..progress import WRITING, StageProgress
 from ..results.drives import versions
 from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
 from ..results.record import Record, to_plain
 from ..results.tables import csv_text
+from ..side_process import LocalWorkers, in_processes
 from . import inputs, pages
 from .answer import (
     FRONT,
@@ -64,7 +62,7 @@ from .answer import (
     load_manifest,
     load_summary,
 )
-from .workers import JunctionTask, check_memory, run_junctions, start_workers
+from .workers import JunctionTask, check_memory, run_junctions
 
 REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
 JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
@@ -105,7 +103,7 @@ def run_city(
     progress.kept = f"nothing was written to {out}"
     grid = build_grid(question, is_coarse=search.is_coarse)
     check_question(question)
-    check_memory(memory)
+    max_bytes = check_memory(memory)
     progress("read maps", 0, 0)
     city = inputs.load_city(maps, search.reading, wish)
     for source in city.roads:
@@ -122,7 +120,8 @@ def run_city(
     if n_todo:
         todo = {one.scene_name: one for one in city.junctions if one.folder not in done}
         n_processes = min(n_workers, n_todo)
-        with start_workers(n_workers=n_processes, memory=memory, tell=tell) as started:
+        with LocalWorkers(n_processes, max_bytes=max_bytes) as started:
+            tell(tr("Workers: {n}, of at most {memory} memory each.", n=n_processes, memory=memory))
             progress(SOLVE, len(done), len(city.junctions))
             for task, answer in run_junctions(started, map(task_of, todo.values())):
                 one = todo[task.options.name]
@@ -342,19 +341,12 @@ def _write_served(
 ) -> list[Served]:
     """Write what junctions with units have, by several processes where many are new."""
     progress(SERVE, 0, len(tasks))
-    served: list[Served] = []
+    served = {}
     n_processes = min(n_workers, sum(task.is_new for task in tasks) // _NEW_FOR_A_PROCESS)
-    with ExitStack() as stack:
-        answers: Iterator[Served] = map(write_served, tasks)
-        if n_processes > 1:
-            pool = ProcessPoolExecutor(
-                n_processes, mp_context=get_context("spawn"), initializer=follow_parent
-            )
-            answers = stack.enter_context(pool).map(write_served, tasks)
-        for answer in answers:
-            served.append(answer)
-            progress(SERVE, len(served), len(tasks))
-    return served
+    for task, answer in in_processes(write_served, tasks, n=n_processes):
+        served[task.one.folder] = answer
+        progress(SERVE, len(served), len(tasks))
+    return [served[task.one.folder] for task in tasks]
 
 
 def _served_tasks(
@@ -497,20 +489,17 @@ def _poles(
 
 
 def _to_geopackage(
-    units: Sequence[Mapping[str, Any]],
-    poles: Sequence[Mapping[str, Any]],
+    units: list[dict[str, Any]],
+    poles: list[dict[str, Any]],
     junctions: Sequence[CityJunctionRecord],
     *,
     crs: str,
 ) -> bytes:
     """Layers "units" (points with height), "poles" and "junctions" in the coordinates of the map.
 
-    Units and poles may be of maps with other reference systems. Format: OGC 12-128, "GeoPackage
-    Encoding Standard".
+    Units and poles may be of maps with other reference systems.
     """
     import geopandas as gpd
-    import pandas as pd
-    import pyogrio
 
     columns = (
         *("id", "name", "map", "weight", "district", "units", "cost_eur", "year"),
@@ -528,19 +517,10 @@ def _to_geopackage(
     if units:
         heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]
         points = gpd.points_from_xy(*zip(*places(units), strict=True), z=heights_m)
-        layers.append(("units", "Point Z", [dict(unit) for unit in units], points))
+        layers.append(("units", "Point Z", units, points))
         points = gpd.points_from_xy(*zip(*places(poles), strict=True))
-        layers.append(("poles", "Point", [dict(pole) for pole in poles], points))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / GEOPACKAGE
-        for name, kind, records, geometry in layers:
-            pyogrio.write_dataframe(
-                gpd.GeoDataFrame(pd.DataFrame(records), geometry=geometry, crs=crs),
-                *(path, name, "GPKG"),
-                geometry_type=kind,
-                append=path.exists(),
-            )
-        return read_bytes(path)
+        layers.append(("poles", "Point", poles, points))
+    return geopackage(layers, crs)
 
 
 _GOT = (

@@ -5,7 +5,11 @@ To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
+from typing import Any
+
+from geometry.errors import MissingExtraError
 
 FORMAT_NAMES = (
     "json",
@@ -56,3 +60,34 @@ def load_format(name: str) -> ExportFormat:
     module, attribute = _SHARED.get(name, (name.replace("-", "_"), "FORMAT"))
     found: ExportFormat = getattr(import_module(f".{module}", __name__), attribute)
     return found
+
+
+def load_extra(module: str, needs: str, extra: str) -> Any:
+    """An optional library's module. MissingExtraError says what `needs` which package."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtraError(f"{needs}: pip install place-rsus[{extra}]") from None
+
+
+@cache
+def _templates() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader(__name__, "")
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+
+
+def xml_text(template: str, *, namespace: str = "", **values: Any) -> str:
+    """XML document of a template of this folder, indented; texts in it are escaped."""
+    import xml.etree.ElementTree as ET
+
+    root = ET.fromstring(_templates().get_template(template).render(values))
+    for element in root.iter():
+        if not len(element) and not (element.text or "").strip():
+            element.text = None  # blanks of the template, where nothing was filled in
+    if namespace:
+        root.set("xmlns", namespace)
+    ET.indent(root)
+    text = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'

@@ -14,9 +14,6 @@ from geometry.scene import Scene
 from geometry.sensors import CameraModel, to_calibrated
 from placement.layout import Layout
 
-N_DISTORTION = 5
-"""Coefficients of the plumb-bob model: k1, k2, p1, p2, k3; an ideal pinhole has zeros."""
-
 
 def lens_coefficients(name: str, camera: CalibratedCamera) -> tuple[bool, FloatArray]:
     """Whether the lens is a fisheye, and its coefficients as OpenCV orders them, (1, n).

@@ -38,7 +38,7 @@ _MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
 _MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
 _MAX_COORDINATE, _MAX_VELOCITY = 131070, 16381  # CartesianCoordinateLarge, VelocityComponentValue
 _TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
-SEMI_AXIS_UNKNOWN, HEADING_UNKNOWN, _ALTITUDE_UNKNOWN = 4095, 3601, 800001
+_SEMI_AXIS_UNKNOWN, _HEADING_UNKNOWN, _ALTITUDE_UNKNOWN = 4095, 3601, 800001
 _COORDINATE_UNKNOWN, _SPEED_UNKNOWN, _CLASS_UNKNOWN = 4096, 127, 101  # confidences
 _ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
 _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
@@ -48,6 +48,7 @@ VRU_CLASSES = {  # by road user: kind, its profile as 2.1.1 names it, and as 2.4
     "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
     "motorcycle": ("motorcyclist", "motorcycle", 2),
 }
+_ELLIPSE = "semiMajorConfidence", "semiMinorConfidence", "semiMajorOrientation"
 _PASSENGER_CAR = 5  # TrafficParticipantType
 
 
@@ -138,9 +139,11 @@ def build_stations(
             for number, unit in enumerate(units)
         ]
         sensors = _container(_SENSOR_CONTAINER, described)
+        longitude, latitude = lon_lat[index].tolist()
         altitude_cm = altitude_cm_at(scene, float(road_m[2]))
+        position = reference_position(latitude, longitude, altitude_cm, ellipse=_ELLIPSE)
         messages = [
-            _message(index, time_ms, _reference_position(lon_lat[index], altitude_cm), containers)
+            _message(index, time_ms, position, containers)
             for time_ms, containers in (
                 [(0, [sensors])]
                 if watched is None
@@ -168,15 +171,15 @@ def _container(container_id: int, data: object) -> dict[str, Any]:
     return {"containerId": container_id, "containerData": data}
 
 
-def _reference_position(lon_lat: IntArray, altitude_cm: int) -> dict[str, Any]:
+def reference_position(
+    latitude: int, longitude: int, altitude_cm: int, *, ellipse: tuple[str, str, str]
+) -> dict[str, Any]:
+    """A place of unknown confidence, as JSON writes it; messages name its `ellipse` differently."""
+    unknown = _SEMI_AXIS_UNKNOWN, _SEMI_AXIS_UNKNOWN, _HEADING_UNKNOWN
     return {
-        "latitude": int(lon_lat[1]),
-        "longitude": int(lon_lat[0]),
-        "positionConfidenceEllipse": {
-            "semiMajorConfidence": SEMI_AXIS_UNKNOWN,
-            "semiMinorConfidence": SEMI_AXIS_UNKNOWN,
-            "semiMajorOrientation": HEADING_UNKNOWN,
-        },
+        "latitude": latitude,
+        "longitude": longitude,
+        "positionConfidenceEllipse": dict(zip(ellipse, unknown, strict=True)),
         "altitude": {"altitudeValue": altitude_cm, "altitudeConfidence": "unavailable"},
     }
 

@@ -1,18 +1,16 @@
 """Layouts as layers of a drawing: DXF."""
 
-import importlib
 import io
 import re
 from typing import Any
 
 import numpy as np
 
-from geometry.errors import MissingExtraError
 from geometry.scene import Scene
 from placement.layout import Layout
 
-from . import ExportFormat
-from .places import find_views, metric_points, moved
+from . import ExportFormat, load_extra
+from .places import find_views, metric_points
 
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}
 _VIEWS = 140
@@ -29,10 +27,7 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
     drawn in the world frame. Not in it: buildings, and the ground's heights. Raises
     MissingExtraError if ezdxf is not installed.
     """
-    try:
-        ezdxf = importlib.import_module("ezdxf")
-    except ImportError:
-        raise MissingExtraError("dxf needs ezdxf: pip install place-rsus[dxf]") from None
+    ezdxf = load_extra("ezdxf", "dxf needs ezdxf", "dxf")
     drawing = ezdxf.new("R2010", units=_METRES)
     for name, colour in _LAYERS.items():
         drawing.layers.add(name, color=colour)
@@ -58,7 +53,7 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
         on = {"layer": "UNITS"}
         space.add_line(*([*end, at_m[2]] for end in ends.tolist()), dxfattribs=on)
         space.add_text(unit.id, height=_TEXT_M, dxfattribs=on).set_placement(ends[1])
-    for view in moved(find_views(layout, scene), place):
+    for view in find_views(layout, scene, place):
         # Without what the format forbids in names.
         name = re.sub(r'[<>/\\":;?*|=`,]', "_", view.unit)
         layer = f"VIEWS-{name}" if view.unit else "UNSEEN"

@@ -1,6 +1,7 @@
 """Layouts as GeoJSON."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
+from functools import partial
 
 from geometry.scene import Scene
 from placement.layout import Layout
@@ -11,7 +12,6 @@ from .places import (
     View,
     find_views,
     longitude_latitude,
-    moved,
     placed_records,
     positions_m,
     require_crs,
@@ -19,13 +19,13 @@ from .places import (
 
 
 def to_geojson(
-    layout: Layout, crs: str, scene: Scene | None = None, *, views: Iterable[View] = ()
+    layout: Layout, crs: str, scene: Scene | None = None, *, views: Sequence[View] = ()
 ) -> str:
     """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
 
     A FeatureCollection. Coordinates are longitude, latitude [deg] and the height [m]: that of the
     map where the ground is not flat and the map tells it, else above the road. x_m and y_m among
-    the properties stay in the world frame. Views are further features, multipolygons.
+    the properties stay in the world frame. Views, in WGS 84, are further features, multipolygons.
     Raises InputError if pyproj does not know `crs`, or the layout lies outside of where it is
     defined.
 
@@ -39,10 +39,7 @@ def to_geojson(
     for record, lon_lat in zip(placed_records(layout, scene), places, strict=True):
         height_m = record.get("map_z", record["z_m"])
         shapes.append((record, {"type": "Point", "coordinates": [*lon_lat, height_m]}))
-    given = list(views)
-    areas = moved(given, lambda points_m: longitude_latitude(points_m, crs))
-    for view, there in zip(given, areas, strict=True):
-        shapes.append((view.record(), there.area.__geo_interface__))
+    shapes += [(view.record(), view.area.__geo_interface__) for view in views]
     features = [
         {"type": "Feature", "id": record["id"], "geometry": geometry, "properties": record}
         for record, geometry in shapes
@@ -52,7 +49,9 @@ def to_geojson(
 
 def _write(layout: Layout, scene: Scene, *, views: bool = False) -> str:
     require_crs(scene.crs, "geojson")
-    return to_geojson(layout, scene.crs, scene, views=find_views(layout, scene) if views else ())
+    place = partial(longitude_latitude, crs=scene.crs)
+    found = find_views(layout, scene, place) if views else []
+    return to_geojson(layout, scene.crs, scene, views=found)
 
 
 FORMAT = ExportFormat(

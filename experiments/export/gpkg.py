@@ -1,7 +1,10 @@
 """Layouts as GeoPackage."""
 
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from geometry.scene import Scene
 from placement.layout import Layout
@@ -11,13 +14,33 @@ from .places import (
     find_views,
     longitude_latitude,
     map_points,
-    moved,
     placed_records,
     positions_m,
     require_crs,
 )
 
-_LAYER = "units"
+
+def geopackage(layers: Iterable[tuple[str, str, list[dict[str, Any]], Any]], crs: str) -> bytes:
+    """Layers of one database: name, kind of geometry (empty: areas), records and their places.
+
+    References
+    ----------
+    .. [1] OGC 12-128, "GeoPackage Encoding Standard".
+    """
+    import geopandas as gpd
+    import pyogrio
+
+    with TemporaryDirectory() as folder:  # layers can be added to files alone
+        path = Path(folder) / "layers.gpkg"
+        for name, kind, records, shapes in layers:
+            pyogrio.write_dataframe(
+                gpd.GeoDataFrame(records, geometry=shapes, crs=crs),
+                *(path, name, "GPKG"),
+                geometry_type=kind or None,
+                promote_to_multi=not kind,
+                append=path.exists(),
+            )
+        return path.read_bytes()
 
 
 def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes:
@@ -28,13 +51,8 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
     fields of the layout; x_m and y_m among them stay in the world frame. With `views` also the
     layer "views": see :func:`.places.find_views`. Raises InputError if the scene
     has no crs, or one that pyproj does not know.
-
-    References
-    ----------
-    .. [1] OGC 12-128, "GeoPackage Encoding Standard".
     """
     import geopandas as gpd
-    import pyogrio
 
     require_crs(scene.crs, "gpkg")
     longitude_latitude(positions_m(layout), scene.crs)  # refuses what lies nowhere
@@ -43,20 +61,11 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
     points = gpd.points_from_xy(
         position[:, 0], position[:, 1], z=[record.get("map_z", record["z_m"]) for record in records]
     )
-    table = gpd.GeoDataFrame(records, geometry=points, crs=scene.source_crs or scene.crs)
-    with TemporaryDirectory() as folder:  # layers can be added to files alone
-        path = Path(folder) / "layout.gpkg"
-        pyogrio.write_dataframe(table, path, layer=_LAYER, driver="GPKG", geometry_type="Point Z")
-        if views:
-            found = find_views(layout, scene)
-            shown = moved(found, lambda points_m: map_points(points_m, scene))
-            records = [view.record() for view in found]  # areas in square metres
-            shapes = [view.area for view in shown]
-            areas = gpd.GeoDataFrame(records, geometry=shapes, crs=table.crs)
-            pyogrio.write_dataframe(
-                areas, path, layer="views", driver="GPKG", promote_to_multi=True
-            )
-        return path.read_bytes()
+    layers = [("units", "Point Z", records, points)]
+    if views:
+        found = find_views(layout, scene, partial(map_points, scene=scene))
+        layers.append(("views", "", [one.record() for one in found], [one.area for one in found]))
+    return geopackage(layers, scene.source_crs or scene.crs)
 
 
 FORMAT = ExportFormat(

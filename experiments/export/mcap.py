@@ -1,6 +1,5 @@
 """Layouts, and runs as they see them, as MCAP recordings in Foxglove's schemas."""
 
-import importlib
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geometry.actors import Actor
-from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.errors import InputError, Unquoted
 from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, with_width
@@ -23,7 +22,7 @@ from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import Run, build_frame_axis, find_onsets
 
-from . import ExportFormat
+from . import ExportFormat, load_extra
 from .calibration import calibrations, lens_coefficients, plain, sensor_quaternion
 from .watched import WatchedRun
 
@@ -61,11 +60,10 @@ def to_mcap(
         if watched is None or layout is None:
             raise InputError("--pictures", Unquoted("no run"), "--run RUN, whose frames are drawn")
         layout = replace(layout, units=tuple(_reduced(unit) for unit in layout.units))
-    try:
-        foxglove = importlib.import_module("foxglove")
-    except ImportError:
-        raise MissingExtraError("mcap needs foxglove-sdk: pip install place-rsus[mcap]") from None
-    m = importlib.import_module("foxglove.messages")
+    foxglove, m, kinds = (
+        load_extra(f"foxglove{part}", "mcap needs foxglove-sdk", "mcap")
+        for part in ("", ".messages", ".channels")
+    )
     units = () if layout is None else layout.units
     context = foxglove.Context()
     file = io.BytesIO()
@@ -74,8 +72,7 @@ def to_mcap(
 
         def log(topic: str, message: Any, time_s: float) -> None:
             if topic not in channels:
-                kind = f"{type(message).__name__}Channel"
-                maker = getattr(importlib.import_module("foxglove.channels"), kind, None)
+                maker = getattr(kinds, f"{type(message).__name__}Channel", None)
                 channels[topic] = (
                     foxglove.Channel(topic, message_encoding="json", context=context)
                     if maker is None

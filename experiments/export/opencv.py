@@ -1,16 +1,16 @@
 """Cameras of a layout for OpenCV: the YAML of cv::FileStorage."""
 
 from collections.abc import Mapping
+from importlib.resources import files
 
-import numpy as np
 import yaml  # type: ignore[import-untyped]
 from scipy.spatial.transform import Rotation
 
-from geometry.arrays import FloatArray
 from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from placement.layout import Layout
 
+from ..results.tables import page_of
 from . import ExportFormat
 from .calibration import calibrations, comments, lens_coefficients, plain
 
@@ -29,57 +29,26 @@ def to_opencv(layout: Layout, scene: Scene | None = None) -> str:
 
 def opencv_text(cameras: Mapping[str, CalibratedCamera], name: str, comment: str = "") -> str:
     """Calibrations as such a file; fisheyes have `distortion_model` "fisheye", and k1 to k4."""
-    document = {
-        "layout": _Quoted(name),
-        "cameras": [_camera_record(*one) for one in cameras.items()],
-    }
-    form = {"allow_unicode": True, "sort_keys": False, "width": float("inf")}
-    text: str = yaml.dump(document, Dumper=_Dumper, **form)
-    # The format's own first lines: FileStorage tells YAML from XML and JSON by them.
-    return "%YAML:1.0\n---\n" + comment + text
+    records = [
+        (
+            *(one, camera, *lens_coefficients(one, camera)),
+            Rotation.from_matrix(camera.R_camera_world).as_rotvec()[:, None],
+            camera.translation_m[:, None],
+        )
+        for one, camera in cameras.items()
+    ]
+    return page_of(
+        files(__package__) / "opencv.yaml.j2",
+        **{"cameras": records, "name": name, "comment": comment, "yaml": _yaml, "plain": plain},
+    )
 
 
-def _camera_record(name: str, camera: CalibratedCamera) -> dict[str, object]:
-    rotation = camera.R_camera_world
-    is_fisheye, coefficients = lens_coefficients(name, camera)
-    return {
-        "id": _Quoted(name),
-        "image_width": camera.width_px,
-        "image_height": camera.height_px,
-        "camera_matrix": camera.K,
-        **({"distortion_model": "fisheye"} if is_fisheye else {}),
-        "distortion_coefficients": coefficients,
-        "R": rotation,
-        "rvec": Rotation.from_matrix(rotation).as_rotvec()[:, None],
-        "t": camera.translation_m[:, None],
-    }
+def _yaml(value: str | list[float]) -> str:
+    """Text in double quotes, the only ones that FileStorage reads whole, or numbers on a line."""
+    style = {"default_style": '"'} if isinstance(value, str) else {"default_flow_style": True}
+    text: str = yaml.safe_dump(value, allow_unicode=True, width=float("inf"), **style)
+    return text.rstrip("\n")
 
-
-class _Quoted(str):
-    """Text that is written in double quotes, the only ones that FileStorage reads whole."""
-
-
-class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
-    """Writes arrays as FileStorage's matrices, and indents lists, as FileStorage needs it."""
-
-    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:
-        super().increase_indent(flow, indentless=False)
-
-
-def _represent_matrix(dumper: yaml.SafeDumper, matrix: FloatArray) -> yaml.Node:
-    rows, cols = matrix.shape
-    fields = {"rows": rows, "cols": cols, "dt": "d", "data": plain(matrix)}
-    node = dumper.represent_mapping("tag:yaml.org,2002:opencv-matrix", fields, flow_style=False)
-    node.value[-1][1].flow_style = True  # the numbers on one line
-    return node
-
-
-def _represent_quoted(dumper: yaml.SafeDumper, text: _Quoted) -> yaml.Node:
-    return dumper.represent_scalar("tag:yaml.org,2002:str", str(text), style='"')
-
-
-_Dumper.add_representer(np.ndarray, _represent_matrix)
-_Dumper.add_representer(_Quoted, _represent_quoted)
 
 FORMAT = ExportFormat(
     write=to_opencv,

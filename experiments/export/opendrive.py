@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from xml.etree import ElementTree as ET
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from geometry.terrain import on_ground, terrain_of
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from . import ExportFormat
+from . import ExportFormat, xml_text
 
 _TYPES = {
     "driving": "driving",
@@ -31,7 +31,6 @@ _TYPES = {
     "cycling": "biking",
     "walking": "sidewalk",
 }
-_JUNCTION = "1"
 _MOUTH_M = 10.0  # of a lane, of which its direction is taken
 _SAME_M = 0.5  # between the ends of lanes that lead into each other
 _SAME_SLOPE = 1.0e-9
@@ -100,47 +99,22 @@ def to_opendrive(layout: Layout | None, scene: Scene) -> str:
             continue
         ways[road.id] = before.id, after.id
         roads[road.id] = _fitted(road, before, after)
-    root = ET.Element("OpenDRIVE")
-    header = ET.SubElement(root, "header", revMajor="1", revMinor="7", name=scene.name)
     corners = np.concatenate([road.points_m for road in roads.values()])
-    for name, value in zip(
-        ("west", "south", "east", "north"),
-        [*corners.min(axis=0), *corners.max(axis=0)],
-        strict=True,
-    ):
-        header.set(name, _text(value))
-    if scene.crs:
-        ET.SubElement(header, "geoReference").text = scene.crs
-    elements = {}
-    for road in roads.values():
-        meets = [any(ends[at] == road.id for ends in ways.values()) for at in (1, 0)]
-        elements[road.id] = _road_element(root, road, scene, ways.get(road.id), meets)
-    if layout is not None:
-        _add_objects(elements, [*roads.values()], layout)
-    if ways:
-        crossing = ET.SubElement(root, "junction", id=_JUNCTION, name=scene.name)
-        for number, (road_id, (incoming, _)) in enumerate(ways.items(), 1):
-            connection = ET.SubElement(
-                crossing,
-                "connection",
-                id=str(number),
-                incomingRoad=incoming,
-                connectingRoad=road_id,
-                contactPoint="start",
-            )
-            lane = _lane_id(scene)
-            ET.SubElement(connection, "laneLink", {"from": lane, "to": lane})
-    ET.indent(root, space="  ")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
-
-
-def _text(value: float) -> str:
-    return repr(round(float(value), _DIGITS) + 0.0)
-
-
-def _lane_id(scene: Scene) -> str:
-    """The lane that is driven along the reference line; with traffic on the left its left one."""
-    return "1" if scene.keeps_left else "-1"
+    drawn = [(road, _line(road, scene)) for road in roads.values()]
+    return xml_text(
+        "opendrive.xml.j2",
+        m=lambda value: repr(round(float(value), _DIGITS) + 0.0),
+        full=lambda value: repr(float(value)),
+        scene=scene,
+        low=corners.min(axis=0),
+        high=corners.max(axis=0),
+        roads=drawn,
+        ways=ways,
+        entered_from={before for before, _ in ways.values()},
+        left_into={after for _, after in ways.values()},
+        types=_TYPES,
+        poles=_poles(drawn, () if layout is None else layout.units),
+    )
 
 
 def _road(road_id: str, lane: Lane) -> _Road:
@@ -195,119 +169,48 @@ def _fitted(road: _Road, before: _Road, after: _Road) -> _Road:
     return replace(road, points_m=points_m, tangent=tangent, width_m=widths_m)
 
 
-def _road_element(
-    root: ET.Element,
-    road: _Road,
-    scene: Scene,
-    way: tuple[str, str] | None,
-    meets: Sequence[bool],
-) -> ET.Element:
-    """A road; a way through the junction leads from one road to another, others may meet it."""
+def _line(road: _Road, scene: Scene) -> dict[str, Any]:
+    """A road's reference line and its heights, piece by piece, and the width of its lane."""
     pieces = list(road.pieces())
-    length_m = sum(piece[0] for piece in pieces)
-    element = ET.SubElement(
-        root,
-        "road",
-        name=road.lane.id,
-        length=_text(length_m),
-        id=road.id,
-        junction="-1" if way is None else _JUNCTION,
-        rule="LHT" if scene.keeps_left else "RHT",
-    )
-    link = ET.SubElement(element, "link")
-    for index, word in enumerate(("predecessor", "successor")):
-        if way is not None:
-            ends = {"elementType": "road", "elementId": way[index]}
-            ET.SubElement(link, word, ends, contactPoint="start" if index else "end")
-        elif meets[index]:
-            ET.SubElement(link, word, elementType="junction", elementId=_JUNCTION)
-    if road.lane.speed_limit_kmh is not None:
-        kind = ET.SubElement(element, "type", s="0.0", type="town")
-        ET.SubElement(kind, "speed", max=_text(road.lane.speed_limit_kmh), unit="km/h")
     starts_m = np.cumsum([0.0, *(piece[0] for piece in pieces)])
-    view = ET.SubElement(element, "planView")
-    for s_m, point_m, ahead, (piece_m, along, across) in zip(
-        starts_m, road.points_m, road.tangent, pieces, strict=False
-    ):
-        geometry = ET.SubElement(
-            view,
-            "geometry",
-            s=_text(s_m),
-            x=_text(point_m[0]),
-            y=_text(point_m[1]),
-            hdg=repr(math.atan2(ahead[1], ahead[0])),
-            length=_text(piece_m),
-        )
-        cubic = {
-            f"{letter}{axis}": repr(float(value))
-            for axis, values in (("U", along), ("V", across))
-            for letter, value in zip("abcd", values, strict=True)
-        }
-        ET.SubElement(geometry, "paramPoly3", cubic, pRange="normalized")
-    profile = ET.SubElement(element, "elevationProfile")
+    headings_rad = [math.atan2(ahead[1], ahead[0]) for ahead in road.tangent]
     height_m = on_ground(road.points_m, terrain_of(scene))[:, 2]
     slope = np.diff(height_m) / np.diff(starts_m)
     is_new = np.append(True, np.abs(np.diff(slope)) > _SAME_SLOPE)
-    for s_m, low_m, rise in zip(
-        starts_m[:-1][is_new], height_m[:-1][is_new], slope[is_new], strict=True
-    ):
-        line = {"a": _text(low_m), "b": repr(float(rise)), "c": "0.0", "d": "0.0"}
-        ET.SubElement(profile, "elevation", line, s=_text(s_m))
-    _add_lanes(element, road, scene, length_m=length_m, is_way=way is not None)
-    return element
-
-
-def _add_lanes(
-    element: ET.Element, road: _Road, scene: Scene, *, length_m: float, is_way: bool
-) -> None:
-    """The one lane, moved so that its middle is the reference line."""
     begin_m, end_m = road.width_m
-    width = {"a": _text(begin_m), "b": repr((end_m - begin_m) / length_m), "c": "0.0", "d": "0.0"}
-    half = -0.5 if scene.keeps_left else 0.5
-    offset = {key: repr(half * float(value)) for key, value in width.items()}
-    lanes = ET.SubElement(element, "lanes")
-    ET.SubElement(lanes, "laneOffset", {"s": "0.0"} | offset)
-    section = ET.SubElement(lanes, "laneSection", s="0.0")
-    own = ET.Element("left" if scene.keeps_left else "right")
-    centre = ET.Element("center")
-    ET.SubElement(centre, "lane", id="0", type="none", level="false")
-    section.extend([own, centre] if scene.keeps_left else [centre, own])
-    lane_id = _lane_id(scene)
-    lane = ET.SubElement(own, "lane", id=lane_id, type=_TYPES[road.lane.kind], level="false")
-    if is_way:
-        link = ET.SubElement(lane, "link")
-        for word in ("predecessor", "successor"):
-            ET.SubElement(link, word, id=lane_id)
-    ET.SubElement(lane, "width", {"sOffset": "0.0"} | width)
+    return {
+        "starts_m": starts_m,
+        "pieces": list(zip(starts_m, road.points_m, headings_rad, pieces, strict=False)),
+        "profile": list(
+            zip(starts_m[:-1][is_new], height_m[:-1][is_new], slope[is_new], strict=True)
+        ),
+        "width_m": round(begin_m, _DIGITS) + 0.0,
+        "widens": (end_m - begin_m) / starts_m[-1],
+    }
 
 
-def _add_objects(elements: dict[str, ET.Element], roads: Sequence[_Road], layout: Layout) -> None:
-    """Poles with units, each beside the nearest road."""
+def _poles(
+    roads: Sequence[tuple[_Road, dict[str, Any]]], units: Sequence[CandidatePose]
+) -> dict[str, list[dict[str, Any]]]:
+    """Poles with units by the road that is nearest to each."""
     at_pole: dict[tuple[float, float], list[CandidatePose]] = {}
-    for unit in layout.units:
+    for unit in units:
         east_m, north_m, _ = np.asarray(unit.pose.position_m).tolist()
         at_pole.setdefault((east_m, north_m), []).append(unit)
-    starts_m = [np.cumsum([0.0, *(piece[0] for piece in road.pieces())]) for road in roads]
-    for number, (place_m, units) in enumerate(at_pole.items(), 1):
+    beside: dict[str, list[dict[str, Any]]] = {road.id: [] for road, _ in roads}
+    for number, (place_m, there) in enumerate(at_pole.items(), 1):
         (*_, s_m, t_m), road_id = min(
-            (_beside(road, starts, place_m), road.id)
-            for road, starts in zip(roads, starts_m, strict=True)
+            (_beside(road, line["starts_m"], place_m), road.id) for road, line in roads
         )
-        objects = elements[road_id].find("objects")
-        if objects is None:
-            objects = ET.SubElement(elements[road_id], "objects")
-        names, pole = ", ".join(unit.id for unit in units), units[0].site_id
-        ET.SubElement(
-            objects,
-            "object",
-            {"type": "pole", "id": str(number), "name": f"{pole}: {names}" if pole else names},
-            s=_text(s_m),
-            t=_text(t_m),
-            zOffset="0.0",
-            orientation="none",
-            height=_text(max(float(unit.pose.position_m[2]) for unit in units)),
-            radius="0.1",
+        names, pole = ", ".join(unit.id for unit in there), there[0].site_id
+        beside[road_id].append(
+            {
+                **{"number": number, "name": f"{pole}: {names}" if pole else names},
+                **{"s_m": s_m, "t_m": t_m},
+                "height_m": max(float(unit.pose.position_m[2]) for unit in there),
+            }
         )
+    return beside
 
 
 def _beside(

@@ -1,6 +1,6 @@
 """Places of a layout's units on earth and in the map, and what its cameras see there."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,20 +102,30 @@ class View:
     """Area that a camera sees, or road that no camera sees."""
 
     unit: str  # its id; empty: what no camera sees
-    area: Any  # shapely's polygons without overlap
+    area: Any  # shapely's polygons without overlap, in any coordinates
+    area_m2: float
 
     def record(self) -> dict[str, Any]:
         """Fields of it in a table."""
         return {
             "id": f"view of {self.unit}" if self.unit else UNSEEN,
             "unit": self.unit,
-            "area_m2": float(self.area.area),
+            "area_m2": self.area_m2,
             "note": NOTE,
         }
 
 
-def find_views(layout: Layout, scene: Scene) -> list[View]:
-    """Views of a layout's cameras, in its order, then the road that none sees; world frame."""
+def find_views(
+    layout: Layout,
+    scene: Scene,
+    move: Callable[[FloatArray], FloatArray] = np.asarray,
+) -> list[View]:
+    """Views of a layout's cameras, in its order, then the road that none sees.
+
+    `move` takes points of the world frame, (n, 2), all at once to the coordinates that are wanted.
+    """
+    import shapely
+
     survey = GroundSurvey(scene)
     missed = survey.is_road.copy()
     masks = {}
@@ -123,19 +133,13 @@ def find_views(layout: Layout, scene: Scene) -> list[View]:
         if isinstance(unit.sensor, CameraModel):
             masks[unit.id] = survey.density(unit) > 0.0
             missed &= ~masks[unit.id]
+    masks[""] = missed
+    areas = [_outline(mask, survey.east_m, survey.north_m) for mask in masks.values()]
+    moved = shapely.transform(np.array(areas, dtype=object), move)
     return [
-        View(unit=name, area=_outline(mask, survey.east_m, survey.north_m))
-        for name, mask in [*masks.items(), ("", missed)]
+        View(unit=name, area=there, area_m2=float(area.area))
+        for name, area, there in zip(masks, areas, moved, strict=True)
     ]
-
-
-def moved(views: Iterable[View], move: Callable[[FloatArray], FloatArray]) -> list[View]:
-    """Views in other coordinates, moved all at once: (n, 2) -> (n, 2)."""
-    import shapely
-
-    given = list(views)
-    areas = shapely.transform(np.array([view.area for view in given], dtype=object), move)
-    return [View(unit=view.unit, area=area) for view, area in zip(given, areas, strict=True)]
 
 
 def _outline(mask: BoolArray, east_m: FloatArray, north_m: FloatArray) -> Any:

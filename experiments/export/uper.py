@@ -1,18 +1,16 @@
 """Messages of V2X stations as bytes (UPER), as records of a file, and their load of a channel."""
 
-import importlib
 import json
 from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from geometry.errors import MissingExtraError
 from geometry.scene import Scene
 from placement.layout import Layout
 from scenarios.runs import Run
 
-from . import ExportFormat, vam
+from . import ExportFormat, load_extra, vam
 from .cpm import RELEASES, build_stations
 from .watched import WatchedRun
 
@@ -28,12 +26,7 @@ _CHANNEL_MBPS = 6.0  # ITS-G5's default data rate: ETSI EN 302 663
 @cache
 def _codecs(release: str) -> tuple[Any, Any]:
     """UPER's and JSON's rules of ``data/v2x.asn``, with the lines of a release."""
-    try:
-        asn1tools = importlib.import_module("asn1tools")
-    except ImportError:
-        raise MissingExtraError(
-            "messages as bytes need asn1tools: pip install place-rsus[v2x]"
-        ) from None
+    asn1tools = load_extra("asn1tools", "messages as bytes need asn1tools", "v2x")
     others = tuple(f"-- {other}" for other in RELEASES if other != release)
     text = (files("experiments") / "data" / "v2x.asn").read_text(encoding="utf-8")
     lines = "\n".join(line for line in text.splitlines() if not line.endswith(others))

@@ -1,18 +1,16 @@
 """Layouts as stages of OpenUSD: scene, poles and cameras with their lenses."""
 
-import importlib
 import re
 from typing import Any
 
 import numpy as np
 
-from geometry.errors import MissingExtraError
 from geometry.poses import body_rotation, camera_rotation
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from placement.layout import Layout
 
-from . import ExportFormat
+from . import ExportFormat, load_extra
 from .calibration import refuse_lenses
 
 _APERTURE_MM = 36.0  # only its ratio to the focal length counts
@@ -31,12 +29,10 @@ def to_usd(layout: Layout, scene: Scene) -> str:
     MissingExtraError if usd-core is not installed, and InputError for lenses that distort.
     """
     refuse_lenses(layout, "usd")
-    try:
-        usd, geom, gf, sdf = (
-            importlib.import_module(f"pxr.{name}") for name in ("Usd", "UsdGeom", "Gf", "Sdf")
-        )
-    except ImportError:
-        raise MissingExtraError("usd needs usd-core: pip install place-rsus[usd]") from None
+    usd, geom, gf, sdf = (
+        load_extra(f"pxr.{name}", "usd needs usd-core", "usd")
+        for name in ("Usd", "UsdGeom", "Gf", "Sdf")
+    )
     stage = usd.Stage.CreateInMemory()
     geom.SetStageUpAxis(stage, geom.Tokens.z)
     geom.SetStageMetersPerUnit(stage, 1.0)

@@ -13,13 +13,12 @@ from scenarios.runs import Run
 
 from . import ExportFormat
 from .cpm import (
-    HEADING_UNKNOWN,
     PER_DEGREE,
     RELEASES,
-    SEMI_AXIS_UNKNOWN,
     VRU_CLASSES,
     altitude_cm_at,
     count_up,
+    reference_position,
 )
 from .json import to_json_text
 from .places import longitude_latitude, require_crs
@@ -35,6 +34,7 @@ _DELTA_TIMES = 65536  # GenerationDeltaTime
 _STEP_S = 1.0e-3  # half of that over which a speed is taken
 _AHEAD_M = 1.0  # over which the heading is taken
 _EPSILON_S = 1.0e-6
+_ELLIPSE = "semiMajorAxisLength", "semiMinorAxisLength", "semiMajorAxisOrientation"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,16 +91,10 @@ def build_message(
             "longitudinalAccelerationConfidence": _ACCELERATION_UNKNOWN,
         },
     }
-    position = {
-        "latitude": round(user.latitude_deg * PER_DEGREE),
-        "longitude": round(user.longitude_deg * PER_DEGREE),
-        "positionConfidenceEllipse": {
-            "semiMajorAxisLength": SEMI_AXIS_UNKNOWN,
-            "semiMinorAxisLength": SEMI_AXIS_UNKNOWN,
-            "semiMajorAxisOrientation": HEADING_UNKNOWN,
-        },
-        "altitude": {"altitudeValue": user.altitude_cm, "altitudeConfidence": "unavailable"},
-    }
+    latitude, longitude = (
+        round(PER_DEGREE * angle_deg) for angle_deg in (user.latitude_deg, user.longitude_deg)
+    )
+    position = reference_position(latitude, longitude, user.altitude_cm, ellipse=_ELLIPSE)
     parameters: dict[str, Any] = {
         "basicContainer": {
             "stationType": _STATION_TYPES[user.kind],

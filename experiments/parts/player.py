@@ -139,7 +139,7 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
     last_place: list[int] | None = None  # no braking helps
     if np.isfinite(run.last_brake_time_s):
         (place,) = motion.path.at(motion.distance_m([run.last_brake_time_s]))[0]
-        last_place = _centimetres(place)
+        last_place = centimetres(place)
     return {
         "id": run.id,
         "title": describe_run(subject.axis, index),
@@ -150,10 +150,10 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
         "lastPlace": last_place,
         "car": _motion(run.vut_position_m, run.vut_yaw_deg),
         "road": _motion(run.vru_position_m, run.vru_yaw_deg),
-        "carSize": _centimetres([vut.length_m, vut.width_m]),
-        "roadSize": _centimetres([vru.length_m, vru.width_m]),
+        "carSize": centimetres([vut.length_m, vut.width_m]),
+        "roadSize": centimetres([vru.length_m, vru.width_m]),
         "parked": [
-            {"name": body.actor.name, "corners": _centimetres(body.footprint_m)}
+            {"name": body.actor.name, "corners": centimetres(body.footprint_m)}
             for body in run.obstruction
         ],
         "bits": pack_bits(np.array([verdict.detected[frames] for verdict in verdicts])),
@@ -165,13 +165,14 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
 
 def _motion(position_m: FloatArray, yaw_deg: FloatArray) -> dict[str, list[int]]:
     return {
-        "x": _centimetres(position_m[:, 0]),
-        "y": _centimetres(position_m[:, 1]),
+        "x": centimetres(position_m[:, 0]),
+        "y": centimetres(position_m[:, 1]),
         "yaw": np.rint(10.0 * yaw_deg).astype(int).tolist(),
     }
 
 
-def _centimetres(values_m: ArrayLike) -> Any:
+def centimetres(values_m: ArrayLike) -> Any:
+    """Metres as lists of whole centimetres."""
     return np.rint(100.0 * np.asarray(values_m)).astype(int).tolist()
 
 
@@ -205,7 +206,7 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
             "name": labels[unit.id],
             "title": title(unit),
             "kind": "ring" if is_ring(unit.sensor) else sensor_kind(unit.sensor),
-            "place": _centimetres(unit.pose.position_m[:2]),
+            "place": centimetres(unit.pose.position_m[:2]),
             "yaw": round(10.0 * unit.pose.yaw_deg),
             "colour": UNIT_COLOURS[index % len(UNIT_COLOURS)],
             "dash": DASHES[index % len(DASHES)],
@@ -247,13 +248,13 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         outward = np.mean(mouths, axis=0) - middle
         outward /= max(float(np.hypot(*outward)), 1.0e-9)
         place = middle + _LABEL_SHARE * half * outward
-        arms.append({"name": said(arm.name), "place": _centimetres(place)})
+        arms.append({"name": said(arm.name), "place": centimetres(place)})
     return {
-        "middle": _centimetres(middle),
+        "middle": centimetres(middle),
         "half": round(100.0 * half),
         "classes": [path for path in paths if path["path"]],
-        "sites": [_centimetres(site.position_m[:2]) for site in scene.sites],
-        "crosswalks": _centimetres(scene.crosswalks_m),
+        "sites": [centimetres(site.position_m[:2]) for site in scene.sites],
+        "crosswalks": centimetres(scene.crosswalks_m),
         "arms": arms,
     }
 
@@ -285,7 +286,7 @@ def svg_path(shape: Any) -> str:
         for ring in (simple.exterior, *simple.interiors)
     ]
     return "".join(
-        "M" + "L".join(f"{x} {y}" for x, y in _centimetres(np.asarray(ring.coords)[:-1])) + "Z"
+        "M" + "L".join(f"{x} {y}" for x, y in centimetres(np.asarray(ring.coords)[:-1])) + "Z"
         for ring in rings
         if len(ring.coords) > 3
     )

@@ -20,7 +20,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import is_abandoned, read_bytes, read_text, write_atomically
+from geometry.files import is_abandoned, read_table, read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.sensors import CameraModel, to_calibrated
@@ -37,7 +37,7 @@ from placement.evaluator.pictures import VUT_UNIT
 from placement.layout import Layout
 from placement.question import Question, split_names
 from placement.recordings import FrameKey, WrittenDrive, load_format, write_folder, write_recording
-from placement.recordings.files import read_labels
+from placement.recordings.files import json_of, read_labels
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
@@ -137,11 +137,7 @@ class DatasetSummary(Record, frozen=True):
 
 def load_manifest(path: Path) -> DatasetRecord:
     """Read ``dataset.json``; InputError if it is something else."""
-    data = read_bytes(path)
-    try:
-        return msgspec.json.decode(data, type=DatasetRecord)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), Unquoted(error), "a manifest of place-rsus dataset") from None
+    return read_table(json_of(path), DatasetRecord, str(path))
 
 
 def run_dataset(

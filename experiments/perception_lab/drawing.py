@@ -3,14 +3,9 @@
 Each file is written whole or not at all, and what is there already is not drawn again.
 """
 
-import multiprocessing
-import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -35,7 +30,8 @@ from placement.imaging.materials import Materials, load_materials, vary_material
 from placement.imaging.mesh import build_frame_mesh, scan_mesh
 from scenarios.runs import Run
 
-from ..progress import StageProgress, follow_parent
+from ..progress import StageProgress
+from ..side_process import TRIES, WorkerDiedError, in_processes
 
 DRAW = "draw"
 """The stage in which pictures are drawn."""
@@ -47,7 +43,6 @@ MASKS, DEPTHS = "instances", "depth"
 _VEHICLE = "car"  # the study's actor type
 _MOVING = re.compile(r"vut|(parked|driving)-\d+")  # what a run brings along
 _LEAST_VEHICLE_PX = 20  # pixels; of less a vehicle has no label
-_TRIES = 3  # of a task whose worker dies
 
 Content = str | bytes | Callable[[BinaryIO], object]
 
@@ -91,17 +86,11 @@ class DrawTask:
     wish: DatasetWish
     seed: int
 
-    def files(self, stem: str) -> dict[str, Path]:
-        """Files of a frame, by kind; the picture comes last: where it is, all are."""
-        folder, wish = self.viewer.folder, self.wish
-        wanted = {
-            "cloud": self.lidar is not None and self.out / folder / f"{stem}.bin",
-            "masks": wish.masks and self.out / MASKS / folder / f"{stem}.png",
-            "depth": wish.depth and self.out / DEPTHS / folder / f"{stem}.png",
-            "vehicles": wish.vehicles and self.out / folder / f"{stem}.txt",
-            "picture": self.out / folder / f"{stem}.png",
-        }
-        return {kind: path for kind, path in wanted.items() if path}
+    def path(self, kind: str, stem: str) -> Path:
+        """File of a frame: "cloud", "masks", "depth", "vehicles" or "picture"."""
+        folder = {"masks": MASKS, "depth": DEPTHS}.get(kind, "")
+        suffix = {"cloud": ".bin", "vehicles": ".txt"}.get(kind, ".png")
+        return self.out / folder / self.viewer.folder / f"{stem}{suffix}"
 
 
 def draw_task(task: DrawTask) -> int:
@@ -109,19 +98,16 @@ def draw_task(task: DrawTask) -> int:
 
     Raises OSError: something cannot be written.
     """
-    parent = os.getppid()
     draw = _drawer(task)
     n_bytes = 0
     for index, frame, stem in task.frames:
-        if os.getppid() != parent:  # whoever asked for it is gone
-            break
-        files = task.files(stem)
-        if files["picture"].exists():
+        if task.path("picture", stem).exists():
             continue
         run = task.runs[index]
-        for kind, content in _contents(*draw(run, frame), files, task, run):
-            write_atomically(files[kind], content)
-            n_bytes += files[kind].stat().st_size
+        for kind, content in _contents(*draw(run, frame), task, run, stem):
+            path = task.path(kind, stem)
+            write_atomically(path, content)
+            n_bytes += path.stat().st_size
     return n_bytes
 
 
@@ -177,17 +163,17 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
 
 def _contents(
-    picture: Picture, cloud: PointCloud | None, files: Mapping[str, Path], task: DrawTask, run: Run
+    picture: Picture, cloud: PointCloud | None, task: DrawTask, run: Run, stem: str
 ) -> Iterator[tuple[str, Content]]:
-    """Contents of the files of a frame, by kind, in the order of :meth:`DrawTask.files`."""
+    """Contents of the files of a frame, by kind; the picture comes last: where it is, all are."""
     if cloud is not None:
         yield "cloud", cloud_bytes(cloud)
-    if "masks" in files:
+    if task.wish.masks:
         yield "masks", _png(instance_image(picture))
-    if "depth" in files:
+    if task.wish.depth:
         yield "depth", _png(depth_image(picture))
-    if "vehicles" in files:
-        yield "vehicles", _with_vehicles(files["vehicles"], picture, task, run)
+    if task.wish.vehicles:
+        yield "vehicles", _with_vehicles(task.path("vehicles", stem), picture, task, run)
     yield "picture", _png(picture.rgb)
 
 
@@ -213,51 +199,30 @@ def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> st
     return "".join(f"{line}\n" for line in lines)
 
 
-def _png(pixels: NDArray[Any]) -> Content:
+def _image(pixels: NDArray[Any], **options: Any) -> Content:
     from PIL import Image
 
+    return lambda file: Image.fromarray(pixels).save(file, **options)
+
+
+def _png(pixels: NDArray[Any]) -> Content:
     # Noise does not shrink: more effort makes files 7 % smaller in three times the time.
-    return lambda file: Image.fromarray(pixels).save(file, format="PNG", compress_level=1)
+    return _image(pixels, format="PNG", compress_level=1)
 
 
 def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
     """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
     n_all, n_drawn, n_bytes = sum(len(task.frames) for task in tasks), 0, 0
     progress(DRAW, 0, n_all)
-
-    def note(task: DrawTask, size: int) -> None:
-        nonlocal n_drawn, n_bytes
-        n_drawn += len(task.frames)
-        n_bytes += size
-        progress(DRAW, n_drawn, n_all)
-
-    if n_workers == 1:
-        for task in tasks:
-            note(task, draw_task(task))
-        return n_bytes
-    left = dict(enumerate(tasks))
-    for attempt in range(1, _TRIES + 1):
-        executor = ProcessPoolExecutor(
-            n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=follow_parent
-        )
-        pending: dict[Future[int], int] = {}
-        try:
-            pending = {executor.submit(draw_task, task): key for key, task in left.items()}
-            for future in as_completed(pending):
-                note(left[pending[future]], future.result())
-                del left[pending[future]]
-            return n_bytes
-        except BrokenProcessPool:
-            if attempt == _TRIES:
-                raise InputError(
-                    "--workers",
-                    Unquoted(f"a process that was killed, {_TRIES} times"),
-                    "enough memory for each: fewer workers",
-                ) from None
-        finally:
-            for future in pending:
-                future.cancel()
-            executor.shutdown(wait=False)
+    try:
+        for task, size in in_processes(draw_task, tasks, n=n_workers):
+            n_drawn += len(task.frames)
+            n_bytes += size
+            progress(DRAW, n_drawn, n_all)
+    except WorkerDiedError:
+        got = f"a process that was killed, {TRIES} times"
+        expected = "enough memory for each: fewer workers"
+        raise InputError("--workers", Unquoted(got), expected) from None
     return n_bytes
 
 
@@ -297,22 +262,17 @@ def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
             content = trimesh.PointCloud(seen.points_m, colours).export(file_type="ply")
         write_atomically(path, content)
         return (path,)
-    from PIL import Image
-
-    png: dict[str, Any] = {"format": "PNG"}
-    is_png = path.suffix.lower() == ".png"
-    images: dict[Path, tuple[NDArray[Any], dict[str, Any]]] = {
-        path: (seen.rgb, png if is_png else {"format": "JPEG", "quality": _JPEG_QUALITY}),
-        path.with_name(f"{path.stem}-instances.png"): (instance_image(seen), png),
-        path.with_name(f"{path.stem}-depth.png"): (depth_image(seen), png),
+    form: dict[str, Any] = {"format": "PNG"}
+    if path.suffix.lower() != ".png":
+        form = {"format": "JPEG", "quality": _JPEG_QUALITY}
+    images = {
+        path: _image(seen.rgb, **form),
+        path.with_name(f"{path.stem}-instances.png"): _image(instance_image(seen), format="PNG"),
+        path.with_name(f"{path.stem}-depth.png"): _image(depth_image(seen), format="PNG"),
     }
-    for file, (pixels, options) in images.items():
-        write_atomically(file, partial(_save, Image.fromarray(pixels), options))
+    for file, image in images.items():
+        write_atomically(file, image)
     return tuple(images)
-
-
-def _save(image: Any, options: dict[str, Any], file: BinaryIO) -> None:
-    image.save(file, **options)
 
 
 def cloud_bytes(cloud: PointCloud) -> bytes:

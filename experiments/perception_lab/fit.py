@@ -9,11 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted
@@ -184,7 +185,12 @@ def _open_source(
         if find_format(wish.recording) == MOT_FOLDER:
             labels, results = (wish.recording / name for name in MOT_FILES)
             return _from_boxes(labels, results, wish.min_confidence)
-        return _from_recording(read_recording(wish.recording), wish.min_confidence)
+        recording = read_recording(wish.recording)
+        return _Source(
+            words=f"the detections of {recording.folder}, {recording.n_frames} frames",
+            pictures=_recorded_pictures(recording, wish.min_confidence),
+            unknown=("share that is seen", "contrast", "aspect"),
+        )
     if wish.labels is not None and wish.results is not None:
         progress("read", 0, 0)
         read = _from_coco if find_format(wish.labels) == COCO else _from_boxes
@@ -304,14 +310,6 @@ def _pick_frames(
     return [chosen[row] for row in sorted(chosen)][:n_wanted]
 
 
-def _from_recording(recording: Recording, min_confidence: float) -> _Source:
-    return _Source(
-        words=f"the detections of {recording.folder}, {recording.n_frames} frames",
-        pictures=_recorded_pictures(recording, min_confidence),
-        unknown=("share that is seen", "contrast", "aspect"),
-    )
-
-
 def _recorded_pictures(recording: Recording, min_confidence: float) -> Iterator[LabelledPicture]:
     names = [*recording.units, *([load_format().vut_folder] if recording.has_vut else [])]
     for number, name in enumerate(names):
@@ -391,18 +389,23 @@ class _Category(msgspec.Struct, frozen=True):
 _CornerAndSize = tuple[float, float, Annotated[float, Meta(ge=0)], Annotated[float, Meta(ge=0)]]
 
 
-class _Annotation(msgspec.Struct, frozen=True):
+class _Boxed(msgspec.Struct, frozen=True):
     image_id: int
     category_id: int
     bbox: _CornerAndSize
+
+    @property
+    def corners_px(self) -> Box:
+        left, top, width, height = self.bbox
+        return left, top, left + width, top + height
+
+
+class _Annotation(_Boxed, frozen=True):
     iscrowd: int = 0
     visible_share: Annotated[float, Meta(ge=0, le=1.000001)] | None = None
 
 
-class _Result(msgspec.Struct, frozen=True):
-    image_id: int
-    category_id: int
-    bbox: _CornerAndSize
+class _Result(_Boxed, frozen=True):
     score: Annotated[float, Meta(ge=0, le=1)]
 
 
@@ -461,19 +464,14 @@ def _coco_pictures(
             image.frame,
             labels=[
                 (
-                    _corners(one.bbox),
+                    one.corners_px,
                     _PEDESTRIAN if kinds[one.category_id] == "person" else _CYCLIST,
                     1.0 if one.visible_share is None else min(one.visible_share, 1.0),
                 )
                 for one in labels_here
             ],
-            found=[(_corners(one.bbox), kinds[one.category_id] == "person") for one in found],
+            found=[(one.corners_px, kinds[one.category_id] == "person") for one in found],
         )
-
-
-def _corners(bbox: _CornerAndSize) -> Box:
-    left, top, width, height = bbox
-    return left, top, left + width, top + height
 
 
 _KEYS_OF = {
@@ -530,18 +528,20 @@ def table_text(
 
 def plot_calibration(result: FitResult) -> "Figure":
     """Share found by predicted probability and by height in the image, with 95 % intervals."""
-    from ..figures.axes import GREY, WIDTH_IN, finish_axes, new_figure
+    from ..figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 
     figure = new_figure(WIDTH_IN, 3.2)
     left, right = figure.subplots(1, 2)
     left.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linestyle="--", linewidth=1.0)
-    _draw_recall(left, result.calibration, [group.expected for group in result.calibration])
+    look = {"fmt": "o", "color": BLUE, "markersize": 4, "capsize": 2}
+    calibrated = [group.recall for group in result.calibration]
+    draw_intervals(left, [group.expected for group in result.calibration], calibrated, **look)
     left.set_xlim(0.0, 1.0)
     finish_axes(left, x="probability of the table", y="share found", grid="both")
     heights = result.groups["height"]
     places = [float(number) for number in range(len(heights))]
     right.plot(places, [group.expected for group in heights], "s", mfc="none", mec="black", ms=6)
-    _draw_recall(right, heights, places)
+    draw_intervals(right, places, [group.recall for group in heights], **look)
     right.set_xticks(places, [group.name.removesuffix(" px") for group in heights], rotation=35)
     finish_axes(right, x="height in the image, px (squares: the table)", grid="y")
     for axes in (left, right):
@@ -549,11 +549,10 @@ def plot_calibration(result: FitResult) -> "Figure":
     return figure
 
 
-def _draw_recall(axes: "Axes", groups: tuple[Group, ...], places: list[float]) -> None:
-    """Dots with bars from the lower to the upper end of their intervals."""
-    from ..figures.axes import BLUE
-
-    value = [group.recall.value for group in groups]
-    low = [max(0.0, group.recall.value - group.recall.low) for group in groups]
-    high = [max(0.0, group.recall.high - group.recall.value) for group in groups]
-    axes.errorbar(places, value, yerr=[low, high], fmt="o", color=BLUE, markersize=4, capsize=2)
+def draw_intervals(
+    axes: "Axes", places: ArrayLike, intervals: Sequence[Interval], **look: Any
+) -> Any:
+    """Dots with bars from the lower to the upper end of their intervals; matplotlib's handle."""
+    value = np.array([one.value for one in intervals])
+    bars = [value - [one.low for one in intervals], [one.high for one in intervals] - value]
+    return axes.errorbar(places, value, yerr=np.maximum(bars, 0.0), **look)

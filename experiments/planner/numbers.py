@@ -33,7 +33,7 @@ from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
 from ..language import said, say, tr
 from ..parts.bill_of_materials import build_bill
-from ..parts.player import plan_record, svg_path, to_base64, unit_records
+from ..parts.player import centimetres, plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
 from ..results.record import build_evaluation_record
 from .plan import SCHEMA, Background, ChangeQuestion, History, PlanState, mount_range_m
@@ -124,11 +124,6 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
         record = {"approach": said(approach), "position": position, "place": centimetres(impacts_m)}
         records.append(record | {"way": centimetres(longest.vut_position_m)})
     return records
-
-
-def centimetres(values_m: Any) -> Any:
-    """Metres as lists of whole centimetres, as messages have them."""
-    return np.rint(100.0 * np.asarray(values_m)).astype(int).tolist()
 
 
 # ---------- what is asked

@@ -764,11 +764,24 @@ def read_plan(text: bytes, where: str) -> Plan:
         document = msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
-    if not (isinstance(document, dict) and document.get("schema") == SCHEMA):
+    background = None
+    if isinstance(document, dict) and document.get("schema") == SCHEMA:
+        variants = _read_variants(document.get("variants"), where)
+        if (drawn := document.get("background")) is not None:
+            background = _read_background(drawn, f"{where}: background")
+    else:
         variants = [_read_variant(document, text, where, Path(where).stem)]
-        poles = _read_poles(document, where)
-        return Plan(variants=tuple(variants), scene_name=_scene_of(document), poles=poles)
-    records = document.get("variants")
+    poles = read_table(document.get("poles", []), list[PolePlace], f"{where}: poles")
+    check_count(len(poles), f"{where}: poles", MAX_UNITS)
+    return Plan(
+        variants=tuple(variants),
+        scene_name=str(document.get("scene", "")),
+        background=background,
+        poles=tuple(poles),
+    )
+
+
+def _read_variants(records: Any, where: str) -> list[Variant]:
     if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
         raise InputError(f"{where}: variants", Unquoted("none"), f"a list of 1 to {MAX_VARIANTS}")
     variants = []
@@ -782,21 +795,7 @@ def read_plan(text: bytes, where: str) -> Plan:
         else:
             encoded = msgspec.json.encode(record)
             variants.append(_read_variant(record, encoded, at, f"{index + 1}"))
-    background = document.get("background")
-    if background is not None:
-        background = _read_background(background, f"{where}: background")
-    return Plan(
-        variants=tuple(variants),
-        scene_name=_scene_of(document),
-        background=background,
-        poles=_read_poles(document, where),
-    )
-
-
-def _read_poles(document: Any, where: str) -> tuple[PolePlace, ...]:
-    poles = read_table(document.get("poles", []), list[PolePlace], f"{where}: poles")
-    check_count(len(poles), f"{where}: poles", MAX_UNITS)
-    return tuple(poles)
+    return variants
 
 
 def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:
@@ -806,7 +805,3 @@ def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:
         check_count(len(records), f"{where}: units", MAX_UNITS)
     layout = read_layout(text, where=where, name=name)
     return Variant(name=_printable(layout.name), units=layout.units)
-
-
-def _scene_of(document: Any) -> str:
-    return str(document.get("scene", "")) if isinstance(document, dict) else ""

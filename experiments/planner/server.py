@@ -356,7 +356,7 @@ class Pages:
     async def _junctions(self, request: Request) -> Response:
         """Junctions of the map that the scene is of, or that was sent last."""
         file = self._map_file()
-        return _to_choose_from(await self._session.open_file(file) if file.found is None else file)
+        return _to_choose_from(await self._session.open_file(file) if not file.found else file)
 
     def _map_file(self) -> MapFile:
         if self._session.map_file is None:
@@ -367,13 +367,12 @@ class Pages:
         """Go on at a junction of the map that was sent last, or in that scene."""
         sent, session = self._map_file(), self._session
         junction = (await _body(request, _MAX_NAME_BYTES)).decode("utf-8", errors="replace")
-        found = sent.found or {"isScene": False, "junctions": []}
         try:
-            if found["isScene"]:
+            if sent.found.get("isScene"):
                 await session.open_scene(str(sent.path))
                 session.map_file = None  # the session's file from here on
             else:
-                names = {one["id"]: one["name"] for one in found["junctions"]}
+                names = {one["id"]: one["name"] for one in sent.found.get("junctions", ())}
                 if junction not in names:
                     raise InputError("junction", junction, f"one of {sent.name}")
                 path = str(session.work.scratch / f"scene-{next(self._numbers)}")
@@ -399,9 +398,8 @@ class Pages:
 
 def _to_choose_from(file: MapFile) -> JSONResponse:
     """What is in a file: a scene, or the junctions of a map with the page to choose one."""
-    found = file.found or {}
-    brief = {key: found[key] for key in ("name", "isScene", "junctions")}
-    chooser = {} if found["isScene"] else {"chooser": junction_chooser(found)}
+    brief = {key: file.found[key] for key in ("name", "isScene", "junctions")}
+    chooser = {} if file.found["isScene"] else {"chooser": junction_chooser(file.found)}
     return JSONResponse({"map": file.name, **brief, **chooser})
 
 

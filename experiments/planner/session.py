@@ -28,11 +28,10 @@ from placement.setting import Setting
 from ..figures.views import GroundViews
 from ..language import said, say, tr
 from ..parts.camera_views import live_picture
-from ..parts.player import svg_path, unit_records
+from ..parts.player import centimetres, svg_path, unit_records
 from . import plan
 from .numbers import (
     TileServer,
-    centimetres,
     change_question,
     cost_record,
     coverage_record,
@@ -216,7 +215,7 @@ class MapFile:
     path: Path
     name: str
     options: dict[str, Any] = field(default_factory=dict)  # of maps: sites, keeps_left
-    found: dict[str, Any] | None = None
+    found: dict[str, Any] = field(default_factory=dict)  # empty: nobody has looked yet
 
 
 class Session:

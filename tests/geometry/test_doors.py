@@ -37,7 +37,6 @@ EXCEPTIONS = {
     "experiments/export/table.py": {"to_parquet"},
     "experiments/jobs/placement.py": {"to_parquet"},
     "experiments/city/answer.py": {"to_parquet"},
-    "experiments/city/run.py": {"write_dataframe"},
     "experiments/figures/film.py": {"savefig"},
     "experiments/parts/sheet.py": {"savefig"},
     "experiments/parts/section.py": {"open"},
@@ -60,7 +59,7 @@ EXCEPTIONS = {
     "geometry/body_shapes.py": {"savez_compressed"},
     "placement/detectors/built_in.py": {"read_text"},
     "placement/cache.py": {"load", "read_bytes"},
-    "experiments/city/workers.py": {"read_text"},
+    "experiments/side_process.py": {"read_text"},
     "placement/memory.py": {"read_text"},
     "experiments/planner/command.py": {"open"},  # the browser
 }

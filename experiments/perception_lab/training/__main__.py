@@ -91,7 +91,7 @@ def _crops(name: str, folder: Path, *, n: int, seed: int) -> Crops:
     if not path.exists():
         click.echo(f"{path}: drawing {n} crops")
         new = path.with_suffix(".part.npz")
-        save_crops(new, draw_crops(load_junction(name), n, seed=seed, tell=lambda done: None))
+        save_crops(new, draw_crops(load_junction(name), n, seed=seed))
         new.replace(path)
     return load_crops(path)
 

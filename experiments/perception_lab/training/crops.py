@@ -1,8 +1,9 @@
 """Labelled crops of pictures, drawn at the junctions of many maps, to train and test a detector."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -77,18 +78,11 @@ class Crops:
         return len(self.rgb)
 
 
-def draw_crops(scene: Scene, n_crops: int, *, seed: int, tell: Callable[[int], None]) -> Crops:
-    """Draw crops at a junction; half of them with varied colours, a fourth of them empty.
-
-    `tell` gets the number of those that are done.
-    """
-    found: list[dict[str, Any]] = []
+def draw_crops(scene: Scene, n_crops: int, *, seed: int) -> Crops:
+    """Draw crops at a junction; half of them with varied colours, a fourth of them empty."""
     setting = build_setting(Question(cases=_CASES), scene)
-    for row in look_around(setting, Framing(), np.random.default_rng(seed)):
-        found.append(row)
-        tell(len(found))
-        if len(found) >= n_crops:
-            break
+    looks = look_around(setting, Framing(), np.random.default_rng(seed))
+    found = list(islice(looks, n_crops))
     return Crops(**{name: np.stack([row[name] for row in found]) for name in found[0]})
 
 

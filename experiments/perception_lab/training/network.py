@@ -219,13 +219,13 @@ class Recipe:
 
 
 def train(
-    crops: Crops | Callable[[], Crops],
+    crops: Crops,
     recipe: Recipe,
     *,
     tell: Callable[[int, float, VruNetwork], None] = lambda done, loss, network: None,
     checkpoint: Path | None = None,
 ) -> VruNetwork:
-    """Train a network on crops; a callable is asked for them before each round.
+    """Train a network on crops.
 
     After each round `tell` gets the steps done, its mean loss and the network so far, and the state
     is written to `checkpoint`, from which training goes on if it exists. Returns the network with
@@ -239,19 +239,19 @@ def train(
         optimiser, max_lr=_RATE, total_steps=recipe.steps, pct_start=0.15
     )
     parts = {"network": network, "mean": mean, "optimiser": optimiser}
+    labels = class_of(crops), counted(crops) & _stands_out(crops)
     first = _restore(checkpoint, parts)
     for _ in range(first * recipe.round_steps):
         schedule.step()
     for number in range(first, recipe.rounds):
         network.train()
         rng = np.random.default_rng([recipe.seed, number])
-        shown = crops() if callable(crops) else crops
-        labels, losses = (class_of(shown), counted(shown) & _stands_out(shown)), []
+        losses = []
         done = number * recipe.round_steps
         for part in _draw_rows(
-            len(shown), min(recipe.round_steps, recipe.steps - done), recipe.batch, rng
+            len(crops), min(recipe.round_steps, recipe.steps - done), recipe.batch, rng
         ):
-            images, *truth = (one.to(recipe.device) for one in _batch(shown, labels, part, rng))
+            images, *truth = (one.to(recipe.device) for one in _batch(crops, labels, part, rng))
             with torch.autocast(recipe.device, dtype=torch.bfloat16, enabled=recipe.bfloat16):
                 logits, sides = network(images)
             value = loss(logits.float(), sides.float(), *truth)

@@ -18,7 +18,7 @@ from placement.detectors.evidence import Interval
 from placement.detectors.fitting import ResponseFit, fit_lasting_share, fit_response, share_by_track
 
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
-from ...perception_lab.fit import table_text
+from ...perception_lab.fit import draw_intervals, table_text
 from ...results.numbers import number, percent
 from ...results.tables import page_of
 from .projection import (
@@ -186,30 +186,23 @@ def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
     return rows
 
 
-def _first_sentence(rows: list[tuple[str, Interval, float]]) -> str:
-    off = [row for row in rows if not row[1].low <= row[2] <= row[1].high]
-    words = "; ".join(
-        f"{what} {number(measured.value)} ({number(measured.low)} to {number(measured.high)}), "
-        f"not {number(predicted)}"
-        for what, measured, predicted in off
-    )
-    return (
-        f"By more than its 95 % interval, {len(off)} of {len(rows)} figures differ from what the "
-        f"camera model and the built-in table `response` predict: {words}."
-    )
-
-
 def text(m: Measured) -> str:
     """The report, as Markdown."""
     in_16, height_px = m.car.halves["sequence"], m.car.sightings.height_px
     rows = (m.lidar.hidden_level == 0) & (m.lidar.distance_m < lidar_reach_m())
     seen = m.lidar.sightings
+    compared = comparisons(m)
     fitted = {words: one for words, one in m.watched.items() if one.name in m.fits}
     return page_of(
         files(__package__) / "reality.md.j2",
         m=m,
         command=COMMAND,
-        first=_first_sentence(comparisons(m)),
+        n_compared=len(compared),
+        off=[
+            f"{what} {_plain(measured)}, not {number(predicted)}"
+            for what, measured, predicted in compared
+            if not measured.low <= predicted <= measured.high
+        ],
         percent=percent,
         plain=_plain,
         share=_share,
@@ -389,13 +382,9 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
         for place, (name, groups) in enumerate(watched.items()):
             shift = 0.24 * (place - 0.5 * (len(watched) - 1))
             places = np.array([names.index(one.words) + shift for one in groups])
-            value = np.array([one.measured.value for one in groups])
-            low = value - [one.measured.low for one in groups]
-            high = [one.measured.high for one in groups] - value
             marker, colour = _STYLES[name]
-            bars = np.maximum([low, high], 0.0)
             look = {"fmt": marker, "color": colour, "ms": 4, "capsize": 2, "linewidth": 1.0}
-            handles[name] = axes.errorbar(places, value, yerr=bars, **look)
+            handles[name] = draw_intervals(axes, places, [one.measured for one in groups], **look)
             predicted = [one.predicted for one in groups]
             (handles["table `response`"],) = axes.plot(places, predicted, "_k", ms=7, mew=2.0)
         axes.set_xticks(range(len(names)), [_short(name) for name in names], rotation=40)

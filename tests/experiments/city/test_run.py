@@ -620,9 +620,7 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_a_worker_that_is_killed_loses_nothing(tiny):
     tasks = tasks_of(tiny / "tiny.osm")
-    with city_workers.start_workers(
-        n_workers=2, memory="1.5GiB", tell=lambda sentence: None
-    ) as workers:
+    with city_workers.LocalWorkers(2, max_bytes=3 * 2**29) as workers:
         killer = threading.Timer(
             1.0, lambda: os.kill(workers._workers[0].process.pid, signal.SIGKILL)
         )
