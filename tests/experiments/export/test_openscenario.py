@@ -282,9 +282,7 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
         ("MEET-CAR", "Vehicle", "car"),
     ],
 )
-def test_road_users_have_the_standards_kinds_and_riders_are_named(
-    written, case, element, category
-):
+def test_road_users_have_the_standards_kinds_and_riders_are_named(written, case, element, category):
     root = ET.fromstring(written(case))
     body, _ = box_of(root, "vru")
     assert body.tag == element
