@@ -34,7 +34,11 @@ settings.register_profile("place-rsus-few", deadline=None, max_examples=8)
 settings.register_profile("thorough", deadline=None, max_examples=30)
 settings.load_profile("place-rsus")
 MANY = ("geometry", "scenarios", "optimiser")
-COMPILES = ("tests/experiments/cli/test_cli.py", "tests/placement/optimiser/test_walk.py")
+COMPILES = (  # optimiser, evaluator, table: hardly a kernel of one is another's
+    "tests/placement/optimiser/test_walk.py",
+    "tests/placement/evaluator/test_evaluate.py",
+    "tests/placement/visibility/test_build.py",
+)
 NEEDS_NO_KERNELS = ("tests/scenarios/", "tests/geometry/")
 # The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
 logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
@@ -55,15 +59,18 @@ def pytest_collectstart(collector):
 
 
 def pytest_collection_modifyitems(items):
-    """Files that compile most come first, beside them those that need least compiled.
+    """Files that compile most come first, each what no other does, then those that need least.
 
-    What one worker has compiled, the others find: two that begin alike would do so twice.
+    What one process has compiled, the others find: two that begin alike would do so twice.
     """
     items.sort(key=lambda item: _turn(item.nodeid))
 
 
 def _turn(nodeid):
-    return 0 if nodeid.startswith(COMPILES) else 1 if nodeid.startswith(NEEDS_NO_KERNELS) else 2
+    for turn, files in enumerate((*COMPILES, NEEDS_NO_KERNELS)):
+        if nodeid.startswith(files):
+            return turn
+    return len(COMPILES) + 1
 
 
 def pytest_collection_finish():

@@ -2,6 +2,7 @@
 
 import json
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from small_results import (
 )
 
 from experiments import main, side_process
+from experiments.figures.views import GroundViews
 from experiments.jobs import placement
 from experiments.parts import baselines
 from experiments.parts.player import interactive_part
@@ -83,11 +85,21 @@ def whole_placement(small_setting, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def part_of_many(small_setting, tmp_path_factory):
-    """The report's interactive part with 200 units: what each sees of the ground takes long."""
+    """The report's interactive part with 200 units.
+
+    What one sees of the ground takes long: four each look from the same place.
+    """
 
     def build(folder: Path) -> None:
-        evaluation = build_evaluation(small_setting, build_layout(200), with_vam=True)
-        part = interactive_part(small_setting, {"many": evaluation})
+        layout = build_layout(50)
+        units = [replace(layout.units[i % 50], id=f"unit {i + 1}") for i in range(200)]
+        evaluation = build_evaluation(
+            small_setting, replace(layout, units=tuple(units)), with_vam=True
+        )
+        shapes = [GroundViews(small_setting).shape(unit) for unit in layout.units]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(GroundViews, "shape", lambda self, unit: shapes[units.index(unit) % 50])
+            part = interactive_part(small_setting, {"many": evaluation})
         (folder / "part.json").write_text(json.dumps(part))
 
     folder = make_once(tmp_path_factory, "part-of-many", build)

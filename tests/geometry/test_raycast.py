@@ -12,12 +12,22 @@ from geometry import raycast
 from geometry.errors import InputError
 from geometry.raycast import build_caster, caster_name, open3d_problem
 
-_OPEN3D_PROBLEM = open3d_problem()
-needs_open3d = pytest.mark.skipif(_OPEN3D_PROBLEM is not None, reason=str(_OPEN3D_PROBLEM))
-LIBRARIES = [pytest.param("open3d", marks=[needs_open3d, pytest.mark.system]), "embree"]
-
 BOX_M = np.array([2.0, 3.0, 4.0])
 BOX = trimesh.creation.box(extents=2.0 * BOX_M)
+
+
+@pytest.fixture(scope="module")
+def open3d():
+    """Skips where Open3D cannot load; to collect tests, which loads it not, is quick."""
+    if (problem := open3d_problem()) is not None:
+        pytest.skip(problem)
+
+
+@pytest.fixture(scope="module", params=[pytest.param("open3d", marks=pytest.mark.system), "embree"])
+def library(request):
+    if request.param == "open3d":
+        request.getfixturevalue("open3d")
+    return request.param
 
 
 def _wall(library, x_m=10.0):
@@ -31,7 +41,6 @@ def _random_rays(rng, n, reach_m):
     return origins, (rng.uniform(-reach_m, reach_m, (n, 3)) - origins).astype(np.float32)
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     origins, vectors = _random_rays(np.random.default_rng(seed), 500, 8.0)
@@ -53,7 +62,6 @@ def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     assert not blocked[is_missed].any()
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_segment_ends_where_it_ends(library, side):
     caster = _wall(library)
@@ -63,7 +71,6 @@ def test_a_segment_ends_where_it_ends(library, side):
     assert blocked.tolist() == [False, True, False]  # just before, just after, away from it
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(library):
     walls = [
         np.array([[x, -5, -5], [x, 5, -5], [x, 5, 5], [x, -5, 5]], dtype=float) for x in (9, 3, 6)
@@ -78,7 +85,7 @@ def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(libr
 
 
 @pytest.mark.system
-@needs_open3d
+@pytest.mark.usefixtures("open3d")
 @given(seed=st.integers(0, 2**32 - 1))
 def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     rng = np.random.default_rng(seed)
@@ -93,7 +100,7 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
 
 
 @pytest.mark.system
-@needs_open3d
+@pytest.mark.usefixtures("open3d")
 @given(seed=st.integers(0, 2**32 - 1))
 def test_open3d_and_embreex_name_the_same_first_triangle(seed):
     rng = np.random.default_rng(seed)
@@ -116,7 +123,6 @@ def test_open3d_and_embreex_name_the_same_first_triangle(seed):
         np.testing.assert_allclose(ahead, one_share[where] * speed, rtol=1e-3, atol=1e-1)
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, seed):
     rng = np.random.default_rng(seed)
@@ -137,7 +143,6 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
     assert np.einsum("ij,ij->i", hits - a, normals) == pytest.approx(0.0, abs=2e-3)
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
     rng = np.random.default_rng(seed)
@@ -150,7 +155,6 @@ def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
     assert np.array_equal(caster.is_blocked(origins, vectors)[is_clear], (share <= 1.0)[is_clear])
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 def test_nothing_is_hit_where_nothing_is(library):
     caster = build_caster(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), library=library)
     origins, vectors = _random_rays(np.random.default_rng(0), 10, 5.0)
@@ -161,7 +165,6 @@ def test_nothing_is_hit_where_nothing_is(library):
     assert (index == -1).all()
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 def test_no_rays_give_no_answers(library):
     none = np.zeros((0, 3), dtype=np.float32)
     assert _wall(library).is_blocked(none, none).shape == (0,)
@@ -169,7 +172,6 @@ def test_no_rays_give_no_answers(library):
     assert [len(part) for part in _wall(library).first_triangle(none, none)] == [0, 0]
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 def test_answers_have_the_declared_types_and_rays_may_be_strided(library):
     caster = _wall(library)
     rays = np.zeros((4, 6), dtype=np.float32)
@@ -182,7 +184,6 @@ def test_answers_have_the_declared_types_and_rays_may_be_strided(library):
     assert share == pytest.approx([0.5, 2.0, 0.5, 2.0])
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 def test_two_threads_get_the_answers_of_one(library):
     rng = np.random.default_rng(7)
     vertices, triangles = rng.uniform(-50, 50, (300, 3)), rng.integers(0, 300, (200, 3))
@@ -200,7 +201,6 @@ def test_two_threads_get_the_answers_of_one(library):
         assert np.array_equal(one_share, two_share)
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 def test_a_vertex_that_is_not_finite_is_refused(library):
     vertices = np.eye(3)
     vertices[1, 1] = np.nan
@@ -211,7 +211,6 @@ def test_a_vertex_that_is_not_finite_is_refused(library):
     )
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
 @pytest.mark.parametrize(("triangle", "index"), [([0, 1, 3], 3), ([0, -1, 2], -1)])
 def test_a_triangle_outside_the_vertices_is_refused(library, triangle, index):
     with pytest.raises(InputError) as caught:
@@ -285,7 +284,7 @@ def test_embreex_casts_where_it_loads_and_open3d_is_not_imported(break_open3d):
 
 
 @pytest.mark.system
-@needs_open3d
+@pytest.mark.usefixtures("open3d")
 def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
     assert isinstance(build_caster(BOX.vertices, BOX.faces, library="open3d"), raycast.Open3dCaster)
     monkeypatch.setattr(raycast, "embreex_problem", lambda: "embreex cannot load")

@@ -9,6 +9,7 @@ import sys
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import cache
 from html import unescape
 from io import BytesIO
 from itertools import product
@@ -24,6 +25,7 @@ from browser_pages import open_page, start_browser
 from city_maps import FEW_RUNS, FEW_RUNS_OPTIONS, solve_here, write_city
 from once import make_once
 from osm_text import OsmText
+from partial_pages import blank_png
 
 from experiments.city import answer as city_answer
 from experiments.city import run as job
@@ -36,6 +38,7 @@ from experiments.progress import WRITING, StageProgress
 from experiments.results.folders import changed_files
 from experiments.results.numbers import percent
 from geometry.errors import InputError
+from geometry.maps import importing
 from geometry.maps.importing import read_map, survey_junctions
 from placement.city.fronts import Options
 from placement.layout import load_layout
@@ -73,6 +76,22 @@ def tiny(tmp_path_factory):
             run(path, folder / "city")
 
     return make_once(tmp_path_factory, "tiny-city", make)
+
+
+@cache
+def read_once(path, content, *reading):
+    return read_map(path, *reading)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch, with_blank_pictures):
+    """Pictures are blank, and the same map is not read again: for `tiny` all of it is done."""
+    monkeypatch.setattr(job, "to_png", blank_png)
+    monkeypatch.setattr(
+        importing,
+        "read_map",
+        lambda path, *reading: read_once(path, path.is_file() and path.read_bytes(), *reading),
+    )
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def drive(script, tmp_path, monkeypatch, *arguments):
     return out, world
 
 
-def end_of(run, n_frames=40):
+def end_of(run, n_frames=16):
     """Its last frames: the server draws millions of pixels in each."""
     return cut_run(run, slice(-n_frames, None))
 

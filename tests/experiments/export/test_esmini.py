@@ -48,6 +48,9 @@ IMPACT = (
 )
 
 
+FEW = ("--cases", "CPNC-50", "--speeds", "40,50", "--along-arms", "0", "--quiet")
+
+
 @pytest.fixture(scope="module")
 def runs():
     pytest.importorskip("scenariogeneration")
@@ -95,7 +98,7 @@ def test_the_command_tells_where_nothing_is_checked(run, monkeypatch, tmp_path):
 
 def test_the_command_compares_every_run(run, tmp_path):
     pytest.importorskip("scenariogeneration")
-    few = ("--cases", "CPNC-50", "--approaches", "east", "--along-arms", "0", "--quiet")
+    few = (*FEW, "--approaches", "east")
     path = program(tmp_path, IMPACT.replace("OFF", "0.0"))
     code, out, _ = run("scenarios", "check-esmini", *few, "--esmini", path)
     assert code == 0
@@ -114,7 +117,7 @@ def test_the_command_compares_every_run(run, tmp_path):
 
 def test_a_page_of_all_runs_is_written(run, tmp_path):
     pytest.importorskip("scenariogeneration")
-    few = ("--cases", "CPNC-50", "--approaches", "east,west", "--along-arms", "0", "--quiet")
+    few = (*FEW, "--approaches", "east,west")
     path = program(tmp_path, IMPACT.replace("OFF", "0.0"))
     out = ("--out", tmp_path / "a.md")
     code, _, _ = run("scenarios", "check-esmini", *few, *out, "--esmini", path)

@@ -21,20 +21,26 @@ def child():
     return run_of("CPNCO-50")
 
 
+@pytest.fixture(scope="module")
+def strip(child):
+    """Panels of the child's run: looked at, not changed."""
+    return plot_film(load_study_scene(), child)
+
+
 def captions(panels):
     return [axes.get_title() for axes in panels]
 
 
-def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child):
-    titles = captions(plot_film(load_study_scene(), child))
+def test_a_strip_leads_over_the_last_useful_frame_to_the_impact(child, strip):
+    titles = captions(strip)
     assert len(titles) == 6
     last = child.time_s[child.time_s <= child.last_brake_time_s].max()
     assert titles[3].startswith(f"\N{MINUS SIGN}{-last:.1f} s: ")
     assert titles[5].startswith("impact: ")
 
 
-def test_the_parked_cars_hide_the_child_until_late(child):
-    titles = captions(plot_film(load_study_scene(), child))
+def test_the_parked_cars_hide_the_child_until_late(strip):
+    titles = captions(strip)
     shares = [int(title.split(": ")[1].split()[0]) for title in titles]
     assert shares[0] == 0
     # At the impact the child is too near to fit into the image.
@@ -52,10 +58,9 @@ def test_a_cyclist_beside_a_turning_vut_is_not_in_its_image():
     assert [title.split(": ")[1].split()[0] for title in captions(panels)] == ["0"] * 6
 
 
-def test_bodies_stand_where_the_run_has_them(child):
-    panels = plot_film(load_study_scene(), child)
+def test_bodies_stand_where_the_run_has_them(child, strip):
     vut = child.encounter.vut
-    corners = panels[-1].patches
+    corners = strip[-1].patches
     middles = np.array(
         [
             np.asarray(patch.get_xy())[:4].mean(axis=0)
@@ -79,14 +84,14 @@ def test_stills_are_written_in_the_form_that_the_name_asks_for(child, tmp_path, 
 
 
 def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(tmp_path, monkeypatch):
-    monkeypatch.setattr(film_figure, "_SHOWN_S", 0.3)
+    monkeypatch.setattr(film_figure, "_SHOWN_S", 0.1)
     monkeypatch.setattr(film_figure, "_DPI", 40)
     run = run_of("CPNCO-50", speeds="20")
     path, told = tmp_path / "film.gif", []
     save_film(path, load_study_scene(), run, progress=lambda stage, *done: told.append(done))
     with Image.open(path) as film:
         n_frames, milliseconds = film.n_frames, film.info["duration"]
-    shown = run.time_s >= max(run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 0.3)
+    shown = run.time_s >= max(run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 0.1)
     assert n_frames == len(told) == shown.sum()
     assert milliseconds == 100
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from small_results import build_small_setting
 
 from experiments.figures.plan import ground_footprint
 from experiments.figures.views import MAX_RANGE_M, GroundViews
@@ -14,60 +13,72 @@ from geometry.lidar import load_lidars
 from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.scene import thing_footprint
+from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, is_in_view
 
-SETTING = build_small_setting()
-VIEWS = GroundViews(SETTING)
 CAMERA = load_cameras()["carla-ncap-rgb"]
 
 
+@pytest.fixture(scope="module")
+def views(small_setting):
+    return GroundViews(small_setting)
+
+
 def mounted(sensor=CAMERA, *, yaw_deg=90.0, pitch_deg=-12.0, site="corner-sw"):
-    foot_m = next(each for each in SETTING.scene.sites if each.id == site).position_m
+    foot_m = next(each for each in load_study_scene().sites if each.id == site).position_m
     pose = Pose(position_m=foot_m + [0.0, 0.0, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     return CandidatePose(id="U1", site_id=site, pose=pose, sensor=sensor)
 
 
-def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_image():
-    tallest_m = max(run.encounter.vru.height_m for run in SETTING.runs)
+def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_image(
+    small_setting, views
+):
+    tallest_m = max(run.encounter.vru.height_m for run in small_setting.runs)
     for fov_deg in (40.0, 70.0, 110.0):
         camera = replace(CAMERA, horizontal_fov_deg=fov_deg)
-        reach_m = camera.focal_length_px * tallest_m / SETTING.table_detector.min_box_height_px
-        assert VIEWS.reach_m(camera) == pytest.approx(min(reach_m, MAX_RANGE_M), abs=0.5)
-    blind = replace(SETTING, table_detector=replace(SETTING.table_detector, min_contrast=1.0))
-    foggy = replace(blind, axis=replace(SETTING.axis, weathers=("fog",) * SETTING.axis.n_runs))
+        reach_m = (
+            camera.focal_length_px * tallest_m / small_setting.table_detector.min_box_height_px
+        )
+        assert views.reach_m(camera) == pytest.approx(min(reach_m, MAX_RANGE_M), abs=0.5)
+    blind = replace(
+        small_setting, table_detector=replace(small_setting.table_detector, min_contrast=1.0)
+    )
+    foggy = replace(
+        blind, axis=replace(small_setting.axis, weathers=("fog",) * small_setting.axis.n_runs)
+    )
     assert GroundViews(foggy).reach_m(CAMERA) == 0.0
-    assert VIEWS.reach_m(load_lidars()["ouster-os1-128"]) == 120.0
+    assert views.reach_m(load_lidars()["ouster-os1-128"]) == 120.0
 
 
 @pytest.mark.parametrize("yaw_deg", [45.0, 180.0, -90.0])
-def test_no_view_runs_through_houses(yaw_deg):
+def test_no_view_runs_through_houses(small_setting, views, yaw_deg):
     houses = shapely.union_all(
         [
-            thing_footprint(SETTING.scene, index)
-            for index, thing in enumerate(SETTING.scene.instances)
+            thing_footprint(small_setting.scene, index)
+            for index, thing in enumerate(small_setting.scene.instances)
             if thing.class_name == "building"
         ]
     ).buffer(-2.0)
     unit = mounted(replace(CAMERA, horizontal_fov_deg=50.0), yaw_deg=yaw_deg)
-    image = shapely.Polygon(ground_footprint(unit, max_range_m=VIEWS.reach_m(unit.sensor)))
+    image = shapely.Polygon(ground_footprint(unit, max_range_m=views.reach_m(unit.sensor)))
     assert shapely.area(shapely.intersection(image, houses)) > 50.0
-    assert shapely.area(shapely.intersection(VIEWS.shape(unit), houses)) == 0.0
+    assert shapely.area(shapely.intersection(views.shape(unit), houses)) == 0.0
 
 
 @pytest.mark.parametrize("name", ["camera", *load_lidars()])
-def test_a_view_is_what_rays_reach(name):
+def test_a_view_is_what_rays_reach(small_setting, views, name):
     unit = mounted(CAMERA if name == "camera" else load_lidars()[name], pitch_deg=-10.0)
     rng, eye_m = np.random.default_rng(0), unit.pose.position_m
     points_m = np.column_stack([eye_m[:2] + rng.uniform(-60.0, 60.0, (4000, 2)), np.zeros(4000)])
     away_m = points_m - eye_m
-    reach_m = VIEWS.reach_m(unit.sensor)
+    reach_m = views.reach_m(unit.sensor)
     axis = np.array([0.0, np.cos(np.radians(10.0)), -np.sin(np.radians(10.0))])
     depth_m = away_m @ axis if name == "camera" else np.hypot(*away_m[:, :2].T)
-    caster = build_caster(SETTING.scene.vertices_m - eye_m, SETTING.scene.triangles)
+    caster = build_caster(small_setting.scene.vertices_m - eye_m, small_setting.scene.triangles)
     vectors_m = (away_m + [0.0, 0.0, 1.0]).astype(np.float32)
     is_hidden = caster.is_blocked(0.05 * vectors_m, 0.94 * vectors_m)
     is_seen = is_in_view(unit, points_m) & (depth_m <= reach_m) & ~is_hidden
-    shape = VIEWS.shape(unit)
+    shape = views.shape(unit)
     is_drawn = shapely.contains_xy(shape, points_m[:, :2])
     assert is_seen.sum() > 100
     assert (is_drawn != is_seen).mean() < 0.03  # a degree and a metre wide are the borders

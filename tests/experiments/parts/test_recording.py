@@ -1,4 +1,5 @@
 import json
+import shutil
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -21,6 +22,7 @@ from scenarios.aeb import load_aeb_rule
 
 BOX = np.array([100.0, 200.0, 140.0, 300.0])
 N_UNITS, N_DRIVES, N_FRAMES = 6, 5, 14
+ALL = 2.0  # a share so large that everybody detects in every frame
 SPEEDS_MPS = (6.0, 7.0, 8.0, 9.0, 10.0)
 
 
@@ -47,8 +49,39 @@ def _write(folder, detected, *, vut=True):
     return detected[:, order], np.array(SPEEDS_MPS)[order]
 
 
-def _random(seed, share=0.4):
+def _random(seed, share):
     return np.random.default_rng(seed).random((N_UNITS + 1, N_DRIVES, N_FRAMES)) < share
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Folder of a recording, what is detected in it, and speeds: thousands of files, made once."""
+
+    @cache
+    def make(seed=1, share=0.4):
+        folder = tmp_path_factory.mktemp("recorded") / "data"
+        return folder, *_write(folder, _random(seed, share))
+
+    return make
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _read_once():
+    """What was read is not read again: nothing is changed after that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(part, "read_recording", cache(part.read_recording))
+        yield
+
+
+def _with_own(folder, name, to):
+    """A recording again, one of whose folders may be changed; the others are links."""
+    to.mkdir()
+    for path in folder.iterdir():
+        if path.name == name:
+            shutil.copytree(path, to / name)
+        else:
+            (to / path.name).symlink_to(path)
+    return to
 
 
 def _in_time(frames, speed_mps):
@@ -91,9 +124,9 @@ def record_of(summary):
     return msgspec.convert(summary, RecordedResult)
 
 
-def test_every_partys_apr_is_that_of_the_definition(tmp_path):
-    detected, speeds = _write(tmp_path / "data", _random(1))
-    summary = _evaluate(tmp_path / "data")
+def test_every_partys_apr_is_that_of_the_definition(recorded):
+    folder, detected, speeds = recorded()
+    summary = _evaluate(folder)
     everyone = range(N_UNITS)
     for key, units in (
         ("vut", [N_UNITS]),
@@ -121,12 +154,10 @@ def test_every_partys_apr_is_that_of_the_definition(tmp_path):
 
 @pytest.mark.parametrize("fusion", ["any", "single"])
 @pytest.mark.parametrize(("seed", "share"), [(1, 0.4), (2, 0.5), (3, 0.6)])
-def test_no_other_choice_of_units_prevents_more(tmp_path, monkeypatch, fusion, seed, share):
-    # Hundreds of files are read once for all budgets.
-    monkeypatch.setattr(part, "read_recording", cache(part.read_recording))
-    detected, speeds = _write(tmp_path / "data", _random(seed, share))
+def test_no_other_choice_of_units_prevents_more(recorded, fusion, seed, share):
+    folder, detected, speeds = recorded(seed, share)
     for budget in (1, 2, 3, N_UNITS):
-        summary = _place(tmp_path / "data", budget_units=budget, fusion=fusion)
+        summary = _place(folder, budget_units=budget, fusion=fusion)
         chosen = [int(unit["folder"]) for unit in summary["layout"]]
         aprs = {
             units: np.mean(_avoided(detected, speeds, units, fusion))
@@ -161,9 +192,9 @@ def test_no_other_choice_of_units_prevents_more(tmp_path, monkeypatch, fusion, s
         ]
 
 
-def test_the_chosen_units_are_evaluated_alone(tmp_path):
-    detected, speeds = _write(tmp_path / "data", _random(4))
-    summary = _place(tmp_path / "data", budget_units=2)
+def test_the_chosen_units_are_evaluated_alone(recorded):
+    folder, detected, speeds = recorded(2, 0.5)
+    summary = _place(folder, budget_units=2)
     units = [int(unit["folder"]) for unit in summary["layout"]]
     assert [unit["id"] for unit in summary["layout"]] == [f"RSU{unit}" for unit in units]
     assert list(summary["evaluation"]["units"]) == [f"RSU{unit}" for unit in units]
@@ -173,32 +204,30 @@ def test_the_chosen_units_are_evaluated_alone(tmp_path):
     assert len(summary["greedy"]["layout"]) == 2
 
 
-def test_a_budget_beyond_the_recorded_units_is_refused(tmp_path):
-    _write(tmp_path / "data", _random(1))
+def test_a_budget_beyond_the_recorded_units_is_refused(recorded):
     with pytest.raises(InputError) as caught:
-        _place(tmp_path / "data", budget_units=7)
+        _place(recorded()[0], budget_units=7)
     assert str(caught.value) == "--budget: got 7; expected at most 6, the units recorded"
 
 
-def test_how_the_vut_confirms_and_brakes_is_asked_for(tmp_path):
-    _write(tmp_path / "data", np.ones_like(_random(1)))
-    assert _evaluate(tmp_path / "data")["apr"] == 1.0
+def test_how_the_vut_confirms_and_brakes_is_asked_for(recorded):
+    folder, *_ = recorded(share=ALL)
+    assert _evaluate(folder)["apr"] == 1.0
     # The third of 14 frames is at -1.1 s, the onset at -1.075: v / (2 * 3.5) is less to 7.525 m/s.
-    summary = _evaluate(tmp_path / "data", Question(deceleration_mps2=3.5))
+    summary = _evaluate(folder, Question(deceleration_mps2=3.5))
     assert summary["apr"] == pytest.approx(0.4)
     assert [drive["is_avoided"] for drive in summary["drives"]].count(True) == 2
 
 
-def test_weak_detections_do_not_count(tmp_path):
-    _write(tmp_path / "data", np.ones_like(_random(1)))
-    for path in (tmp_path / "data/Eval").iterdir():
+def test_weak_detections_do_not_count(recorded, tmp_path):
+    for path in (_with_own(recorded(share=ALL)[0], "Eval", tmp_path / "data") / "Eval").iterdir():
         path.write_text(path.read_text().replace(" 1.0\n", " 0.3\n"))
     assert _evaluate(tmp_path / "data", min_confidence=0.3)["apr"] == 1.0
     assert _evaluate(tmp_path / "data", min_confidence=0.31)["apr"] == 0.0
 
 
-def test_drives_frames_and_what_was_skipped_are_told(tmp_path):
-    _write(tmp_path / "data", _random(1))
+def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
+    _with_own(recorded()[0], "WorldData", tmp_path / "data")
     (tmp_path / "data/WorldData/0_3.txt").unlink()
     summary = _evaluate(tmp_path / "data")
     assert summary["frames"] == {
@@ -224,15 +253,15 @@ def test_drives_frames_and_what_was_skipped_are_told(tmp_path):
 
 
 def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
-    _write(tmp_path / "data", _random(1), vut=False)
+    _write(tmp_path / "data", _random(1, 0.4), vut=False)
     summary = _evaluate(tmp_path / "data")
     assert summary["evaluation"]["vut"] is None
     assert summary["evaluation"]["vut_and_rsus"] is None
     assert "car" not in recording_text(record_of(summary), None).split("Read:")[0]
 
 
-def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypatch):
-    _write(tmp_path / "data", _random(1))
+def test_nothing_is_written_unless_asked_for_and_then_little(recorded, tmp_path, monkeypatch):
+    (tmp_path / "data").symlink_to(recorded()[0])
     monkeypatch.chdir(tmp_path)
     _evaluate(Path("data"))
     _place(Path("data"))
@@ -248,17 +277,17 @@ def test_nothing_is_written_unless_asked_for_and_then_little(tmp_path, monkeypat
     assert "Written to out: summary.json." in recording_text(record_of(summary), Path("out"))
 
 
-def test_a_folder_with_other_things_is_not_replaced(tmp_path):
-    _write(tmp_path / "data", _random(1))
+def test_a_folder_with_other_things_is_not_replaced(recorded):
+    folder, *_ = recorded()
     with pytest.raises(InputError, match=r"--out: got .*data, which holds 0/.* but no SHA256SUMS"):
-        _evaluate(tmp_path / "data", out=tmp_path / "data")
-    assert (tmp_path / "data/Eval/0_0.txt").exists()
+        _evaluate(folder, out=folder)
+    assert (folder / "Eval/0_0.txt").exists()
 
 
-def test_tables_fit_80_columns_and_show_every_party(tmp_path):
-    _write(tmp_path / "data", _random(1))
-    evaluation = recording_text(record_of(_evaluate(tmp_path / "data")), None)
-    placement = recording_text(record_of(_place(tmp_path / "data")), None)
+def test_tables_fit_80_columns_and_show_every_party(recorded):
+    folder, *_ = recorded()
+    evaluation = recording_text(record_of(_evaluate(folder)), None)
+    placement = recording_text(record_of(_place(folder)), None)
     for text in (evaluation, placement):
         assert max(map(len, text.splitlines()[1:])) <= 80
     names = [*(f"RSU{unit}" for unit in range(N_UNITS)), "RSU_all", "car", "car + RSU_all"]
@@ -270,10 +299,9 @@ def test_tables_fit_80_columns_and_show_every_party(tmp_path):
     assert load_aeb_rule().deceleration_mps2 == 7.72  # what the numbers of this file stand on
 
 
-def test_a_recorded_choice_has_a_certificate_that_holds(tmp_path):
-    _write(tmp_path / "data", _random(5))
+def test_a_recorded_choice_has_a_certificate_that_holds(recorded, tmp_path):
     out = tmp_path / "out"
-    summary = _place(tmp_path / "data", out=out)
+    summary = _place(recorded(3, 0.6)[0], out=out)
     assert run_verification(out, progress=StageProgress()).is_verified
     summary["layout"][0]["folder"] = "another"
     (out / "summary.json").write_text(json.dumps(summary))

@@ -234,7 +234,7 @@ def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
 
 LENSES = {
     "brown-conrady": (480, "k1 = -0.12, p1 = 0.001", 90.0, "fov_range_deg = [50.0, 100.0]"),
-    "fisheye": (960, "k1 = -0.02, k2 = 0.003", 190.0, "roll_deg = 3.0"),
+    "fisheye": (600, "k1 = -0.02, k2 = 0.003", 190.0, "roll_deg = 3.0"),
 }
 
 

@@ -15,7 +15,7 @@ from placement.optimiser import (
     placement_value,
     presolve,
 )
-from placement.optimiser.bit_kernels import transpose_chosen
+from placement.optimiser.bit_kernels import ByteArray, transpose_chosen
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.presolve import distinct_rows, is_dominated, pack_words, unpack_words
 
@@ -47,9 +47,16 @@ def test_packing_words_loses_nothing(n_bits: int, seed: int) -> None:
     np.testing.assert_array_equal(unpack_words(pack_words(bits), n_bits), bits)
 
 
+def packed_rows(rng: np.random.Generator, n_rows: int, n_bytes: int) -> ByteArray:
+    """Bits as a table has them: not to be written to, or kernels would be compiled once more."""
+    rows = rng.integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
+    rows.setflags(write=False)
+    return rows
+
+
 @given(st.integers(0, 150), st.integers(0, 20), st.integers(0, 2**32 - 1))
 def test_a_table_turned_round_has_the_same_bits(n_rows: int, n_bytes: int, seed: int) -> None:
-    rows = np.random.default_rng(seed).integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
+    rows = packed_rows(np.random.default_rng(seed), n_rows, n_bytes)
     columns = np.empty((8 * n_bytes, -(-n_rows // 64)), dtype=np.uint64)
     transpose_chosen(rows, np.arange(n_rows), np.arange(8 * n_bytes), columns)
     bits = np.unpackbits(rows, axis=1, bitorder="little").view(bool)
@@ -61,7 +68,7 @@ def test_part_of_a_table_turned_round_has_its_bits(
     n_rows: int, n_chosen: int, n_bytes: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    rows = rng.integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
+    rows = packed_rows(rng, n_rows, n_bytes)
     chosen = rng.integers(0, n_rows, n_chosen)
     left = np.flatnonzero(rng.random(8 * n_bytes) < 0.7)
     place = np.full(8 * n_bytes, -1)
