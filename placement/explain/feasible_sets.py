@@ -13,10 +13,10 @@ from ..optimiser.allowed_sets import fitting
 from ..optimiser.bitsets import set_values, union_margins_s, values_with_each
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.presolve import presolve_freely
-from ..optimiser.problem import Measure, Objective, Requirement
+from ..optimiser.problem import Goal, Measure, Objective, Requirement
 from ..optimiser.proof import Search, Stages
 from ..optimiser.solve import check_limits
-from ..optimiser.timing import COST_TOLERANCE_EUR, SOLVER_TOLERANCE, TOLERANCE, Deadline
+from ..optimiser.timing import SOLVER_TOLERANCE, TOLERANCE, Deadline
 
 # ---------- greedy choice
 _MAX_ADDED = 12  # values with failed units take too long to compute for more
@@ -105,24 +105,21 @@ class Oracle:
         found = self._search(reduced)
         return found if isinstance(found, Answer) else _answer(found, is_proven=True)
 
-    def least_units(self, problem: PlacementProblem) -> Answer:
-        """The fewest units that meet limits and floors."""
-        problem = replace(problem, goal="fewest", survive=0)
-        found = self._search_whole(problem)
+    def least(self, problem: PlacementProblem, goal: Goal) -> Answer:
+        """The fewest units, or the least cost, that meet limits and floors."""
+        problem = replace(problem, goal=goal, survive=0)
+        if self._is_refused_at_once(problem):
+            return _NONE
+        found = self._search(self._presolve(problem))
         if isinstance(found, Answer):
             return found
-        bound, units = Stages(problem, found, Effort()).bound_units(), found.units
-        n_units = 0 if units is None else len(units)
-        return _answer(found, is_proven=bound >= n_units, value=float(n_units))
-
-    def least_cost_eur(self, problem: PlacementProblem) -> Answer:
-        """The least cost at which limits and floors are met."""
-        problem = replace(problem, goal="cheapest", survive=0)
-        found = self._search_whole(problem)
-        if isinstance(found, Answer):
-            return found
-        bound, value = Stages(problem, found, Effort()).bound_first_cost_eur(), found.value.cost_eur
-        return _answer(found, is_proven=bound >= value - COST_TOLERANCE_EUR, value=value)
+        (objective, find_bound), *_ = Stages(problem, found, Effort()).plan()
+        bound = find_bound()
+        assert found.units is not None
+        is_of_units = objective is Objective.UNITS
+        value = float(len(found.units)) if is_of_units else found.value.cost_eur
+        is_proven = objective.excess(bound, value) <= objective.tolerance
+        return _answer(found, is_proven=is_proven, value=value)
 
     def most(self, problem: PlacementProblem, measure: Measure, n_failures: int) -> Answer:
         """The highest ratio left when the most painful units fail, within limits and floors.
@@ -169,12 +166,6 @@ class Oracle:
             bare = replace(problem, floors=(), goal="best", survive=0)
             self._presolved[key] = problem.limits, presolve(bare)
         return self._presolved[key][1].for_problem(problem)
-
-    def _search_whole(self, problem: PlacementProblem) -> Search | Answer:
-        """As :meth:`_search`, of a problem that may be refused at once."""
-        if self._is_refused_at_once(problem):
-            return _NONE
-        return self._search(self._presolve(problem))
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search | Answer:
         """A search that has a set within limits and floors; else the answer that there is none.
