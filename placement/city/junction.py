@@ -17,7 +17,7 @@ from ..compute import Compute
 from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
 from ..optimiser.cost_front import cost_front
-from ..optimiser.front import Front, FrontPoint, largest_values, pareto_front
+from ..optimiser.front import Front, largest_values, pareto_front
 from ..optimiser.problem import Objective, PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout
@@ -255,17 +255,11 @@ def _merge(
 
 def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
     steps = [
-        (float(point.units - n_existing), max(_apr_bound(point), base))
+        (float(point.units - n_existing), max(point.apr_bound, base))
         for point in front.points
         if point.units > n_existing
     ]
     return lowered([(0.0, base), *steps])
-
-
-def _apr_bound(point: FrontPoint) -> float:
-    stage = point.stage(Objective.APR)
-    assert stage is not None  # the first of all fronts
-    return stage.bound
 
 
 def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> Steps:
@@ -285,8 +279,8 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
 
     points = front.points
     for index, point in enumerate(points):
-        beyond = most if index + 1 == len(points) else _apr_bound(points[index + 1])
-        here = max(_apr_bound(point), min(point.value.apr + step, beyond))
+        beyond = most if index + 1 == len(points) else points[index + 1].apr_bound
+        here = max(point.apr_bound, min(point.value.apr + step, beyond))
         add(point.certificate.stages[0].bound, here)
     if front.settled is None:
         add(points[-1].value.cost_eur, most)

@@ -10,7 +10,7 @@ from geometry.errors import InputError
 
 from ..optimiser import Effort, Limits, PlacementProblem, ReducedProblem, is_allowed, presolve
 from ..optimiser.allowed_sets import fitting
-from ..optimiser.bitsets import set_values, union_margins_s, values_with_each
+from ..optimiser.bitsets import best_with_each, set_values, union_margins_s
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.presolve import presolve_freely
 from ..optimiser.problem import Goal, Measure, Objective, Requirement
@@ -36,7 +36,7 @@ def choose_greedily(reduced: ReducedProblem) -> IntArray:
         free = np.flatnonzero(fits)
         if not len(free):
             break
-        units = np.append(units, free[values_with_each(reduced, units)[free].descending()[0]])
+        units = best_with_each(reduced, units, free)
     return units
 
 
