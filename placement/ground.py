@@ -1,8 +1,8 @@
 """Private ground - gardens, terraces, window fronts - and how much of it cameras have in view."""
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -257,22 +257,16 @@ class PrivateSight:
         self._caster: RayCaster = build_caster(scene.vertices_m - self._origin, scene.triangles)
         self._points_m = ground.points_m.copy()
         self._points_m[:, 2] += ground_height_m(scene, self._points_m[:, :2])
-        self._open: OrderedDict[tuple[float, ...], BoolArray] = OrderedDict()
+        self._lie_open = lru_cache(_MAX_PLACES)(self._look_from)
+
+    def _look_from(self, *place: float) -> BoolArray:
+        mount_m, near_m = np.array(place[:3]) - self._origin, place[3]
+        return is_in_sight(self._caster, mount_m, self._points_m - self._origin, near_m=near_m)
 
     def seen(self, candidate: CandidatePose) -> BoolArray:
         """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool."""
-        place = _place(candidate)
-        if place not in self._open:
-            self._open[place] = is_in_sight(
-                self._caster,
-                candidate.pose.position_m - self._origin,
-                self._points_m - self._origin,
-                near_m=candidate.sensor.near_m,
-            )
-            if len(self._open) > _MAX_PLACES:
-                self._open.popitem(last=False)
-        self._open.move_to_end(place)
-        return self._open[place] & np.isfinite(_depth_in_picture(self._points_m, candidate))
+        in_picture = np.isfinite(_depth_in_picture(self._points_m, candidate))
+        return self._lie_open(*_place(candidate)) & in_picture
 
     def shares(self, candidates: Sequence[CandidatePose]) -> FloatArray:
         """Share of each area's points that each pose sees, (n_candidates, n_areas)."""

@@ -82,7 +82,7 @@ def build_drawn_tables(
                 streams, key = replace(sample.streams, draw=draw), pose_key(planned)
                 draw_frames(
                     *(limit, world.views.weather_of_frame, entry_of_frame),
-                    *(order.run_of_frame, order.place_of_frame),
+                    *order,
                     streams.key("detector", *key),
                     correlation,
                     person,
@@ -409,7 +409,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
                 packed[row] &= np.packbits(~np.repeat(silent, n_frames), bitorder="little")
         if loss:
             lose_frames(
-                *(order.run_of_frame, order.place_of_frame),
+                *order,
                 *(sample.streams.key("message", *mounts(planned)), loss),
                 *(sample.streams.key("burst", *mounts(planned)), 1.0 / drawn.burst_frames),
                 packed[row],
