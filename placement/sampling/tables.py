@@ -444,27 +444,16 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
     is_low, sun = _low_sun(sample)
     least = np.cos(np.radians(blinding.dazzled_within_deg))
 
-    @cache
-    def is_pole_out(mount: tuple[object, ...]) -> BoolArray:
-        return coins("pole", *mount) < outages.pole_share
-
-    @cache
-    def is_unit_out(unit: tuple[object, ...]) -> BoolArray:
-        return coins("unit", *unit) < outages.unit_share
-
-    @cache
-    def is_dirty(unit: tuple[object, ...]) -> BoolArray:
-        return coins("dirt", *unit) < blinding.dirty_share
-
     def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
-        unit = unit_key(planned)
-        silent = is_unit_out(unit) | is_pole_out(mount_key(planned))
+        unit, pole = unit_key(planned), mount_key(planned)
+        silent = coins("unit", *unit) < outages.unit_share
+        silent |= coins("pole", *pole) < outages.pole_share
         if isinstance(planned.sensor, LidarModel):
             return silent
         yaw, pitch = np.radians([mounted.pose.yaw_deg, mounted.pose.pitch_deg])
         axis = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
         is_dazzled: BoolArray = is_low & (sun @ axis > least)
-        return silent | is_dirty(unit) | is_dazzled
+        return silent | (coins("dirt", *unit) < blinding.dirty_share) | is_dazzled
 
     return is_silent
 
@@ -489,6 +478,7 @@ def _coins(sample: Sample) -> Callable[..., FloatArray]:
     first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])
     counter = link_frames(draw_index(runs)).run_of_frame[first]
 
+    @cache  # poses that may be the same unit share them
     def draw(*thing: object) -> FloatArray:
         coins = np.empty(len(runs))
         draw_coins(counter, sample.streams.key(*thing), coins)
