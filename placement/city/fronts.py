@@ -150,11 +150,7 @@ class Options:
 
     def taken(self, rows: IntArray) -> "Options":
         """Some of the options, by rows in ascending order; each junction keeps one at least."""
-        return Options(
-            junction=self.junction[rows],
-            units=self.units[rows],
-            **{name: getattr(self, name)[rows] for name in _VALUES},
-        )
+        return Options(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
 _VALUES = ("cost_eur", *_WORTH)

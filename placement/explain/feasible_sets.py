@@ -10,13 +10,13 @@ from geometry.errors import InputError
 
 from ..optimiser import Effort, Limits, PlacementProblem, ReducedProblem, is_allowed, presolve
 from ..optimiser.allowed_sets import fitting
-from ..optimiser.bitsets import best_with_each, set_values, union_margins_s
+from ..optimiser.bitsets import best_with_each, set_values
 from ..optimiser.greedy import forced_units, improve, to_full
 from ..optimiser.presolve import presolve_freely
 from ..optimiser.problem import Goal, Measure, Objective, Requirement
 from ..optimiser.proof import Search, Stages
-from ..optimiser.solve import check_limits
-from ..optimiser.timing import SOLVER_TOLERANCE, TOLERANCE, Deadline
+from ..optimiser.solve import check_limits, check_reach
+from ..optimiser.timing import SOLVER_TOLERANCE, Deadline
 
 # ---------- greedy choice
 _MAX_ADDED = 12  # values with failed units take too long to compute for more
@@ -144,20 +144,14 @@ class Oracle:
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:
         """True if limits contradict each other, or all poses together reach too little."""
-        limits = problem.limits
+        limits, shared = problem.limits, self._shared.for_problem(problem)
+        usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
         try:
             check_limits(limits, problem.table.pose_ids)
+            check_reach(problem, replace(shared, words=shared.words[usable[shared.pose_index]]))
         except InputError:
             return True
-        shared = self._shared.for_problem(problem)
-        usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
-        words = shared.words[usable[shared.pose_index]]
-        everything = np.bitwise_or.reduce(words, axis=0, keepdims=True)
-        is_avoided = union_margins_s(shared, everything) > -np.inf
-        return any(
-            float(floor.measure.of(is_avoided)[0]) < floor.least - TOLERANCE
-            for floor in shared.floors
-        )
+        return False
 
     def _presolve(self, problem: PlacementProblem) -> ReducedProblem:
         """Presolved for these limits: once for the same ones."""
