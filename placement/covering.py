@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray, float_array
 from geometry.errors import InputError, check_one_of, refuse
-from geometry.files import float_of, read_bytes, write_atomically
+from geometry.files import float_of, read_bytes, read_data, write_atomically
 
 from .layout import relative_gap
 from .memory import check_fits
@@ -215,31 +215,20 @@ def _check(
 # ---------- files of numbers
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Format:
-    """The numbers of a file: two sizes, perhaps all costs, then lists of members."""
+    """The numbers of a file, see ``data/covering.toml``: two sizes, costs perhaps, then lists."""
 
-    sizes: tuple[str, str]  # what the first two numbers count
-    lists: int  # which of the two is the number of lists; members are what the other one counts
+    sizes: tuple[str, str]
+    lists: int
     owner: str  # of a list: row, column, ..
     member: str
-    has_costs: bool = False  # of all columns, before the lists
-    head: str = ""  # what stands before each list
-    n_each: int | None = None  # members of each list; else the file says how many there are
-    first: int = 1  # number of the first member
+    has_costs: bool = False
+    head: str = ""
+    n_each: int | None = None
+    first: int = 1
 
 
 _COST, _ID = "the cost of a column", "the id of a sample"
-_FORMATS = {
-    "orlib": _Format(
-        sizes=("rows", "columns"), lists=0, owner="row", member="column", has_costs=True
-    ),
-    "gecco": _Format(
-        sizes=("samples", "candidates"), lists=0, owner="sample", member="column", head=_ID, first=0
-    ),
-    "rail": _Format(sizes=("rows", "columns"), lists=1, owner="column", member="row", head=_COST),
-    "sts": _Format(
-        sizes=("variables", "triples"), lists=1, owner="triple", member="variable", n_each=3
-    ),
-}
+_FORMATS = read_data(__package__, "covering.toml", dict[str, _Format])
 FORMATS = tuple(_FORMATS)  # names of the formats that :func:`load_instance` reads
 
 _MAX_SIZE = 10_000_000  # rows, columns: what a file of a few bytes may make us allocate
