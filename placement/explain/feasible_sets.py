@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import BoolArray, IntArray
+from geometry.arrays import IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError
 
 from ..optimiser import Effort, Limits, PlacementProblem, ReducedProblem, is_allowed, presolve
-from ..optimiser.allowed_sets import fitting
-from ..optimiser.bitsets import best_with_each, set_values
-from ..optimiser.greedy import forced_units, improve, to_full
+from ..optimiser.bitsets import set_values
+from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import presolve_freely
 from ..optimiser.problem import Goal, Measure, Objective, Requirement
 from ..optimiser.proof import Search, Stages
@@ -23,41 +22,22 @@ _MAX_ADDED = 12  # values with failed units take too long to compute for more
 
 
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
-    """Add poses one by one, that first which leaves the floors lacking least.
+    """Few poses, one by one that first which leaves the floors lacking least, until none does.
 
-    No more than are needed, or all that there is room for; see :func:`meets`.
+    No more than there is room for; see :func:`meets`.
     """
-    units = forced_units(reduced)
-    most = min(reduced.limits.max_units, len(units) + _MAX_ADDED)
-    while len(units) < most and not meets(reduced, units):
-        fits = fitting(reduced.limits, units)
-        if not _lacks_floors(reduced, units):  # a forced site, or any unit at all
-            fits &= _at_missing_site(reduced, units)
-        free = np.flatnonzero(fits)
-        if not len(free):
-            break
-        units = best_with_each(reduced, units, free)
-    return units
+    limits, units = reduced.limits, forced_units(reduced)
+    most = max(min(limits.max_units, len(units) + _MAX_ADDED), 1)
+    if not reduced.objectives[0].is_minimised:
+        reduced = reduced.with_goal("fewest")
+    return extend_greedily(replace(reduced, limits=replace(limits, budget_units=most)), units)
 
 
 def meets(reduced: ReducedProblem, units: IntArray) -> bool:
     """True if a set of poses is within the limits and reaches the floors."""
     if not len(units) or not is_allowed(reduced.limits, units):
         return False
-    return not _lacks_floors(reduced, units)
-
-
-def _lacks_floors(reduced: ReducedProblem, units: IntArray) -> bool:
-    return bool(set_values(reduced, units[None, :]).lacking[0] > 0.0)
-
-
-def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
-    """Poses at sites that are still to carry a unit; all where there is no such site."""
-    limits = reduced.limits
-    missing = limits.is_forced_site.copy()
-    missing[limits.site_index[units]] = False
-    at_missing: BoolArray = missing[limits.site_index]
-    return at_missing if missing.any() else ~at_missing
+    return not bool(set_values(reduced, units[None, :]).lacking[0] > 0.0)
 
 
 # ---------- the oracle
