@@ -1,22 +1,10 @@
 """Covering problems of the literature, LSCP and MCLP: read from files and solved by HiGHS.
 
 LSCP, the location set covering problem [1]_: at least cost, cover every row, or enough. MCLP, the
-maximal covering location problem [2]_: within a budget, cover as many rows as possible. Four
-formats of files are nothing but numbers; a file is in the one that it fits from the first number to
-the last and, if several, in the one whose records begin its lines.
-
-orlib
-    OR-Library's sets 4 to 6, A to E, NRE to NRH, CYC and CLR [3]_: rows, columns; the cost of each
-    column; for each row, how many columns cover it, and which, from 1.
-rail
-    OR-Library's railway instances [3]_: rows, columns; for each column, its cost, how many rows it
-    covers, and which, from 1.
-gecco
-    Camera placement competition of GECCO 2020 [4]_: samples, candidates; for each sample, its id,
-    how many candidates see it, and which, from 0.
-sts
-    Steiner triple systems [5]_: variables, triples; the three variables of each triple, from 1. The
-    variables are columns, the triples rows.
+maximal covering location problem [2]_: within a budget, cover as many rows as possible. The formats
+of files, in ``data/covering.toml`` with their sources, are nothing but numbers; a file is in the
+one that it fits from the first number to the last and, if several, in the one whose records begin
+its lines.
 
 References
 ----------
@@ -24,13 +12,6 @@ References
    Operations Research 19, 1971.
 .. [2] R. L. Church, C. ReVelle, "The maximal covering location problem", Papers of the Regional
    Science Association 32, 1974.
-.. [3] J. E. Beasley, "OR-Library: distributing test problems by electronic mail", Journal of the
-   Operational Research Society 41, 1990; its page scpinfo.
-.. [4] J. Kritter, M. Brévilliers, J. Lepagnot, L. Idoumghar, "On the optimal placement of cameras
-   for surveillance and the underlying set cover problem", Applied Soft Computing 74, 2019.
-.. [5] D. R. Fulkerson, G. L. Nemhauser, L. E. Trotter, "Two computationally difficult set covering
-   problems that arise in computing the 1-width of incidence matrices of Steiner triple systems",
-   Mathematical Programming Study 2, 1974; files and README by M. G. C. Resende.
 """
 
 import math
