@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import refuse
+from geometry.files import load_data
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.raycast import RayCaster, build_caster
@@ -26,18 +27,10 @@ LOOK_AT_M = 1.0  # height above the road: the middle of a road user
 REACH_M = 45.0
 _SPACING_M = 1.0
 
-BANDS = (
-    ("inspect", 1000.0),
-    ("identify", 250.0),
-    ("recognise", 125.0),
-    ("observe", 62.5),
-    ("detect", 25.0),
-    ("monitor", 12.5),
+BANDS: tuple[tuple[str, float], ...] = tuple(
+    load_data(__package__, "pixel_densities.toml")["bands"].items()
 )
-"""Bands of pixel density by their least, in pixels per metre, the finest first.
-
-EN IEC 62676-4:2015, annex on pixel densities (figures from memory, no copy was at hand).
-"""
+"""Bands of pixel density by their least, in pixels per metre, the finest first."""
 
 _SHORT_OF_M = 0.05  # rays end a little before the point
 
