@@ -181,7 +181,11 @@ def find_front(
             cheap = replace(limits, is_forbidden=limits.is_forbidden | is_dear)
             fronts.append(fronts_of(replace(problem, limits=cheap), lambda _: None))
         begin("front by money")
-        by_cost = _cost_front(problem, effort())
+        try:
+            by_cost = cost_front(problem, effort=effort())
+        except InputError as error:
+            if error.where != "candidates":  # else the poses avoid nothing
+                raise
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
     return _merge(
         problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, few, base, n_existing
@@ -202,16 +206,6 @@ def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int
     if most < 1:
         raise InputError(f"{scene.name}: sites", Unquoted("none with room"), "one that is free")
     return most
-
-
-def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
-    """The front by money; None where the poses avoid nothing."""
-    try:
-        return cost_front(problem, effort=effort)
-    except InputError as error:
-        if error.where != "candidates":
-            raise
-        return None
 
 
 # ---------- one front of all
