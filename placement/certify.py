@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
+from geometry.files import says
 from geometry.scene import Scene
 
 from .cache import cached_value
@@ -157,55 +158,31 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
 SIZES = (4, 8, 16, 32, 64)
 """Worlds to choose in, round by round."""
 Stopped = Literal["same", "no better", "time", "memory", "most"]
+_GAIN = "95 % interval of that less the round before's; null: the first round, or the same layout."
+_STOPPED = "Why no more were tried: same layout, none better beyond chance, or what had run out."
 _TIMES = 5  # Rounds take so many times the time limit of one, before the last one begins
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """What was chosen in a number of worlds.
+    """What was chosen in a number of worlds."""
 
-    Attributes
-    ----------
-    worlds : int
-        Number of worlds to choose in.
-    in_sample : float
-        Mean APR of the layout in them.
-    bound : float
-        Mean APR that no layout exceeds in them.
-    mean : float
-        Mean APR of the layout in fresh worlds that only compare rounds.
-    low, high : float, optional
-        95 % interval of that less the round before's; null: the first round, or the same layout.
-    """
-
-    worlds: int
-    in_sample: float
-    bound: float
-    mean: float
-    low: float | None
-    high: float | None
+    worlds: Annotated[int, says("Number of worlds to choose in.")]
+    in_sample: Annotated[float, says("Mean APR of the layout in them.")]
+    bound: Annotated[float, says("Mean APR that no layout exceeds in them.")]
+    mean: Annotated[float, says("Mean APR of the layout in fresh worlds that only compare rounds.")]
+    low: Annotated[float | None, says(_GAIN)]
+    high: Annotated[float | None, says(_GAIN)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """How many worlds to choose in are enough.
+    """How many worlds to choose in are enough."""
 
-    Attributes
-    ----------
-    taken : int
-        So many.
-    compared_in : int
-        Fresh worlds that compare rounds.
-    stopped : str
-        Why no more were tried: same layout, none better beyond chance, or what had run out.
-    rounds : tuple of Round
-        The fewest worlds first.
-    """
-
-    taken: int
-    compared_in: int
-    stopped: Stopped
-    rounds: tuple[Round, ...]
+    taken: Annotated[int, says("So many.")]
+    compared_in: Annotated[int, says("Fresh worlds that compare rounds.")]
+    stopped: Annotated[Stopped, says(_STOPPED)]
+    rounds: Annotated[tuple[Round, ...], says("The fewest worlds first.")]
 
 
 class Grown(NamedTuple):

@@ -1,22 +1,10 @@
 """Covering problems of the literature, LSCP and MCLP: read from files and solved by HiGHS.
 
 LSCP, the location set covering problem [1]_: at least cost, cover every row, or enough. MCLP, the
-maximal covering location problem [2]_: within a budget, cover as many rows as possible. Four
-formats of files are nothing but numbers; a file is in the one that it fits from the first number to
-the last and, if several, in the one whose records begin its lines.
-
-orlib
-    OR-Library's sets 4 to 6, A to E, NRE to NRH, CYC and CLR [3]_: rows, columns; the cost of each
-    column; for each row, how many columns cover it, and which, from 1.
-rail
-    OR-Library's railway instances [3]_: rows, columns; for each column, its cost, how many rows it
-    covers, and which, from 1.
-gecco
-    Camera placement competition of GECCO 2020 [4]_: samples, candidates; for each sample, its id,
-    how many candidates see it, and which, from 0.
-sts
-    Steiner triple systems [5]_: variables, triples; the three variables of each triple, from 1. The
-    variables are columns, the triples rows.
+maximal covering location problem [2]_: within a budget, cover as many rows as possible. The formats
+of files, in ``data/covering.toml`` with their sources, are nothing but numbers; a file is in the
+one that it fits from the first number to the last and, if several, in the one whose records begin
+its lines.
 
 References
 ----------
@@ -24,13 +12,6 @@ References
    Operations Research 19, 1971.
 .. [2] R. L. Church, C. ReVelle, "The maximal covering location problem", Papers of the Regional
    Science Association 32, 1974.
-.. [3] J. E. Beasley, "OR-Library: distributing test problems by electronic mail", Journal of the
-   Operational Research Society 41, 1990; its page scpinfo.
-.. [4] J. Kritter, M. Brévilliers, J. Lepagnot, L. Idoumghar, "On the optimal placement of cameras
-   for surveillance and the underlying set cover problem", Applied Soft Computing 74, 2019.
-.. [5] D. R. Fulkerson, G. L. Nemhauser, L. E. Trotter, "Two computationally difficult set covering
-   problems that arise in computing the 1-width of incidence matrices of Steiner triple systems",
-   Mathematical Programming Study 2, 1974; files and README by M. G. C. Resende.
 """
 
 import math
@@ -44,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray, IntArray, float_array
 from geometry.errors import InputError, check_one_of, refuse
-from geometry.files import float_of, read_bytes, write_atomically
+from geometry.files import float_of, read_bytes, read_data, write_atomically
 
 from .layout import relative_gap
 from .memory import check_fits
@@ -215,31 +196,20 @@ def _check(
 # ---------- files of numbers
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Format:
-    """The numbers of a file: two sizes, perhaps all costs, then lists of members."""
+    """The numbers of a file, see ``data/covering.toml``: two sizes, costs perhaps, then lists."""
 
-    sizes: tuple[str, str]  # what the first two numbers count
-    lists: int  # which of the two is the number of lists; members are what the other one counts
+    sizes: tuple[str, str]
+    lists: int
     owner: str  # of a list: row, column, ..
     member: str
-    has_costs: bool = False  # of all columns, before the lists
-    head: str = ""  # what stands before each list
-    n_each: int | None = None  # members of each list; else the file says how many there are
-    first: int = 1  # number of the first member
+    has_costs: bool = False
+    head: str = ""
+    n_each: int | None = None
+    first: int = 1
 
 
 _COST, _ID = "the cost of a column", "the id of a sample"
-_FORMATS = {
-    "orlib": _Format(
-        sizes=("rows", "columns"), lists=0, owner="row", member="column", has_costs=True
-    ),
-    "gecco": _Format(
-        sizes=("samples", "candidates"), lists=0, owner="sample", member="column", head=_ID, first=0
-    ),
-    "rail": _Format(sizes=("rows", "columns"), lists=1, owner="column", member="row", head=_COST),
-    "sts": _Format(
-        sizes=("variables", "triples"), lists=1, owner="triple", member="variable", n_each=3
-    ),
-}
+_FORMATS = read_data(__package__, "covering.toml", dict[str, _Format])
 FORMATS = tuple(_FORMATS)  # names of the formats that :func:`load_instance` reads
 
 _MAX_SIZE = 10_000_000  # rows, columns: what a file of a few bytes may make us allocate

@@ -130,21 +130,17 @@ def mean_impact_speed_kmh(
     return math.fsum(weight * verdict.impact_speed_kmh) / math.fsum(weight)
 
 
-def score(
-    verdict: Verdict, axis: FrameAxis, levels: Levels | None, run_mask: BoolArray | None = None
-) -> float:
+def score(verdict: Verdict, axis: FrameAxis, levels: Levels | None) -> float:
     """Weight of runs by the speeds at contact / weight of all, 0 .. 1.
 
-    Without levels it is the APR. NaN if the runs counted have no weight, or the verdict knows no
-    speeds.
+    Without levels it is the APR. NaN if the verdict knows no speeds.
     """
     if levels is None:
-        return apr(verdict, axis, run_mask)
-    weight = axis.weight if run_mask is None else axis.weight * run_mask
-    if verdict.closing_speed_kmh is None or not weight.any():
+        return apr(verdict, axis)
+    if verdict.closing_speed_kmh is None:
         return math.nan
     counts = levels.of_speeds(verdict.closing_speed_kmh, verdict.is_avoided)
-    return math.fsum(weight * counts) / math.fsum(weight)
+    return math.fsum(axis.weight * counts) / math.fsum(axis.weight)
 
 
 def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:

@@ -1,8 +1,8 @@
 """Private ground - gardens, terraces, window fronts - and how much of it cameras have in view."""
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import refuse
+from geometry.files import load_data
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.raycast import RayCaster, build_caster
@@ -26,18 +27,10 @@ LOOK_AT_M = 1.0  # height above the road: the middle of a road user
 REACH_M = 45.0
 _SPACING_M = 1.0
 
-BANDS = (
-    ("inspect", 1000.0),
-    ("identify", 250.0),
-    ("recognise", 125.0),
-    ("observe", 62.5),
-    ("detect", 25.0),
-    ("monitor", 12.5),
+BANDS: tuple[tuple[str, float], ...] = tuple(
+    load_data(__package__, "pixel_densities.toml")["bands"].items()
 )
-"""Bands of pixel density by their least, in pixels per metre, the finest first.
-
-EN IEC 62676-4:2015, annex on pixel densities (figures from memory, no copy was at hand).
-"""
+"""Bands of pixel density by their least, in pixels per metre, the finest first."""
 
 _SHORT_OF_M = 0.05  # rays end a little before the point
 
@@ -257,22 +250,16 @@ class PrivateSight:
         self._caster: RayCaster = build_caster(scene.vertices_m - self._origin, scene.triangles)
         self._points_m = ground.points_m.copy()
         self._points_m[:, 2] += ground_height_m(scene, self._points_m[:, :2])
-        self._open: OrderedDict[tuple[float, ...], BoolArray] = OrderedDict()
+        self._lie_open = lru_cache(_MAX_PLACES)(self._look_from)
+
+    def _look_from(self, *place: float) -> BoolArray:
+        mount_m, near_m = np.array(place[:3]) - self._origin, place[3]
+        return is_in_sight(self._caster, mount_m, self._points_m - self._origin, near_m=near_m)
 
     def seen(self, candidate: CandidatePose) -> BoolArray:
         """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool."""
-        place = _place(candidate)
-        if place not in self._open:
-            self._open[place] = is_in_sight(
-                self._caster,
-                candidate.pose.position_m - self._origin,
-                self._points_m - self._origin,
-                near_m=candidate.sensor.near_m,
-            )
-            if len(self._open) > _MAX_PLACES:
-                self._open.popitem(last=False)
-        self._open.move_to_end(place)
-        return self._open[place] & np.isfinite(_depth_in_picture(self._points_m, candidate))
+        in_picture = np.isfinite(_depth_in_picture(self._points_m, candidate))
+        return self._lie_open(*_place(candidate)) & in_picture
 
     def shares(self, candidates: Sequence[CandidatePose]) -> FloatArray:
         """Share of each area's points that each pose sees, (n_candidates, n_areas)."""

@@ -174,12 +174,6 @@ class Assembly:
             compute=self.compute,
         )
 
-    def of_layout(self, pose_index: Sequence[int]) -> "Assembly":
-        """Some candidates alone, in the world as planned."""
-        units = [self.candidates[index] for index in pose_index]
-        compute = replace(self.compute, cache_folder=None)
-        return Assembly(setting=self.setting, candidates=units, fusion=self.fusion, compute=compute)
-
 
 def assemble(
     question: Question,
@@ -534,9 +528,10 @@ def _nominal(
     cars = assembly.setting.cars
     plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
     if problem.sample_index is not None:
-        compute = assembly.compute.within("greedy")
-        alone = replace(assembly, setting=plain, compute=compute).of_layout(pose_index).problem
-        return alone, tuple(range(alone.table.n_poses))
+        units = [assembly.candidates[index] for index in pose_index]
+        compute = replace(assembly.compute.within("greedy"), cache_folder=None)
+        alone = Assembly(setting=plain, candidates=units, fusion=assembly.fusion, compute=compute)
+        return alone.problem, tuple(range(len(units)))
     if assembly.setting.levels is not None or 0.0 < cars < 1.0:
         return replace(assembly, setting=plain, known_table=assembly.table).problem, pose_index
     return problem, pose_index

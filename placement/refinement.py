@@ -145,15 +145,9 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
         pitch_deg = unit.pose.pitch_deg + tilt_sign * step_deg
         if turn_sign and is_turn_useless(sensor, pitch_deg=pitch_deg):
             continue
-        pose = moved(
-            places,
-            origin,
-            height_m=float(unit.pose.position_m[2]),
-            yaw_deg=unit.pose.yaw_deg + turn_sign * step_deg,
-            pitch_deg=pitch_deg,
-            fov_deg=np.exp(0.01 * step_deg * zoom_sign) * sensor.horizontal_fov_deg,
-        )
-        poses.append(pose)
+        turn = {"yaw_deg": unit.pose.yaw_deg + turn_sign * step_deg, "pitch_deg": pitch_deg}
+        fov_deg = np.exp(0.01 * step_deg * zoom_sign) * sensor.horizontal_fov_deg
+        poses.append(moved(places, origin, **_as_it_is(unit) | turn | {"fov_deg": fov_deg}))
     return _others(poses, unit)
 
 
@@ -162,19 +156,20 @@ LIFTS_M = (1.0, 0.5, 0.25, 0.1)  # of the height: each costs rays of its own
 
 def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
     """The same pose higher and lower on its site, each id once."""
-    poses = [
-        moved(
-            places,
-            origin,
-            height_m=float(unit.pose.position_m[2]) + lift_m,
-            yaw_deg=unit.pose.yaw_deg,
-            pitch_deg=unit.pose.pitch_deg,
-            fov_deg=unit.sensor.horizontal_fov_deg,
-        )
-        for size_m in LIFTS_M
-        for lift_m in (-size_m, size_m)
-    ]
+    own, lifts_m = _as_it_is(unit), (sign * size_m for size_m in LIFTS_M for sign in (-1.0, 1.0))
+    heights_m = (own["height_m"] + lift_m for lift_m in lifts_m)
+    poses = [moved(places, origin, **own | {"height_m": height_m}) for height_m in heights_m]
     return _others(poses, unit)
+
+
+def _as_it_is(unit: CandidatePose) -> dict[str, float]:
+    """How a unit is mounted and looks, as :func:`moved` takes it."""
+    return {
+        "height_m": float(unit.pose.position_m[2]),
+        "yaw_deg": unit.pose.yaw_deg,
+        "pitch_deg": unit.pose.pitch_deg,
+        "fov_deg": unit.sensor.horizontal_fov_deg,
+    }
 
 
 def _others(poses: Iterable[CandidatePose | None], unit: CandidatePose) -> list[CandidatePose]:

@@ -191,14 +191,21 @@ def find_retrofit(
             after = [*others, best_joining(reduced, others, aims)]
             price_eur = labour.re_aim_eur
             re_aims.append(_change(problem, poses, after, price_eur=price_eur, n_compared=n_aims))
+    combination = None
+    if budget_eur is not None:
+        prices = {"re_aim_eur": labour.re_aim_eur, "budget_eur": budget_eur}
+        within = replace(problem, limits=combined_limits(problem.limits, poses, **prices))
+        solution = solve_placement(within, effort=effort, starts=[np.array(standing)])
+        change = _change(within, poses, solution.pose_index)
+        price_eur, certificate = change.value.cost_eur, solution.certificate
+        if change.added:
+            combination = replace(change, price_eur=price_eur, certificate=certificate)
     return Retrofit(
         before=placement_value(problem, standing),
         removals=_best_first(removals),
         re_aims=_best_first(re_aims),
         addition=find_addition(problem, reduced, poses, budget_eur=budget_eur),
-        combination=None
-        if budget_eur is None
-        else _combine(problem, poses, labour=labour, budget_eur=budget_eur, effort=effort),
+        combination=combination,
     )
 
 
@@ -266,26 +273,6 @@ def find_addition(
     change = _change(problem, poses, after, price_eur=price_eur, n_compared=n)
     before = placement_value(problem, standing.tolist())
     return change if is_better(_without_cost(change.value), _without_cost(before)) else None
-
-
-def _combine(
-    problem: PlacementProblem,
-    poses: RetrofitPoses,
-    *,
-    labour: Labour,
-    budget_eur: float,
-    effort: Effort,
-) -> Change | None:
-    """The best re-aims and additions within the budget; None if that is no change."""
-    limits = combined_limits(
-        problem.limits, poses, re_aim_eur=labour.re_aim_eur, budget_eur=budget_eur
-    )
-    problem = replace(problem, limits=limits)
-    solution = solve_placement(problem, effort=effort, starts=[np.arange(poses.n_units)])
-    change = _change(problem, poses, solution.pose_index)
-    if not change.added:
-        return None
-    return replace(change, price_eur=change.value.cost_eur, certificate=solution.certificate)
 
 
 def _change(

@@ -15,9 +15,10 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError
 
-from ..layout import Certificate, Stage, relative_gap
+from ..layout import Certificate, Stage
 from ..optimiser.model import run_solver, solver_text
 from ..optimiser.problem import Objective
+from ..optimiser.solve import build_stage
 from ..optimiser.timing import COST_TOLERANCE_EUR, TOLERANCE
 from .fronts import Options
 
@@ -320,8 +321,8 @@ def choose(
             gap=gap,
             time_limit_s=max(0.5 * (end_s - now_s()), 1.0),
         )
-        highest = max(most.bound, found.objective)
-    stages = [_stage(Objective.APR, found.objective, highest, now_s() - began_s)]
+        highest = most.bound
+    stages = [build_stage(Objective.APR, found.objective, highest, now_s() - began_s)]
     # Options that can be in a choice with at least this objective, by their prices.
     _, relaxed, short = _shortfalls(problem, best_prices(problem))
     room = max(relaxed, found.bound) - found.objective + 1.0e-7 * max(1.0, abs(relaxed))
@@ -359,17 +360,6 @@ def city_values(options: Options, rows: IntArray, weight: FloatArray) -> dict[Ob
         Objective.MEAN_MARGIN: float(prevented @ taken.mean_margin_s) / total if total else 0.0,
         Objective.COST: float(taken.cost_eur.sum()),
     }
-
-
-def _stage(objective: Objective, value: float, bound: float, seconds: float) -> Stage:
-    gap = relative_gap(value, bound, tolerance=objective.tolerance)
-    return Stage(
-        name=str(objective),
-        objective=value,
-        bound=value if gap == 0.0 else bound,
-        gap=gap,
-        seconds=seconds,
-    )
 
 
 # ---------- the problem
@@ -459,10 +449,9 @@ class _Later:
         value = float(profit[self.chosen].sum())
         if objective is not Objective.COST:
             self.held.append((profit, value))
-        bound = max(found.bound, value)
         if unit == 0.0:  # nothing is prevented: there is no time to spare
-            return _stage(objective, 0.0, 0.0, now_s() - began_s)
-        return _stage(objective, value / unit, bound / unit, now_s() - began_s)
+            return build_stage(objective, 0.0, 0.0, now_s() - began_s)
+        return build_stage(objective, value / unit, found.bound / unit, now_s() - began_s)
 
     def _smallest_margin(self) -> Stage:
         """The largest smallest margin: options with less are left out, as many as can be."""
@@ -498,8 +487,7 @@ class _Later:
         self.chosen = np.searchsorted(keep, self.chosen)  # go on with these alone
         self.options, self.rows = self.options.taken(keep), self.rows[keep]
         self.held = [(row[keep], least) for row, least in self.held]
-        seconds = now_s() - began_s
-        return _stage(Objective.SMALLEST_MARGIN, value, max(bound, value), seconds)
+        return build_stage(Objective.SMALLEST_MARGIN, value, bound, now_s() - began_s)
 
 
 # ---------- what cannot be met

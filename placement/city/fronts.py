@@ -12,11 +12,11 @@ from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
 from ..optimiser import Effort, Limits, PlacementProblem, presolve
-from ..optimiser.bitsets import BestSet, set_values, values_with_each
+from ..optimiser.bitsets import BestSet, best_with_each, set_values
 from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import ReducedProblem
-from ..optimiser.problem import Objective, PlacementValue
+from ..optimiser.problem import Objective, PlacementValue, improves
 from ..optimiser.proof import Search
 from ..optimiser.timing import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
@@ -38,26 +38,21 @@ class Point:
     smallest_margin_s: float
     mean_margin_s: float
 
+    @property
+    def _worth(self) -> dict[Objective, float]:
+        return {Objective(name): getattr(self, name) for name in _WORTH}
+
     def is_beaten_by(self, other: "Point") -> bool:
         """True if another point takes no more and is no worse, objective by objective."""
         return (
             other.units <= self.units
             and other.cost_eur <= self.cost_eur + COST_TOLERANCE_EUR
-            and _compare(other, self) >= 0
+            and not improves(self._worth, other._worth)
         )
 
 
 NOTHING = Point(units=0, cost_eur=0.0, **dict.fromkeys(_WORTH, 0.0))
 """A junction where nothing is mounted."""
-
-
-def _compare(one: Point, other: Point) -> int:
-    """1 if a point is better than another, objective by objective, -1 if worse, 0 if alike."""
-    for name in _WORTH:
-        difference = getattr(one, name) - getattr(other, name)
-        if abs(difference) > TOLERANCE:
-            return 1 if difference > 0.0 else -1
-    return 0
 
 
 def point_of(value: PlacementValue, *, units: int, cost_eur: float) -> Point:
@@ -155,11 +150,7 @@ class Options:
 
     def taken(self, rows: IntArray) -> "Options":
         """Some of the options, by rows in ascending order; each junction keeps one at least."""
-        return Options(
-            junction=self.junction[rows],
-            units=self.units[rows],
-            **{name: getattr(self, name)[rows] for name in _VALUES},
-        )
+        return Options(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
 _VALUES = ("cost_eur", *_WORTH)
@@ -369,9 +360,7 @@ def _front_of_full_sites(
     max_sites = min(max_sites, len({site for site, _ in sets}))
     bounds, layouts = [], {}
     for point in pareto_front(of_sets, max_units=max_sites, effort=effort()).points:
-        stage = point.stage(Objective.APR)
-        assert stage is not None  # the first of all fronts
-        bounds.append(stage.bound)
+        bounds.append(point.apr_bound)
         chosen_classes = chain.from_iterable(sets[row][1] for row in point.pose_index)
         layouts[point.units] = _one_of_each(reduced, list(chosen_classes))
     return bounds, layouts, all(len(each) == 1 for here in classes for each in here)
@@ -382,8 +371,7 @@ def _one_of_each(reduced: ReducedProblem, classes: list[tuple[int, ...]]) -> tup
     units = forced_units(reduced)
     for poses in classes:
         members = np.searchsorted(reduced.pose_index, poses)
-        values = values_with_each(reduced, units)[members]
-        units = np.append(units, members[values.best_row()])
+        units = best_with_each(reduced, units, members)
     return to_full(reduced, units)
 
 

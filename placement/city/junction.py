@@ -17,7 +17,7 @@ from ..compute import Compute
 from ..layout import Layout, check_layout
 from ..optimiser import Effort, PlacementProblem, UnmetError, presolve
 from ..optimiser.cost_front import cost_front
-from ..optimiser.front import Front, FrontPoint, largest_values, pareto_front
+from ..optimiser.front import Front, largest_values, pareto_front
 from ..optimiser.problem import Objective, PlacementValue, placement_value
 from ..optimiser.solve import of_pool
 from ..pipeline import assemble, pick_layout
@@ -181,7 +181,11 @@ def find_front(
             cheap = replace(limits, is_forbidden=limits.is_forbidden | is_dear)
             fronts.append(fronts_of(replace(problem, limits=cheap), lambda _: None))
         begin("front by money")
-        by_cost = _cost_front(problem, effort())
+        try:
+            by_cost = cost_front(problem, effort=effort())
+        except InputError as error:
+            if error.where != "candidates":  # else the poses avoid nothing
+                raise
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
     return _merge(
         problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, few, base, n_existing
@@ -202,16 +206,6 @@ def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int
     if most < 1:
         raise InputError(f"{scene.name}: sites", Unquoted("none with room"), "one that is free")
     return most
-
-
-def _cost_front(problem: PlacementProblem, effort: Effort) -> Front | None:
-    """The front by money; None where the poses avoid nothing."""
-    try:
-        return cost_front(problem, effort=effort)
-    except InputError as error:
-        if error.where != "candidates":
-            raise
-        return None
 
 
 # ---------- one front of all
@@ -255,17 +249,11 @@ def _merge(
 
 def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
     steps = [
-        (float(point.units - n_existing), max(_apr_bound(point), base))
+        (float(point.units - n_existing), max(point.apr_bound, base))
         for point in front.points
         if point.units > n_existing
     ]
     return lowered([(0.0, base), *steps])
-
-
-def _apr_bound(point: FrontPoint) -> float:
-    stage = point.stage(Objective.APR)
-    assert stage is not None  # the first of all fronts
-    return stage.bound
 
 
 def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> Steps:
@@ -285,8 +273,8 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
 
     points = front.points
     for index, point in enumerate(points):
-        beyond = most if index + 1 == len(points) else _apr_bound(points[index + 1])
-        here = max(_apr_bound(point), min(point.value.apr + step, beyond))
+        beyond = most if index + 1 == len(points) else points[index + 1].apr_bound
+        here = max(point.apr_bound, min(point.value.apr + step, beyond))
         add(point.certificate.stages[0].bound, here)
     if front.settled is None:
         add(points[-1].value.cost_eur, most)

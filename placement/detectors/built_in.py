@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from geometry.arrays import BoolArray, FloatArray, IntArray, float_array
+from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, set_arrays
 from geometry.errors import InputError, check_field, check_one_of, refuse
 from geometry.files import Table, load_data, load_toml, read_table, take, take_list, take_number
 from geometry.image_boxes import box_height_px, iou
@@ -201,12 +201,8 @@ class ResponseDetector:
         )
 
     def __post_init__(self) -> None:
-        for field, length in (
-            ("seen_share", len(self.seen_share)),
-            ("recall", len(self.seen_share)),
-            ("class_factor", len(VRU_CLASSES)),
-        ):
-            object.__setattr__(self, field, float_array(getattr(self, field), (length,), field))
+        n = (len(self.seen_share),)
+        set_arrays(self, "", seen_share=n, recall=n, class_factor=(len(VRU_CLASSES),))
         share = self.seen_share
         if len(share) < 2 or (share[0], share[-1]) != (0.0, 1.0) or (np.diff(share) <= 0.0).any():
             raise InputError("seen_share", share.tolist(), "shares that ascend from 0 to 1")

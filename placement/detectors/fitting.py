@@ -250,8 +250,8 @@ def share_by_track(found: BoolArray, track: IntArray) -> Interval:
         len(frames), np.full(len(frames), 1.0 / len(frames)), size=_SHARE_DRAWS
     )
     shares = draws @ np.bincount(which, weights=found) / (draws @ frames)
-    low, high = np.quantile(shares, _INTERVAL).tolist()
-    return Interval(plain.value, min(low, plain.low), max(high, plain.high))
+    drawn = _interval(shares, plain.value)
+    return Interval(plain.value, min(drawn.low, plain.low), max(drawn.high, plain.high))
 
 
 def poisson(n_events: int, n_chances: float) -> Interval:
@@ -360,7 +360,7 @@ def fit_response(
     return ResponseFit(
         detector=detector,
         intervals={
-            key: Interval(value, *_quantiles(spread.get(key, np.zeros(0)), value))
+            key: _interval(spread.get(key, np.full(1, value)), value)
             for key, value in values.items()
         },
         calibration=_by_bins("", probability, np.linspace(0.0, 1.0, 11), sightings, probability),
@@ -372,11 +372,10 @@ def fit_response(
     )
 
 
-def _quantiles(values: FloatArray, value: float) -> tuple[float, float]:
-    if not len(values):
-        return value, value
+def _interval(values: FloatArray, value: float) -> Interval:
+    """A value with 95 % of what was drawn around it."""
     low, high = np.quantile(values, _INTERVAL).tolist()
-    return min(low, value), max(high, value)
+    return Interval(value, min(low, value), max(high, value))
 
 
 # ---------- maximum likelihood
@@ -590,9 +589,8 @@ def fit_lasting_share(
         refuse("frames", "none consecutive", "consecutive frames of a track")
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=draws)
-    low, high = np.quantile(share[(drawn @ likely).argmax(axis=1)], _INTERVAL).tolist()
     best = float(share[likely.sum(axis=0).argmax()])
-    return Interval(best, min(low, best), max(high, best))
+    return _interval(share[(drawn @ likely).argmax(axis=1)], best)
 
 
 def _pair_likelihood(

@@ -31,17 +31,6 @@ Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,
 VRU_KINDS = ("person", "bicycle", "cyclist")
 KINDS = (*VRU_KINDS, "motorcycle", "motorcyclist", "car")  # what a network's classes may mean here
 
-# Kinds of boxes that count for a class of road user; a network must know one of them.
-_KINDS_OF_CLASS = {
-    "pedestrian": ("person",),
-    "child": ("person",),
-    "cyclist": VRU_KINDS,
-    "motorcyclist": ("motorcycle", "motorcyclist"),
-    "car": ("car",),
-}
-# What riders ride, and both in one.
-_RIDDEN = {"cyclist": ("bicycle", "cyclist"), "motorcyclist": ("motorcycle", "motorcyclist")}
-
 _EXPECTED = (
     "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes); "
     "(1, 4 + classes, n); (1, n, 6); or logits (1, n, classes), pred_boxes (1, n, 4); with "
@@ -399,9 +388,10 @@ def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, Float
         mine = np.isin(found.class_ids, ids)
         return found.boxes_px[mine], found.confidence[mine]
 
-    if vru_class not in _RIDDEN:
-        return of_kind(_KINDS_OF_CLASS[vru_class][0])
-    cycle, rider = _RIDDEN[vru_class]
+    ridden = onnx_setting("ridden")
+    if vru_class not in ridden:
+        return of_kind(onnx_setting("kinds_of_class")[vru_class][0])
+    cycle, rider = ridden[vru_class]
     persons, cycles = of_kind("person"), of_kind(cycle)
     who, what = np.nonzero(iou(persons[0][:, None], cycles[0][None]) > 0.0)
     a, b = persons[0][who], cycles[0][what]
@@ -558,8 +548,9 @@ class NetworkDetector:
     def check_classes(self, classes: Iterable[str]) -> None:
         """Raise InputError where the network has not learnt one of ``VRU_CLASSES``."""
         for name in classes:
-            if not set(_KINDS_OF_CLASS[name]) & set(self.model.export.kinds.values()):
-                expected = f"a network that knows {' or '.join(_KINDS_OF_CLASS[name])}"
+            kinds = onnx_setting("kinds_of_class")[name]
+            if set(kinds).isdisjoint(self.model.export.kinds.values()):
+                expected = f"a network that knows {' or '.join(kinds)}"
                 refuse(f"detector {self.name}", f"runs with a {name}", expected)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:

@@ -18,8 +18,7 @@ from geometry.errors import InputError, Unquoted
 from geometry.scene import Scene
 
 from ..candidates import CandidatePose
-from ..optimiser import Floor, Limits, PlacementProblem, floor_value, is_allowed
-from ..optimiser.timing import TOLERANCE
+from ..optimiser import Limits, PlacementProblem, is_feasible
 from ..wishes import Wishes, build_limits
 from .feasible_sets import Answer, Oracle
 
@@ -85,28 +84,13 @@ class Wish:
         That floors hold when units fail counts as met where that is so for all floors that are met
         without failures, or where it is asked for: then floors must hold so.
         """
-        met = set()
-        asks_to_survive = any(self.demands[number].kind == "survive" for number in active)
-        holds_all, survive = True, None
-        for number, demand in enumerate(self.demands):
-            if demand.kind == "survive":
-                survive = number
-            elif demand.floor is None:
-                if is_allowed(self._limits_of({number}), poses):
-                    met.add(number)
-            else:
-                floor = self.problem.floors[demand.floor]
-                holds = self._holds(floor, poses)
-                holds_unfailed = self._holds(replace(floor, n_failures=0), poses)
-                holds_all &= holds or not holds_unfailed
-                if holds or (holds_unfailed and not asks_to_survive):
-                    met.add(number)
-        if survive is not None and (asks_to_survive or holds_all):
-            met.add(survive)
-        return frozenset(met)
-
-    def _holds(self, floor: Floor, poses: Sequence[int]) -> bool:
-        return floor_value(self.problem, floor, poses) >= floor.share - TOLERANCE
+        survive = frozenset(n for n in self.everything if self.demands[n].kind == "survive")
+        met = frozenset(
+            number
+            for number in self.everything - survive
+            if is_feasible(self.part({number} | (survive & active)), poses)
+        )
+        return met | survive if is_feasible(self.part(met | survive), poses) else met
 
     def _limits_of(self, active: Set[int]) -> Limits:
         key = frozenset(
@@ -210,10 +194,8 @@ def find_relaxation(
     with_it, without = wish.part(others | {number}), wish.part(others)
     limits, kinds = with_it.limits, {wish.demands[other].kind for other in others}
     answer = None
-    if demand.kind == "budget_units":
-        answer = oracle.least_units(without)
-    elif demand.kind == "budget_eur":
-        answer = oracle.least_cost_eur(without)
+    if demand.kind in ("budget_units", "budget_eur"):
+        answer = oracle.least(without, "fewest" if demand.kind == "budget_units" else "cheapest")
     elif demand.floor is not None:
         floor = wish.problem.floors[demand.floor]
         n_failures = floor.n_failures if "survive" in kinds else 0

@@ -4,60 +4,40 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import BoolArray, IntArray
+from geometry.arrays import IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError
 
 from ..optimiser import Effort, Limits, PlacementProblem, ReducedProblem, is_allowed, presolve
-from ..optimiser.allowed_sets import fitting
-from ..optimiser.bitsets import set_values, union_margins_s, values_with_each
-from ..optimiser.greedy import forced_units, improve, to_full
+from ..optimiser.bitsets import set_values
+from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import presolve_freely
-from ..optimiser.problem import Measure, Objective, Requirement
+from ..optimiser.problem import Goal, Measure, Objective, Requirement
 from ..optimiser.proof import Search, Stages
-from ..optimiser.solve import check_limits
-from ..optimiser.timing import COST_TOLERANCE_EUR, SOLVER_TOLERANCE, TOLERANCE, Deadline
+from ..optimiser.solve import check_limits, check_reach
+from ..optimiser.timing import SOLVER_TOLERANCE, Deadline
 
 # ---------- greedy choice
 _MAX_ADDED = 12  # values with failed units take too long to compute for more
 
 
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
-    """Add poses one by one, that first which leaves the floors lacking least.
+    """Few poses, one by one that first which leaves the floors lacking least, until none does.
 
-    No more than are needed, or all that there is room for; see :func:`meets`.
+    No more than there is room for; see :func:`meets`.
     """
-    units = forced_units(reduced)
-    most = min(reduced.limits.max_units, len(units) + _MAX_ADDED)
-    while len(units) < most and not meets(reduced, units):
-        fits = fitting(reduced.limits, units)
-        if not _lacks_floors(reduced, units):  # a forced site, or any unit at all
-            fits &= _at_missing_site(reduced, units)
-        free = np.flatnonzero(fits)
-        if not len(free):
-            break
-        units = np.append(units, free[values_with_each(reduced, units)[free].descending()[0]])
-    return units
+    limits, units = reduced.limits, forced_units(reduced)
+    most = max(min(limits.max_units, len(units) + _MAX_ADDED), 1)
+    if not reduced.objectives[0].is_minimised:
+        reduced = reduced.with_goal("fewest")
+    return extend_greedily(replace(reduced, limits=replace(limits, budget_units=most)), units)
 
 
 def meets(reduced: ReducedProblem, units: IntArray) -> bool:
     """True if a set of poses is within the limits and reaches the floors."""
     if not len(units) or not is_allowed(reduced.limits, units):
         return False
-    return not _lacks_floors(reduced, units)
-
-
-def _lacks_floors(reduced: ReducedProblem, units: IntArray) -> bool:
-    return bool(set_values(reduced, units[None, :]).lacking[0] > 0.0)
-
-
-def _at_missing_site(reduced: ReducedProblem, units: IntArray) -> BoolArray:
-    """Poses at sites that are still to carry a unit; all where there is no such site."""
-    limits = reduced.limits
-    missing = limits.is_forced_site.copy()
-    missing[limits.site_index[units]] = False
-    at_missing: BoolArray = missing[limits.site_index]
-    return at_missing if missing.any() else ~at_missing
+    return not bool(set_values(reduced, units[None, :]).lacking[0] > 0.0)
 
 
 # ---------- the oracle
@@ -105,24 +85,21 @@ class Oracle:
         found = self._search(reduced)
         return found if isinstance(found, Answer) else _answer(found, is_proven=True)
 
-    def least_units(self, problem: PlacementProblem) -> Answer:
-        """The fewest units that meet limits and floors."""
-        problem = replace(problem, goal="fewest", survive=0)
-        found = self._search_whole(problem)
+    def least(self, problem: PlacementProblem, goal: Goal) -> Answer:
+        """The fewest units, or the least cost, that meet limits and floors."""
+        problem = replace(problem, goal=goal, survive=0)
+        if self._is_refused_at_once(problem):
+            return _NONE
+        found = self._search(self._presolve(problem))
         if isinstance(found, Answer):
             return found
-        bound, units = Stages(problem, found, Effort()).bound_units(), found.units
-        n_units = 0 if units is None else len(units)
-        return _answer(found, is_proven=bound >= n_units, value=float(n_units))
-
-    def least_cost_eur(self, problem: PlacementProblem) -> Answer:
-        """The least cost at which limits and floors are met."""
-        problem = replace(problem, goal="cheapest", survive=0)
-        found = self._search_whole(problem)
-        if isinstance(found, Answer):
-            return found
-        bound, value = Stages(problem, found, Effort()).bound_first_cost_eur(), found.value.cost_eur
-        return _answer(found, is_proven=bound >= value - COST_TOLERANCE_EUR, value=value)
+        (objective, find_bound), *_ = Stages(problem, found, Effort()).plan()
+        bound = find_bound()
+        assert found.units is not None
+        is_of_units = objective is Objective.UNITS
+        value = float(len(found.units)) if is_of_units else found.value.cost_eur
+        is_proven = objective.excess(bound, value) <= objective.tolerance
+        return _answer(found, is_proven=is_proven, value=value)
 
     def most(self, problem: PlacementProblem, measure: Measure, n_failures: int) -> Answer:
         """The highest ratio left when the most painful units fail, within limits and floors.
@@ -147,20 +124,14 @@ class Oracle:
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:
         """True if limits contradict each other, or all poses together reach too little."""
-        limits = problem.limits
+        limits, shared = problem.limits, self._shared.for_problem(problem)
+        usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
         try:
             check_limits(limits, problem.table.pose_ids)
+            check_reach(problem, replace(shared, words=shared.words[usable[shared.pose_index]]))
         except InputError:
             return True
-        shared = self._shared.for_problem(problem)
-        usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
-        words = shared.words[usable[shared.pose_index]]
-        everything = np.bitwise_or.reduce(words, axis=0, keepdims=True)
-        is_avoided = union_margins_s(shared, everything) > -np.inf
-        return any(
-            float(floor.measure.of(is_avoided)[0]) < floor.least - TOLERANCE
-            for floor in shared.floors
-        )
+        return False
 
     def _presolve(self, problem: PlacementProblem) -> ReducedProblem:
         """Presolved for these limits: once for the same ones."""
@@ -169,12 +140,6 @@ class Oracle:
             bare = replace(problem, floors=(), goal="best", survive=0)
             self._presolved[key] = problem.limits, presolve(bare)
         return self._presolved[key][1].for_problem(problem)
-
-    def _search_whole(self, problem: PlacementProblem) -> Search | Answer:
-        """As :meth:`_search`, of a problem that may be refused at once."""
-        if self._is_refused_at_once(problem):
-            return _NONE
-        return self._search(self._presolve(problem))
 
     def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search | Answer:
         """A search that has a set within limits and floors; else the answer that there is none.

@@ -250,41 +250,34 @@ def find_unavoided(
     seen = ""
     if compute.cache_folder is not None:
         seen = table_fingerprint(scene, candidates, setting.runs, setting.table_detector, seed=seed)
+
+    def find() -> tuple[Unavoided, ...]:
+        is_missed = run_margins_s(problem, chosen) == -np.inf
+        misses = [
+            _find_miss(setting, problem, candidates, chosen, run)
+            for run in np.flatnonzero(is_missed & (problem.table.axis.weight > 0.0)).tolist()
+        ]
+        looks = [look for _, look in misses if look is not None]
+        reasons = iter(find_reasons(setting, looks, compute=compute))
+        joining = _find_joining(problem, candidates, chosen)
+        found = []
+        for miss, look in misses:
+            if look is not None:
+                rescue = _nearest_rescue(problem, candidates, chosen, joining, look.run_index)
+                miss = replace(miss, reasons=next(reasons), rescue=rescue)
+            found.append(miss)
+        return tuple(found)
+
     return cached_value(
         compute.cache_folder,
         "unavoided",
-        lambda: _find_unavoided(setting, problem, candidates, chosen, compute),
+        find,
         kind=tuple[Unavoided, ...],
         made_from=(
             *(problem, chosen, seen, scene.instances, scene.triangle_instance),
             [candidate.site_id for candidate in candidates],
         ),
     )
-
-
-def _find_unavoided(
-    setting: Setting,
-    problem: PlacementProblem,
-    candidates: Sequence[CandidatePose],
-    chosen: list[int],
-    compute: Compute,
-) -> tuple[Unavoided, ...]:
-    """Runs that are not avoided, without the cache."""
-    is_missed = run_margins_s(problem, chosen) == -np.inf
-    misses = [
-        _find_miss(setting, problem, candidates, chosen, run)
-        for run in np.flatnonzero(is_missed & (problem.table.axis.weight > 0.0)).tolist()
-    ]
-    looks = [look for _, look in misses if look is not None]
-    reasons = iter(find_reasons(setting, looks, compute=compute))
-    joining = _find_joining(problem, candidates, chosen)
-    found = []
-    for miss, look in misses:
-        if look is not None:
-            rescue = _nearest_rescue(problem, candidates, chosen, joining, look.run_index)
-            miss = replace(miss, reasons=next(reasons), rescue=rescue)
-        found.append(miss)
-    return tuple(found)
 
 
 def _find_miss(

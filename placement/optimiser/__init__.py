@@ -8,55 +8,31 @@ the objectives in order, ``solve`` calls it all, ``front`` says what more units 
 Modules called ``.._kernels`` are compiled by Numba.
 """
 
-from .allowed_sets import Failing, Limits, cost_eur, is_allowed
-from .greedy import solve_greedy
-from .presolve import PresolveStatistics, ReducedProblem, presolve
-from .problem import (
-    Floor,
-    Fusion,
-    Goal,
-    Objective,
-    PlacementProblem,
-    PlacementValue,
-    apr,
-    apr_failed,
-    apr_one_failed,
-    floor_value,
-    is_better,
-    is_feasible,
-    placement_value,
-    run_margins_s,
-)
-from .solve import Solution, UnmetError, solve_placement, solve_sturdily, sturdy_problem
-from .timing import Effort
-
-__all__ = [
-    "Effort",
-    "Failing",
-    "Floor",
-    "Fusion",
-    "Goal",
-    "Limits",
-    "Objective",
-    "PlacementProblem",
-    "PlacementValue",
-    "PresolveStatistics",
-    "ReducedProblem",
-    "Solution",
-    "UnmetError",
-    "apr",
-    "apr_failed",
-    "apr_one_failed",
-    "cost_eur",
-    "floor_value",
-    "is_allowed",
-    "is_better",
-    "is_feasible",
-    "placement_value",
-    "presolve",
-    "run_margins_s",
-    "solve_greedy",
-    "solve_placement",
-    "solve_sturdily",
-    "sturdy_problem",
-]
+from .allowed_sets import Failing as Failing
+from .allowed_sets import Limits as Limits
+from .allowed_sets import cost_eur as cost_eur
+from .allowed_sets import is_allowed as is_allowed
+from .greedy import solve_greedy as solve_greedy
+from .presolve import PresolveStatistics as PresolveStatistics
+from .presolve import ReducedProblem as ReducedProblem
+from .presolve import presolve as presolve
+from .problem import Floor as Floor
+from .problem import Fusion as Fusion
+from .problem import Goal as Goal
+from .problem import Objective as Objective
+from .problem import PlacementProblem as PlacementProblem
+from .problem import PlacementValue as PlacementValue
+from .problem import apr as apr
+from .problem import apr_failed as apr_failed
+from .problem import apr_one_failed as apr_one_failed
+from .problem import floor_value as floor_value
+from .problem import is_better as is_better
+from .problem import is_feasible as is_feasible
+from .problem import placement_value as placement_value
+from .problem import run_margins_s as run_margins_s
+from .solve import Solution as Solution
+from .solve import UnmetError as UnmetError
+from .solve import solve_placement as solve_placement
+from .solve import solve_sturdily as solve_sturdily
+from .solve import sturdy_problem as sturdy_problem
+from .timing import Effort as Effort

@@ -110,13 +110,8 @@ class Limits:
 
     def of_poses(self, poses: IntArray) -> "Limits":
         """Limits on some of the poses; all forced ones must be among them."""
-        return replace(
-            self,
-            site_index=self.site_index[poses],
-            unit_cost_eur=self.unit_cost_eur[poses],
-            is_forced=self.is_forced[poses],
-            is_forbidden=self.is_forbidden[poses],
-        )
+        by_pose = ("site_index", "unit_cost_eur", "is_forced", "is_forbidden")
+        return replace(self, **{name: getattr(self, name)[poses] for name in by_pose})
 
     def __repr__(self) -> str:
         budgets = f"{self.budget_units} units, {self.budget_eur} EUR"

@@ -12,7 +12,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from .allowed_sets import cost_eur, costs_eur
 from .presolve import ReducedProblem, unpack_words
 from .problem import Measure, Objective, WordArray
-from .timing import DECIMALS, FEW_PARTNERS, TOLERANCE, share_out
+from .timing import FEW_PARTNERS, TOLERANCE, share_out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,10 +53,6 @@ class SetValues:
         difference = self.gains - other.gains
         differs = np.flatnonzero(np.abs(difference) > _tolerances(self.objectives))
         return bool(len(differs)) and bool(difference[differs[0]] > 0.0)
-
-    def descending(self) -> IntArray:
-        """Order of the sets, the best first."""
-        return np.lexsort(-self.gains.round(DECIMALS).T[::-1])
 
 
 @lru_cache(maxsize=32)

@@ -61,6 +61,13 @@ class FrontPoint:
         """The stage of a name; None if it was not optimised."""
         return next((stage for stage in self.certificate.stages if stage.name == name), None)
 
+    @property
+    def apr_bound(self) -> float:
+        """The APR that no layout exceeds there; it is a stage of every front."""
+        stage = self.stage(Objective.APR)
+        assert stage is not None
+        return stage.bound
+
     def with_stages(self, stages: Iterable[Stage]) -> "FrontPoint":
         """The same layout with other stages."""
         return replace(self, certificate=replace(self.certificate, stages=tuple(stages)))
@@ -370,6 +377,3 @@ def _first_like_last(points: Sequence[FrontPoint], settled: int | None) -> int |
         if point.is_proven and (np.abs(values - reached) <= TOLERANCE).all():
             return point.units
     return settled
-
-
-# ---------- price levels

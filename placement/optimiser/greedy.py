@@ -47,13 +47,16 @@ def forced_units(reduced: ReducedProblem) -> IntArray:
 def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     """Add poses to `units` one by one, the best first, as long as there is room.
 
-    With few or cheap units as the goal it stops when the floors are reached, one unit at least.
+    With few or cheap units as the goal, once the floors are reached, by one unit at least, only
+    those are added that a site still has to carry.
     """
-    is_enough = reduced.objectives[0].is_minimised
-    while len(units) < reduced.limits.max_units:
+    limits, is_enough = reduced.limits, reduced.objectives[0].is_minimised
+    while len(units) < limits.max_units:
+        fits = fitting(limits, units)
         if is_enough and len(units) and set_values(reduced, units[None, :]).lacking[0] == 0.0:
-            break
-        free = np.flatnonzero(fitting(reduced.limits, units))
+            missing = np.setdiff1d(np.flatnonzero(limits.is_forced_site), limits.site_index[units])
+            fits &= np.isin(limits.site_index, missing)
+        free = np.flatnonzero(fits)
         if not len(free):
             break
         units = best_with_each(reduced, units, free)

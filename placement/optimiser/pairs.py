@@ -217,10 +217,13 @@ class PairWalk:
 
         if not len(pairs) or not len(rows.chain):
             return pairs
-        bits = _cover_beside(self.reduced, units, union, rows, self.seen)
-        table, _, _ = byte_table(rows.weight, bits[0])
+        alone, part = _coverers(self.reduced, units, union, rows)
+        may = coverers_of(self.reduced, rows, union, self.seen, columns=units.columns)
+        n = len(units.words)
+        alone, may, part = (transposed(one, n, workers=1) for one in (alone, may, part))
+        table, _, _ = byte_table(rows.weight, alone)
         lost = np.empty(len(pairs))
-        lost_by_pairs(*bits, table, self.may_lose, pairs, lost)
+        lost_by_pairs(alone, may, part, table, self.may_lose, pairs, lost)
         return pairs[lost <= self.may_lose]
 
     def _keep(self, sets: IntArray) -> IntArray:
@@ -257,17 +260,6 @@ def _coverers(
     alone, part = np.empty(shape, dtype=np.uint64), np.empty(shape, dtype=np.uint64)
     avoid_beside(units.columns, is_seen, reduced.chains, rows.chain, rows.last, alone, part)
     return alone, part
-
-
-def _cover_beside(
-    reduced: ReducedProblem, units: _Units, union: WordArray, rows: Rows, seen: FloatArray
-) -> tuple[WordArray, WordArray, WordArray]:
-    """Rows as bits, (n_units, n_row_words), as ``walk_kernels.lost_by_pairs`` takes them."""
-    alone, part = _coverers(reduced, units, union, rows)
-    may = coverers_of(reduced, rows, union, seen, columns=units.columns)
-    return tuple(  # type: ignore[return-value]
-        transposed(of_rows, len(units.words), workers=1) for of_rows in (alone, may, part)
-    )
 
 
 def _classes(

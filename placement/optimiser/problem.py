@@ -1,7 +1,7 @@
 """The placement problem on a detection table, and what a set of poses is worth in it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain, combinations
 from typing import Literal, NamedTuple, get_args
@@ -164,12 +164,7 @@ class Measure:
 
     def of_runs(self, runs: IntArray) -> "Measure":
         """Measure where all other runs are out of reach."""
-        return Measure(
-            weight=self.weight[runs],
-            sample_index=self.sample_index[runs],
-            sample_weight=self.sample_weight,
-            tail=self.tail,
-        )
+        return replace(self, weight=self.weight[runs], sample_index=self.sample_index[runs])
 
 
 def build_measure(

@@ -35,7 +35,6 @@ TINY = 1.0e-300  # Keeps a sum of nothing from being divided by
 MOST_STEPS = 1.0e5
 """A common step is clearly larger than a solver's error if no value is more steps than this."""
 STEP_UP = 2.0 * TOLERANCE  # Added to a value to ask for more, where values have no common step
-DECIMALS = 8  # Places to which values are rounded to be sorted: what is below is rounding noise
 
 # ---------- time
 TIME_SHARES = {

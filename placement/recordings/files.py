@@ -121,21 +121,20 @@ def json_of(path: Path, **limits: int) -> Any:
         return msgspec.json.decode(read_bytes(path, **limits))
 
 
+@dataclass(frozen=True, slots=True)
 class Fields:
-    """The fields of a line, taken by name."""
+    """The fields of a line, or of an element of XML, taken by name."""
 
-    def __init__(self, path: Path, line: int, words: Sequence[str], names: Sequence[str]) -> None:
-        self.path, self.line = path, line
-        self.words = dict(zip(names, words, strict=False))
-
-    @property
-    def place(self) -> str:
-        """File and line."""
-        return f"{self.path}:{self.line}"
+    place: str  # file and line, or file and words
+    words: Mapping[str, str]
+    line: int = 0  # of a file that has lines
 
     def number(self, name: str, *, least: float = -1.0e9, most: float = 1.0e9) -> float:
         """A field's number; raises InputError unless it lies between `least` and `most`."""
-        return parse_number(self.words[name], f"{self.place}: {name}", least=least, most=most)
+        where = f"{self.place}: {name}"
+        if name not in self.words:
+            raise InputError(where, Unquoted("nothing"), "a number")
+        return parse_number(self.words[name], where, least=least, most=most)
 
     def whole(self, name: str, *, least: int = -1, most: int = _MOST_FRAMES) -> int:
         """A field's whole number; raises InputError as :meth:`number` does."""
@@ -167,7 +166,7 @@ def read_lines(
             count = f"{fewest}" if fewest == len(names) else f"{fewest} to {len(names)}"
             what = f"{count} fields: {(separator or ' ').join(names)}"
             raise InputError(f"{path}:{line}", Unquoted(f"{len(words)} fields"), what)
-        yield Fields(path, line, words, names)
+        yield Fields(f"{path}:{line}", dict(zip(names, words, strict=False)), line)
 
 
 def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:

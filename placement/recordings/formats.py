@@ -12,7 +12,7 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,13 +20,10 @@ from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import parse_number, read_table, read_text, reading
+from geometry.files import read_table, read_text, reading
 from geometry.untrusted_files import read_xml
 
 from .files import Box, Fields, entries_of, json_of, load_format, read_lines
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
 
 IGNORE = "ignore"
 """Class of a region in which nothing is annotated: what is found there does not count."""
@@ -139,23 +136,6 @@ def _jumping(boxes: RecordedBoxes) -> IntArray:
     return np.unique(boxes.track[after[is_same & is_far]])
 
 
-# ---------- attributes of XML
-def xml_number(element: "Element", name: str, place: str) -> float:
-    """Number of an attribute."""
-    word = element.get(name)
-    if word is None:
-        raise InputError(f"{place}: {name}", Unquoted("nothing"), "a number")
-    return parse_number(word, f"{place}: {name}", least=-1.0e9, most=1.0e9)
-
-
-def xml_whole(element: "Element", name: str, place: str) -> int:
-    """Whole number of an attribute, at least 0."""
-    value = xml_number(element, name, place)
-    if value != int(value) or value < 0.0:
-        raise InputError(f"{place}: {name}", element.get(name), "a whole number, at least 0")
-    return int(value)
-
-
 # ---------- MOT challenge: annotated tracks (gt.txt) and detections (det.txt)
 _MOT = ("frame", "id", "left", "top", "width", "height", "conf", "class", "visibility", "z")
 _MOT_LEAST = 7  # the rest is -1, or missing
@@ -252,8 +232,8 @@ def cvml_rows(path: Path) -> Iterator[BoxRow]:
     step: int | None = None
     last: int | None = None
     for frame in root.iter("frame"):
-        number = xml_whole(frame, "number", f"{path}: frame {frame.get('number')}")
-        place = f"{path}: frame {number}"
+        place = f"{path}: frame {frame.get('number')}"
+        number = Fields(place, frame.attrib).whole("number", least=0)
         if last is not None:
             step = number - last if step is None else step
             if number - last != step or step <= 0:
@@ -264,11 +244,11 @@ def cvml_rows(path: Path) -> Iterator[BoxRow]:
         last = number
         for thing in frame.iter("object"):
             here = f"{place}, object {thing.get('id')}"
-            track = xml_whole(thing, "id", here)
+            track = Fields(here, thing.attrib).whole("id", least=0)
             box = thing.find("box")
             if box is None:
                 raise InputError(here, Unquoted("no box"), "<box xc= yc= w= h=>")
-            x, y, w, h = (xml_number(box, name, here) for name in ("xc", "yc", "w", "h"))
+            x, y, w, h = map(Fields(here, box.attrib).number, ("xc", "yc", "w", "h"))
             sides = (x - 0.5 * w, y - 0.5 * h, x + 0.5 * w, y + 0.5 * h)
             yield BoxRow(here, number, "pedestrian", sides, track=track)
 

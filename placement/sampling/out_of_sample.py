@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import BoolArray, FloatArray, float_array
+from geometry.arrays import BoolArray, FloatArray, float_array, set_arrays
 from geometry.errors import InputError, Unquoted
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis, find_onsets
@@ -137,8 +137,7 @@ class SampledApr:
     alone: float = 0.0  # mean APR of all cars without units; 0 where they are blind. 0 .. 1
 
     def __post_init__(self) -> None:
-        for name, shape in (("apr_by_sample", (-1,)), ("avoided_share", (self.axis.n_runs,))):
-            object.__setattr__(self, name, float_array(getattr(self, name), shape, name))
+        set_arrays(self, "", apr_by_sample=(-1,), avoided_share=(self.axis.n_runs,))
 
     @property
     def estimate(self) -> MeanEstimate:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from threading import Lock
 
 import numpy as np
@@ -81,7 +81,7 @@ def build_drawn_tables(
                 streams, key = replace(sample.streams, draw=draw), pose_key(planned)
                 draw_frames(
                     *(limit, world.views.weather_of_frame, entry_of_frame),
-                    *(order.run_of_frame, order.place_of_frame),
+                    *order,
                     streams.key("detector", *key),
                     correlation,
                     person,
@@ -299,14 +299,8 @@ def _obtain(
         return build_drawn_tables(
             sample, detector, compute=compute, lasting=share(sample), n_draws=n_draws
         )
-    table = obtain_table(
-        sample.setting,
-        sample.candidates,
-        stage=STAGE,
-        build=lambda: _build(sample, compute, share(sample)),
-        drawn="" if detector is None else drawing_key(sample.streams, detector),
-        compute=compute,
-    )
+    world = sample.setting, sample.candidates
+    table = obtain_table(*world, sample=sample, share=partial(share, sample), compute=compute)
     return (table,) * n_draws
 
 
@@ -314,55 +308,44 @@ def obtain_table(
     setting: Setting,
     candidates: Sequence[CandidatePose],
     *,
-    stage: str = "",
-    build: Callable[[], DetectionTable] | None = None,
-    drawn: str = "",
+    sample: Sample | None = None,
+    share: Callable[[], SharedScene | None] = lambda: None,
     compute: Compute,
 ) -> DetectionTable:
     """Detection table of a setting, from the cache or built anew.
 
-    A sampled world has its own `stage`, way to `build`, and key of what is `drawn` in it.
+    A sampled world gives itself, and `share` what it has in common with others.
     """
+    drawn = None if sample is None else sample.drawn_detector
     path = None
     if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
             setting.scene, candidates, setting.runs, setting.table_detector, seed=compute.seed
         )
-        if drawn:
-            text = f"{fingerprint} drawn {drawn}"
+        if sample is not None and drawn is not None:
+            text = f"{fingerprint} drawn {drawing_key(sample.streams, drawn)}"
             fingerprint = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
         path = compute.cache_folder / f"table-{fingerprint}.npz"
         cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
         if cached is not None:
             _log.info("detection table read from %s", path)
-            compute.progress(*(stage, 1, 1) if stage else ("detection table (cached)", 0, 0))
+            told = ("detection table (cached)", 0, 0) if sample is None else (STAGE, 1, 1)
+            compute.progress(*told)
             return cached
-    if not stage:
+    if sample is None:
         compute.progress("detection table", 0, 0)
-    table = _build_plain(setting, candidates, compute) if build is None else build()
+    if sample is not None and drawn is not None:
+        (table,) = build_drawn_tables(sample, drawn, compute=compute, lasting=share())
+    else:
+        table = build_detection_table(
+            *(setting.scene, candidates, setting.runs, setting.axis),
+            detector=setting.table_detector,
+            compute=compute,
+            shared=share(),
+        )
     if path is not None:
         save_table(path, table, fingerprint=fingerprint)
     return table
-
-
-def _build(sample: Sample, compute: Compute, lasting: SharedScene | None) -> DetectionTable:
-    if sample.drawn_detector is None:
-        return _build_plain(sample.setting, sample.candidates, compute, lasting)
-    return build_drawn_tables(sample, sample.drawn_detector, compute=compute, lasting=lasting)[0]
-
-
-def _build_plain(
-    setting: Setting,
-    candidates: Sequence[CandidatePose],
-    compute: Compute,
-    shared: SharedScene | None = None,
-) -> DetectionTable:
-    return build_detection_table(
-        *(setting.scene, candidates, setting.runs, setting.axis),
-        detector=setting.table_detector,
-        compute=compute,
-        shared=shared,
-    )
 
 
 def _append(
@@ -408,7 +391,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
                 packed[row] &= np.packbits(~np.repeat(silent, n_frames), bitorder="little")
         if loss:
             lose_frames(
-                *(order.run_of_frame, order.place_of_frame),
+                *order,
                 *(sample.streams.key("message", *mounts(planned)), loss),
                 *(sample.streams.key("burst", *mounts(planned)), 1.0 / drawn.burst_frames),
                 packed[row],
@@ -443,27 +426,16 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
     is_low, sun = _low_sun(sample)
     least = np.cos(np.radians(blinding.dazzled_within_deg))
 
-    @cache
-    def is_pole_out(mount: tuple[object, ...]) -> BoolArray:
-        return coins("pole", *mount) < outages.pole_share
-
-    @cache
-    def is_unit_out(unit: tuple[object, ...]) -> BoolArray:
-        return coins("unit", *unit) < outages.unit_share
-
-    @cache
-    def is_dirty(unit: tuple[object, ...]) -> BoolArray:
-        return coins("dirt", *unit) < blinding.dirty_share
-
     def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
-        unit = unit_key(planned)
-        silent = is_unit_out(unit) | is_pole_out(mount_key(planned))
+        unit, pole = unit_key(planned), mount_key(planned)
+        silent = coins("unit", *unit) < outages.unit_share
+        silent |= coins("pole", *pole) < outages.pole_share
         if isinstance(planned.sensor, LidarModel):
             return silent
         yaw, pitch = np.radians([mounted.pose.yaw_deg, mounted.pose.pitch_deg])
         axis = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
         is_dazzled: BoolArray = is_low & (sun @ axis > least)
-        return silent | is_dirty(unit) | is_dazzled
+        return silent | (coins("dirt", *unit) < blinding.dirty_share) | is_dazzled
 
     return is_silent
 
@@ -488,6 +460,7 @@ def _coins(sample: Sample) -> Callable[..., FloatArray]:
     first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])
     counter = link_frames(draw_index(runs)).run_of_frame[first]
 
+    @cache  # poses that may be the same unit share them
     def draw(*thing: object) -> FloatArray:
         coins = np.empty(len(runs))
         draw_coins(counter, sample.streams.key(*thing), coins)

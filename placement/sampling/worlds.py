@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,12 +34,13 @@ from .uncertainty import MountingErrors, RoadUsers, Uncertainty
 # ---------- random numbers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FrameLinks:
-    """Frames that share their random numbers, and frames that follow one another."""
+class FrameLinks(NamedTuple):
+    """Frames that share their random numbers, and frames that follow one another, (n_frames,).
 
-    # run_of_frame, place_of_frame: (n_frames,): place in its run, and what makes the sum of both
-    # another for each frame; the same for the same run in several weathers
+    The place of each in its run, and what makes the sum of both another for each frame; the same
+    for the same run in several weathers.
+    """
+
     run_of_frame: IntArray
     place_of_frame: IntArray
 

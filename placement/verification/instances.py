@@ -276,15 +276,16 @@ def save_problem(path: Path, problem: PlacementProblem, mounts: Mounts | None = 
     OSError if the file cannot be written.
     """
     arrays = _to_arrays(problem, mounts)
-    write_atomically(path, lambda file: _write_arrays(file, arrays))
 
+    def write(
+        file: BinaryIO,
+    ) -> None:  # as numpy's savez_compressed: 6 % larger, a third of its time
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for name, array in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
 
-def _write_arrays(file: BinaryIO, arrays: Arrays) -> None:
-    """Content as of numpy's ``savez_compressed``, 6 % larger, in a third of its time."""
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+    write_atomically(path, write)
 
 
 class StoredProblem(NamedTuple):

@@ -82,14 +82,9 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
 
 def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray:
     """Margins if all of some poses were mounted at once, whatever the limits, (n_runs,)."""
+    if problem.fusion == "any":
+        return np.asarray(margins_s(problem, poses[None, :])[0])
     everything = np.full(problem.table.axis.n_runs, -np.inf)
-    if problem.fusion == "any" and len(poses):
-        union = np.zeros((1, problem.table.packed.shape[1]), dtype=np.uint8)
-        for pose in poses:
-            union |= problem.table.packed[pose]
-        if problem.seen_by_vut is not None:
-            union |= np.packbits(problem.seen_by_vut, bitorder="little")
-        return np.asarray(_margins_of_bits(problem, union)[0])
     for block in _blocks(problem, poses[:, None]):
         everything = np.maximum(everything, margins_s(problem, block).max(axis=0))
     return everything
@@ -148,29 +143,16 @@ def floor_values(problem: "PlacementProblem", floor: "Floor", sets: IntArray) ->
 def _left(
     problem: "PlacementProblem", sets: IntArray, n_failures: int, floor: "Floor | None" = None
 ) -> FloatArray:
-    """Smallest ratio that is left when any so many units of each set fail, (n_sets,)."""
-    n_units = sets.shape[1]
-    if n_failures > n_units:
+    """Smallest ratio that is left when any so many units, or whole sites, fail, (n_sets,).
+
+    Failing more never leaves more: the sites of any so many units are all that need be tried.
+    """
+    if n_failures > sets.shape[1]:
         return _apr(problem, margins_s(problem, sets[:, :0]), floor)
-    if problem.limits.failing == "site":
-        return _left_of_sites(problem, sets, n_failures, floor)
-    smallest = np.full(len(sets), np.inf)
-    for working in combinations(range(n_units), n_units - n_failures):
-        margin_s = margins_s(problem, sets[:, list(working)])
-        smallest = np.minimum(smallest, _apr(problem, margin_s, floor))
-    return smallest
-
-
-def _left_of_sites(
-    problem: "PlacementProblem", sets: IntArray, n_failures: int, floor: "Floor | None"
-) -> FloatArray:
-    """Values when sites fail with all that they carry."""
-    sites = problem.limits.site_index[sets]
+    at = problem.limits.site_index[sets] if problem.limits.failing == "site" else sets
     smallest = np.full(len(sets), np.inf)
     for chosen in combinations(range(sets.shape[1]), n_failures):
-        has_failed = np.zeros(sites.shape, dtype=bool)
-        for unit in chosen:
-            has_failed |= sites == sites[:, [unit]]
+        has_failed = (at[:, :, None] == at[:, None, list(chosen)]).any(axis=2)
         patterns, which = np.unique(has_failed, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
             rows = which.ravel() == number
