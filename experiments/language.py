@@ -141,6 +141,16 @@ def _texts() -> dict[str, Any]:
     return load_data("experiments", "texts.toml")
 
 
+def heads(table: str) -> list[str]:
+    """Heads of a table's columns, of ``data/table_heads.toml``."""
+    return [tr(head) for head in _heads()[table]]
+
+
+@cache
+def _heads() -> dict[str, list[str]]:
+    return load_data("experiments", "table_heads.toml")
+
+
 def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
     """What scripts say: translations of messages by themselves, for one and many where both are.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -41,11 +41,16 @@ def evaluate_recording(
 ) -> None:
     """Judge the units of a recording, or with `chooses` find the best of them; end the command."""
     job.start()
-    from ..parts.recording import run_recorded_placement, run_recording
+    from ..parts.recording import run_recording
 
-    run = run_recorded_placement if chooses else run_recording
-    asked: dict[str, Any] = {"folder": folder, "min_confidence": min_confidence, "out": out}
-    summary = run(job.question, **asked, progress=job.progress)
+    summary = run_recording(
+        job.question,
+        folder=folder,
+        min_confidence=min_confidence,
+        chooses=chooses,
+        out=out,
+        progress=job.progress,
+    )
     job.print(summary, lambda: recording_text(summary, out))
 
 

@@ -17,7 +17,7 @@ from placement.question import Question
 from ..progress import StageProgress, tell
 from ..results.numbers import several
 from . import options
-from .running import begin, print_result, unwritable, write_result
+from .running import Call, begin, unwritable, write_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -204,12 +204,8 @@ def scenarios() -> None:
 
 @scenarios.command("list", cls=options.SectionedCommand, epilog=options.EXAMPLES["scenarios-list"])
 @options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
-@options.json_option
-@options.quiet_option
-@click.pass_obj
-def list_scenarios(
-    progress: StageProgress, *, question: Question, as_json: bool, quiet: bool
-) -> None:
+@options.calling
+def list_scenarios(call: Call, *, question: Question) -> None:
     """Cases by approach and place: speeds, runs, the last moment to brake, and why not.
 
     The last moment is the time at which braking must have begun, relative to the impact: -1.2 is
@@ -222,11 +218,11 @@ def list_scenarios(
     from placement.setting import drive
     from scenarios.cases import ALL_CASES
 
-    question = begin(progress, question, quiet=quiet)
-    progress("lay the cases", 0, 0)
+    question = begin(call.progress, question, quiet=call.quiet)
+    call.progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, load_scene(question.scene)))
     once = _driven_once() if ALL_CASES in question.cases.split(",") else []
-    print_result(rows, progress, as_json, lambda: "\n".join([scenario_table(rows), *once]))
+    call.print(rows, lambda: "\n".join([scenario_table(rows), *once]))
 
 
 def _driven_once() -> list[str]:
@@ -346,18 +342,8 @@ def export(progress: StageProgress, *, question: Question, position: str, out: P
 )
 @options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "study"})
 @options.from_table("check-esmini")
-@options.json_option
-@options.quiet_option
-@click.pass_obj
-def check_esmini(
-    progress: StageProgress,
-    *,
-    question: Question,
-    program: str,
-    out: Path | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+@options.calling
+def check_esmini(call: Call, *, question: Question, program: str, out: Path | None) -> None:
     """Drive runs in esmini, and compare when the bodies touch with the impact of each run.
 
     Exit code 1 where they touch more than 0.02 s from it, or never. Without esmini, which is no
@@ -369,7 +355,8 @@ def check_esmini(
 
     from ..export.esmini import describe, drive_in_esmini, find_esmini, summarise, worst_first
 
-    question = begin(progress, question, quiet=quiet)
+    progress = call.progress
+    question = begin(progress, question, quiet=call.quiet)
     found = find_esmini(program)
     if found is None:
         progress.stop()
@@ -391,7 +378,7 @@ def check_esmini(
         return "\n".join(lines) + "\n"
 
     rows = [{"run": one.run_id, "touch_s": one.touch_s} for one in driven]
-    print_result(rows, progress, as_json, words)
+    call.print(rows, words)
     if not all(one.agrees for one in driven):
         sys.exit(1)
 

@@ -43,14 +43,6 @@ HEAVY_SHARE = 0.02
 MAX_ROWS = 12
 """Rows of a table of failures: beyond, only the worst are shown."""
 _MAX_HEAVY, _MAX_RUNS = 8, 4
-_OFF = {  # by what is wrong, and whether it is too much of it
-    ("yaw", True): mark("turned {step:g} degree to the left"),
-    ("yaw", False): mark("turned {step:g} degree to the right"),
-    ("pitch", True): mark("tilted {step:g} degree up"),
-    ("pitch", False): mark("tilted {step:g} degree down"),
-    ("height", True): mark("5 cm too high"),
-    ("height", False): mark("5 cm too low"),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,7 +237,8 @@ def _mounting(found: Standing) -> str:
     if not worst.lost_run_ids:
         return text
     runs, apr = count_runs(len(worst.lost_run_ids)), percent(worst.apr)
-    off = tr(_OFF[worst.kind, worst.step > 0.0], step=abs(worst.step))
+    way = "more" if worst.step > 0.0 else "less"
+    off = say(f"off.{worst.kind}_{way}", step=abs(worst.step))
     at_worst = mark("At worst, 1 degree or 5 cm cost {runs}: with {unit} {off} the APR is {apr}.")
     at_worst = tr(at_worst, runs=runs, unit=worst.unit_id, off=off, apr=apr)
     return f"{text} {at_worst}"

@@ -14,7 +14,7 @@ from . import added, comparison, dangers, proof
 from .accidents import count_sensors
 from .alternatives import doubt_sentences, recommended_sentences
 from .explanation import next_unit_sentence, refinement_sentences
-from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
+from .result import ComparisonResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
 from .units import private_ground_sentences
 
@@ -137,8 +137,6 @@ def planned_only(result: Result) -> list[str]:
 
 def preferred(result: Result) -> list[str]:
     """Other layouts that the evaluator or fresh sampled worlds prefer to the one found."""
-    if isinstance(result, EvaluationResult):
-        return []
     found = []
     if isinstance(result, PlacementResult):
         is_proven = any(stage.name == "apr" and stage.gap == 0.0 for stage in result.stages)
@@ -165,13 +163,10 @@ def private_ground(result: Result) -> list[str]:
 
 def refinement(result: Result) -> list[str]:
     """Gains of refinement between the poses of the grid; nothing where not asked for."""
-    if not isinstance(result, PlacementResult) or result.refinement is None:
-        return []
-    return refinement_sentences(result.refinement)
+    refined = result.refinement if isinstance(result, PlacementResult) else None
+    return refinement_sentences(refined) if refined else []
 
 
 def uncertainty(result: Result) -> list[str]:
     """The layout in sampled worlds; nothing where none were asked for."""
-    if isinstance(result, EvaluationResult) or result.sampled is None:
-        return []
-    return uncertainty_sentences(result.sampled)
+    return uncertainty_sentences(result.sampled) if result.sampled else []

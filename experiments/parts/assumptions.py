@@ -13,7 +13,7 @@ from scenarios.aeb import AebRule
 from ..language import localized, said, say, tr
 from ..results.numbers import first_of, joined, percent
 from .accidents import is_weighted
-from .result import EvaluationResult, PlacementResult, Result
+from .result import PlacementResult, Result
 from .sampled_worlds import moving_sentence
 from .section import Box, Code, Filled, Section, Table
 
@@ -51,7 +51,7 @@ def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, 
     """Assumptions behind the numbers; layouts by display name."""
     axis, rule = setting.axis, setting.rule
     counted = axis.weight[axis.weight > 0.0]
-    sampled = None if isinstance(result, EvaluationResult) else result.sampled
+    sampled = result.sampled
     weathers = [*dict.fromkeys(run.weather for run in setting.runs)]
     values = {
         "setting": setting,

@@ -10,7 +10,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
-from ..language import localized, mark, said, say, tr, trn
+from ..language import heads, localized, mark, said, say, tr, trn
 from ..results.numbers import joined
 from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
@@ -176,10 +176,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         rows.append([one.name, tr(one.kind), str(one.n_units), str(one.count), price, _sum([one])])
     n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
     rows.append([tr("all"), "", str(n_units), str(n_to_buy), "", _sum(sensors)])
-    columns = [
-        *(tr("model"), tr("kind"), tr("units"), tr("to buy"), tr("price of one (EUR)")),
-        tr("sum (EUR)"),
-    ]
+    columns = heads("sensors to buy")
     if n_to_buy == n_units:  # nothing exists already
         columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
     of_sites = []
@@ -191,10 +188,14 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         kind = tr(UNKNOWN) if one.kind == UNKNOWN else said(one.kind)
         of_sites.append([name, kind, str(one.n_units), price, source])
     of_sites.append([tr("all"), "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
-    heads = [tr("site"), tr("kind"), tr("units"), tr("making it ready (EUR)"), tr("price")]
     return [
         Table(caption=tr("Sensors"), columns=columns, rows=rows, numeric=range(2, 6)),
-        Table(caption=tr("Sites"), columns=heads, rows=of_sites, numeric=range(2, 4)),
+        Table(
+            caption=tr("Sites"),
+            columns=heads("sites to make ready"),
+            rows=of_sites,
+            numeric=range(2, 4),
+        ),
     ]
 
 

@@ -19,8 +19,8 @@ from placement.evaluation import (
 )
 from scenarios.aeb import AebRule
 
-from ..language import localized, mark, said, say, tr
-from ..results.numbers import NOTHING, count_runs, layout_words, number, or_nan, percent
+from ..language import heads, localized, mark, said, say, tr
+from ..results.numbers import NOTHING, count_runs, in_points, layout_words, number, or_nan, percent
 from ..results.record import (
     EvaluationRecord,
     UnitRecord,
@@ -147,12 +147,8 @@ def side_by_side_table(
         head = tr("random: mean of {n}, on the detection table", n=random.layouts)
         shares = [mean, *[NOTHING] * 4] if levels is None else [*[NOTHING] * 5, mean]
         rows.append([head, str(random.units), NOTHING, *shares])
-    columns = [
-        *(tr("layout"), tr("units"), tr("cost of the units (EUR)"), tr("APR"), tr("runs avoided")),
-        *(tr("APR if the most needed unit fails"), tr("smallest time to spare (s)")),
-        tr("mean speed at contact (km/h)"),
-        *([] if levels is None else [tr("score ({score})", score=levels.score)]),
-    ]
+    of_score = [] if levels is None else [tr("score ({score})", score=levels.score)]
+    columns = [*heads("layouts side by side"), *of_score]
     return Table(
         caption=tr("The layouts side by side, all units of each together, by the evaluator"),
         columns=columns,
@@ -183,9 +179,9 @@ def significance_table(sampled: SampledRecord) -> Table:
             tr("more in"): lambda pair: percent(pair.more_share),
             tr("the same in"): lambda pair: percent(pair.equal_share),
             tr("less in"): lambda pair: percent(pair.less_share),
-            tr("mean difference (points)"): lambda pair: _points(pair.mean),
+            tr("mean difference (points)"): lambda pair: in_points(pair.mean),
             tr("95 % interval (points)"): lambda pair: tr(
-                "{low} to {high}", low=_points(pair.low), high=_points(pair.high)
+                "{low} to {high}", low=in_points(pair.low), high=in_points(pair.high)
             ),
             tr("is that sure?"): lambda pair: (
                 tr("no sure difference") if is_open(pair) else tr("yes")
@@ -203,10 +199,6 @@ def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
     shares = {"more_share": pair.less_share, "less_share": pair.more_share}
     mean, low, high = (-or_nan(share) for share in (pair.mean, pair.high, pair.low))
     return msgspec.structs.replace(pair, mean=mean, low=low, high=high, **names, **shares)
-
-
-def _points(share: float | None) -> str:
-    return number(100.0 * or_nan(share), 1)
 
 
 def section(
@@ -229,7 +221,7 @@ def section(
         Subheading(tr("Which runs differ")),
         Table(
             caption=tr("Runs that only one of two layouts avoids"),
-            columns=[tr("avoided by"), tr("not by"), tr("how many"), tr("which")],
+            columns=heads("differences"),
             rows=rows,
         )
         if rows

@@ -13,7 +13,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
-from ..language import mark, said, say, tr
+from ..language import said, say, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
@@ -24,11 +24,6 @@ from .result import PlacementResult, Result
 from .section import Picture
 
 _MOST_DANGERS, _MOST_UNITS = 3, 6
-_BEST = {
-    "best": mark("no other choice does better {tried}"),
-    "fewest": mark("no other choice reaches what was asked for with fewer sensors {tried}"),
-    "cheapest": mark("no other choice reaches what was asked for with less money {tried}"),
-}
 
 
 class Card(NamedTuple):
@@ -129,7 +124,9 @@ def _proof(result: Result) -> Card:
     tried = say("first_screen.tried", n=result.candidates)
     if is_proven(result):
         if result.highest is None:
-            return Card(tr("Proof"), tr("proven best"), tr(_BEST[result.goal], tried=tried))
+            return Card(
+                tr("Proof"), tr("proven best"), say(f"first_screen.{result.goal}", tried=tried)
+            )
         given_up = points(result.highest.given_up)
         words = say("first_screen.keeps_most", points=given_up, tried=tried)
         return Card(tr("Proof"), tr("proven"), words)

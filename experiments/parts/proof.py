@@ -7,7 +7,7 @@ from placement.optimiser.problem import Objective
 from placement.pipeline import FOUND
 from scenarios.scores import AVOIDED
 
-from ..language import localized, said, say, tr
+from ..language import heads, localized, said, say, tr
 from ..results.numbers import NOTHING, number, or_nan, percent, points
 from ..results.record import StageRecord
 from .result import HighestRecord, PlacementResult
@@ -102,9 +102,7 @@ def stage_table(stages: Sequence[StageRecord]) -> Table:
 def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
     return Table(
         caption=tr("Objectives in order: each is optimised without giving up any before it"),
-        columns=[
-            *(tr("on the detection table"), tr("found"), tr("bound"), tr("gap"), tr("time (s)")),
-        ],
+        columns=heads("objectives"),
         rows=[[label, *_stage_row(stage)] for label, stage in stages],
         numeric=range(1, 5),
     )

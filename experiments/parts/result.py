@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from msgspec import Meta
@@ -154,6 +154,9 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
 
 class EvaluationResult(Answer, frozen=True, kw_only=True, tag="place-rsus/evaluation/2"):
     """One layout by the evaluator."""
+
+    baselines: ClassVar[None] = None
+    sampled: ClassVar[None] = None
 
 
 class ComparisonResult(Answer, frozen=True, kw_only=True, tag="place-rsus/comparison/2"):

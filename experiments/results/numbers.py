@@ -55,6 +55,11 @@ def points(share: float) -> str:
     return tr("1 point") if shown == 1.0 else tr("{n} points", n=number(shown, 1))
 
 
+def in_points(share: float | None) -> str:
+    """A difference of shares of 1 as a number of points, for tables; a dash where there is none."""
+    return number(100.0 * or_nan(share), 1)
+
+
 def number(value: float | None, digits: int = 2) -> str:
     """A number with a typographic minus; a dash where there is none."""
     if value is None or not math.isfinite(value):

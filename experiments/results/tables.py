@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ALL = "all"
+GroupedBy = Literal["case", "direction", "position", "speed", "weather"]
 RunGroup = tuple[str, BoolArray]
 """Its name, and which runs are in it: (n_runs,) bool."""
 _BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
@@ -142,10 +143,8 @@ def _missing(times_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(times_s), times_s, np.nan)
 
 
-def groups_by(
-    axis: FrameAxis, what: Literal["case", "direction", "position", "speed"]
-) -> list[RunGroup]:
-    """A group per case or direction as they first appear, or per position or speed, ascending."""
+def groups_by(axis: FrameAxis, what: GroupedBy) -> list[RunGroup]:
+    """A group per case, direction or weather as they appear; per position or speed, ascending."""
     speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
     ascending = [f"{speed:g}" for speed in np.unique(axis.vut_speed_kmh)]
     words, order = {
@@ -153,6 +152,7 @@ def groups_by(
         "direction": (axis.approaches, axis.approaches),
         "position": (axis.positions, sort_positions(axis.positions)),
         "speed": (speeds, ascending),
+        "weather": (axis.weathers, axis.weathers),
     }[what]
     return [(word, np.array(words) == word) for word in dict.fromkeys(order)]
 
