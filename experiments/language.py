@@ -141,14 +141,14 @@ def _texts() -> dict[str, Any]:
     return load_data("experiments", "texts.toml")
 
 
-def heads(table: str) -> list[str]:
-    """Heads of a table's columns, of ``data/table_heads.toml``."""
-    return [tr(head) for head in _heads()[table]]
+def listed(name: str) -> list[str]:
+    """Texts that belong together, of ``data/lists.toml``: most are heads of a table's columns."""
+    return [tr(text) for text in _lists()[name]]
 
 
 @cache
-def _heads() -> dict[str, list[str]]:
-    return load_data("experiments", "table_heads.toml")
+def _lists() -> dict[str, list[str]]:
+    return load_data("experiments", "lists.toml")
 
 
 def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:

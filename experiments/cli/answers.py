@@ -13,7 +13,7 @@ from placement.explain.agreement import Disagreement
 from placement.explain.unavoided import Unavoided
 from scenarios.scores import AVOIDED
 
-from ..language import heads, localized, mark, said, say, tr
+from ..language import listed, localized, mark, said, say, tr
 from ..parts import (
     Part,
     added,
@@ -34,7 +34,7 @@ from ..parts.comparison import HIGHEST, Compared
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
-from ..results.numbers import first_of, layout_words, number, percent, shortened
+from ..results.numbers import first_of, grouped, layout_words, number, percent, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
 from .terminal import basis, first_reasons
 
@@ -300,15 +300,13 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
         stands = [localized(f"{unit.x_m:.2f}"), localized(f"{unit.y_m:.2f}")]
         place = ", ".join(filter(None, (site, said(unit.place or ""))))
         rows.append([unit.id, said(unit.kind or "-"), *looks, *stands, place])
-    columns = heads("units in short")
+    columns = listed("units in short")
     return Table(caption=tr("Units"), columns=columns, rows=rows, numeric=range(1, 7))
 
 
 def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
     """How the table of units is to be read, and what they are, if not the default."""
-    units_of: dict[str, list[str]] = {}
-    for unit in units:
-        units_of.setdefault(unit.camera or unit.lidar or "", []).append(unit.id)
+    units_of = grouped((unit.camera or unit.lidar or "", unit.id) for unit in units)
     models = "; ".join(f"{model} ({', '.join(ids)})" for model, ids in units_of.items())
     is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
     bearing = tr("bearing: degrees clockwise from north")
@@ -356,7 +354,7 @@ def _summary_table(result: Result, others: Mapping[str, Compared]) -> Table:
     if found is not None and found.random is not None:
         name = tr("random, mean of {n} on the table", n=found.random.layouts)
         rows.append([name, str(found.random.units), percent(found.random.mean), "", None])
-    columns = ["", *heads("layouts in short")]
+    columns = ["", *listed("layouts in short")]
     n_columns = len(columns) if study else len(columns) - 1
     return Table(
         caption=tr("APR"),
@@ -467,24 +465,22 @@ def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
 
 def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
     """Runs that have the same said of them, but for numbers; the largest group first."""
-    groups: dict[tuple[str, ...], list[Unavoided]] = {}
-    for entry in missed:
-        because = explanation.cause(entry.reasons[0]) if entry.reasons else ""
-        rescue = entry.rescue.unit if entry.rescue else ""
-        groups.setdefault((entry.outcome, entry.unit, because, rescue), []).append(entry)
+    groups = grouped((tuple(_said_of(entry).values()), entry) for entry in missed)
     return sorted(groups.values(), key=len, reverse=True)
+
+
+def _said_of(entry: Unavoided) -> dict[str, str]:
+    return {
+        "outcome": explanation.outcome_words(entry.outcome),
+        "unit": entry.unit,
+        "cause": explanation.cause(entry.reasons[0]) if entry.reasons else "",
+        "rescue": entry.rescue.unit if entry.rescue else "",
+    }
 
 
 def _missed_in_short(group: Sequence[Unavoided]) -> str:
     first = group[0]
-    runs = first_of([entry.run for entry in group], _MAX_RUNS)
-    values = {
-        "runs": runs,
-        "outcome": explanation.outcome_words(first.outcome),
-        "unit": first.unit,
-        "cause": explanation.cause(first.reasons[0]) if first.reasons else "",
-        "rescue": first.rescue.unit if first.rescue else "",
-    }
+    values = _said_of(first) | {"runs": first_of([entry.run for entry in group], _MAX_RUNS)}
     if first.reasons and first.rescue:
         return say("terminal.missed", **values)
     if first.reasons:

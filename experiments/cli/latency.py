@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import heads, localized, mark, said, say, tr
+from ..language import listed, localized, mark, said, say, tr
 from ..results.numbers import joined, percent
 from . import options
 from .running import Job
@@ -84,7 +84,7 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         "",
         *_budget_lines(budget),
         "",
-        *table(heads("within the budget"), within),
+        *table(listed("within the budget"), within),
         *sentences(" ".join([say("latency.note"), *_own_latencies(summary)]), indent=2),
     ]
     if out is not None:

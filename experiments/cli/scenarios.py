@@ -15,7 +15,7 @@ from geometry.errors import InputError, Unquoted
 from placement.question import Question
 
 from ..progress import StageProgress, tell
-from ..results.numbers import several
+from ..results.numbers import grouped, several
 from . import options
 from .running import Call, begin, unwritable, write_result
 from .terminal import sentences, table
@@ -52,10 +52,8 @@ _Key = tuple[str, str, str]
 
 def list_rows(drives: "Drives") -> list[DrivenRow]:
     """One row per case, approach and position; with what is driven and what is refused."""
-    driven: dict[_Key, list[Run]] = {}
+    driven = grouped(((run.case.name, run.approach, run.position), run) for run in drives.runs)
     reasons: dict[_Key, list[str]] = {}
-    for run in drives.runs:
-        driven.setdefault((run.case.name, run.approach, run.position), []).append(run)
     refusals = (*drives.refused, *drives.left_out)
     keyed = [((one.case.name, one.approach, one.position), one) for one in refusals]
     refused: Counter[_Key] = Counter()
@@ -106,9 +104,7 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
     unlaid = [entry for entry in rows if entry.case in load_unlaid_cases()]
     rows = [entry for entry in rows if entry.case not in load_unlaid_cases()]
-    groups: dict[tuple[str, str], list[DrivenRow]] = {}
-    for entry in rows:
-        groups.setdefault((entry.case, entry.approach), []).append(entry)
+    groups = grouped(((entry.case, entry.approach), entry) for entry in rows)
     has_positions = len({entry.position for entry in rows}) > 1
     cells = []
     for (case, approach), entries in groups.items():
@@ -132,20 +128,17 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
     lines += ["", *_who_meets_whom(rows)]
     if has_positions:
         lines += ["", *_position_table(rows), ""]
-    refused: dict[tuple[str, str], dict[str, list[str]]] = {}
-    for entry in rows:
-        if entry.reason is not None:
-            of_reason = refused.setdefault((entry.case, entry.reason), {})
-            of_reason.setdefault(entry.approach, []).append(entry.position)
     from ..results.drives import describe_places
 
+    refused = grouped(
+        ((one.case, one.reason), (one.approach, one.position)) for one in rows if one.reason
+    )
     for (case, reason), where in refused.items():
-        lines += sentences(f"{case} from {describe_places(where)} not driven: {reason}", hanging=2)
-    nowhere: dict[str, dict[str, None]] = {}
-    for entry in unlaid:
-        nowhere.setdefault(entry.reason or "", {})[f"{entry.case} ({entry.title})"] = None
-    for reason, cases in nowhere.items():
-        lines += sentences(f"Not laid: {'; '.join(cases)}: {reason}", hanging=2)
+        there = describe_places(grouped(where))
+        lines += sentences(f"{case} from {there} not driven: {reason}", hanging=2)
+    nowhere = grouped((one.reason or "", f"{one.case} ({one.title})") for one in unlaid)
+    for why, cases in nowhere.items():
+        lines += sentences(f"Not laid: {'; '.join(dict.fromkeys(cases))}: {why}", hanging=2)
     n_runs = sum(entry.n_runs for entry in rows)
     n_cases = len({entry.case for entry in rows})
     lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
@@ -154,13 +147,11 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
 def _who_meets_whom(rows: Sequence[DrivenRow]) -> list[str]:
     """What happens in each case: those that differ in the impact point share a sentence."""
-    speeds: dict[str, set[float]] = {}
-    for entry in rows:
-        speeds.setdefault(entry.case, set()).update(entry.vru_speeds_kmh)
+    speeds = grouped((entry.case, speed) for entry in rows for speed in entry.vru_speeds_kmh)
     alike: dict[str, dict[str, None]] = {}
     for entry in rows:
         title = entry.title.partition(", met at")[0]
-        at = _span(sorted(speeds[entry.case]), "g")
+        at = _span(sorted(speeds.get(entry.case, [])), "g")
         who = f"{entry.road_user}, {at} km/h" if at else entry.road_user
         alike.setdefault(f"{title} ({who})", {})[entry.case] = None
     lines = []

@@ -1,6 +1,5 @@
 """What units add to cars: the VUT by itself, with the units, the difference, and unit by unit."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -14,7 +13,7 @@ from scenarios.weights import weight_share
 
 from ..language import say, tr
 from ..results.numbers import in_points, percent
-from ..results.record import says
+from ..results.record import Record, says
 from ..results.tables import groups_by
 from .section import Section, Table
 
@@ -23,8 +22,7 @@ MAX_UNITS = 24
 _MAX_TOLD = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AddedUnit:
+class AddedUnit(Record, frozen=True, kw_only=True):
     """A unit that joins the VUT and the units before it."""
 
     unit: Annotated[str, says("Its id.")]
@@ -32,8 +30,7 @@ class AddedUnit:
     gain: Annotated[float, says("How much higher that is than without.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AddedGroup:
+class AddedGroup(Record, frozen=True, kw_only=True):
     """What units add in some runs."""
 
     kind: Annotated[str, says('"all", "case", "position" or "road user".')]
@@ -43,8 +40,7 @@ class AddedGroup:
     gain: Annotated[float | None, says("What the units add: the difference.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Added:
+class Added(Record, frozen=True, kw_only=True):
     """What the units of a layout add to a VUT that sees, by the evaluator."""
 
     groups: Annotated[tuple[AddedGroup, ...], says("All runs, then each case, place, road user.")]

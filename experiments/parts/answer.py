@@ -8,7 +8,7 @@ from placement.evaluation import Evaluation
 from placement.question import N_JUDGED
 from placement.setting import Setting
 
-from ..language import mark, say, tr, trn
+from ..language import listed, say, tr, trn
 from ..results.numbers import capital, joined, percent, points
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors
@@ -17,11 +17,6 @@ from .explanation import next_unit_sentence, refinement_sentences
 from .result import ComparisonResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
 from .units import private_ground_sentences
-
-_SMALL = (
-    *(mark("no"), mark("one"), mark("two"), mark("three"), mark("four"), mark("five")),
-    *(mark("six"), mark("seven"), mark("eight"), mark("nine"), mark("ten")),
-)
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
@@ -99,7 +94,8 @@ def is_proven(result: PlacementResult) -> bool:
 
 
 def _spelled(count: int) -> str:
-    return tr(_SMALL[count]) if count < len(_SMALL) else str(count)
+    words = listed("numbers")
+    return words[count] if count < len(words) else str(count)
 
 
 def words(result: Result) -> list[str]:

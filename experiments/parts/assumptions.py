@@ -11,7 +11,7 @@ from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
 from ..language import localized, said, say, tr
-from ..results.numbers import first_of, joined, percent
+from ..results.numbers import first_of, grouped, joined, percent
 from .accidents import is_weighted
 from .result import PlacementResult, Result
 from .sampled_worlds import moving_sentence
@@ -23,10 +23,10 @@ _MAX_NAMES = 3
 
 def assumption_sentences(result: Result) -> list[str]:
     """What the map leaves open, the most important first; sites alike share a sentence."""
-    groups: dict[tuple[str, ...], list[Note]] = {}
-    for index, one in enumerate(result.assumptions):
-        key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)
-        groups.setdefault(key, []).append(one)
+    groups = grouped(
+        ((one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else index, one)
+        for index, one in enumerate(result.assumptions)
+    )
     return [_together(group) for group in groups.values()]
 
 
@@ -96,11 +96,10 @@ def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
     """The rule's latency, then the units that have another of their own, equal ones together."""
     own = []
     for name, layout in layouts.items():
-        unit_ids: dict[float, list[str]] = {}
-        for unit in layout.units:
-            if unit.latency(rule) != rule.latency_s:
-                unit_ids.setdefault(unit.latency(rule), []).append(unit.id)
+        unit_ids = grouped((unit.latency(rule), unit.id) for unit in layout.units)
         for latency_s, ids in sorted(unit_ids.items()):
+            if latency_s == rule.latency_s:
+                continue
             who = tr("every unit") if len(ids) == len(layout.units) > 1 else joined(ids)
             if len(layouts) > 1:
                 who = tr("{units} of {layout}", units=who, layout=name)

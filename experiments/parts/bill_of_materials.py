@@ -10,23 +10,13 @@ from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
-from ..language import heads, localized, mark, said, say, tr, trn
-from ..results.numbers import joined
+from ..language import listed, localized, mark, said, say, tr, trn
+from ..results.numbers import grouped, joined
 from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
 
 UNKNOWN = mark("unknown")
 FILE_NAME = "bill_of_materials.csv"
-NOT_IN_IT = (
-    mark("new poles and foundations"),
-    mark("brackets, cables and junction boxes beyond what a site's cost covers"),
-    mark("the computer that detects, the radio unit that sends to cars, and their housing"),
-    mark("spare units"),
-    mark("planning, permits, traffic management while mounting, the lift and the people"),
-    mark("calibration and acceptance"),
-    mark("electricity, data connection, cleaning, repair and replacement over the years"),
-    mark("value added tax"),
-)
 _KINDS = {"camera": mark("camera"), "lidar": mark("LiDAR")}
 _NO_SITE = mark("no site of the scene")
 _SOURCES = {"catalogue": mark("catalogue"), "told": mark("told"), "assumption": mark("assumption")}
@@ -108,9 +98,9 @@ def _site_items(
 ) -> tuple[Item, ...]:
     doubts = assumed_sites(scene.notes)
     sites = {site.id: site for site in scene.sites}
-    used: dict[str | None, list[str]] = {}
-    for unit in layout.units:
-        used.setdefault(unit.site_id if unit.site_id in sites else None, []).append(unit.id)
+    used = grouped(
+        (unit.site_id if unit.site_id in sites else None, unit.id) for unit in layout.units
+    )
     items = []
     for site_id, unit_ids in used.items():
         kept = [unit_id for unit_id in unit_ids if unit_id in kept_ids]
@@ -176,7 +166,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         rows.append([one.name, tr(one.kind), str(one.n_units), str(one.count), price, _sum([one])])
     n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
     rows.append([tr("all"), "", str(n_units), str(n_to_buy), "", _sum(sensors)])
-    columns = heads("sensors to buy")
+    columns = listed("sensors to buy")
     if n_to_buy == n_units:  # nothing exists already
         columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
     of_sites = []
@@ -192,7 +182,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         Table(caption=tr("Sensors"), columns=columns, rows=rows, numeric=range(2, 6)),
         Table(
             caption=tr("Sites"),
-            columns=heads("sites to make ready"),
+            columns=listed("sites to make ready"),
             rows=of_sites,
             numeric=range(2, 4),
         ),
@@ -206,8 +196,7 @@ def bill_section(bill: BillOfMaterials) -> Section:
         " ".join([*bill_sentences(bill), *map(said, bill.assumed)]),
         *bill_tables(bill),
         note,
-        # Assumed costs are with poles.
-        Bullets([*map(tr, NOT_IN_IT[1:] if bill.assumed else NOT_IN_IT)]),
+        Bullets(listed("not in the bill")[bool(bill.assumed) :]),  # assumed costs are with poles
     ]
     return Section("bill", tr("Bill of materials"), blocks)
 

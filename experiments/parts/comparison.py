@@ -1,7 +1,6 @@
 """Layouts side by side: their worth, the runs on which they differ, how sure the difference is."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Annotated
 
@@ -19,10 +18,11 @@ from placement.evaluation import (
 )
 from scenarios.aeb import AebRule
 
-from ..language import heads, localized, mark, said, say, tr
+from ..language import listed, localized, mark, said, say, tr
 from ..results.numbers import NOTHING, count_runs, in_points, layout_words, number, or_nan, percent
 from ..results.record import (
     EvaluationRecord,
+    Record,
     UnitRecord,
     build_evaluation_record,
     build_unit_records,
@@ -40,8 +40,7 @@ GREEDY, EXPERT, HIGHEST = mark("greedy"), mark("expert rule"), mark("highest APR
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
+class Compared(Record, frozen=True, kw_only=True):
     """Another layout on the same runs."""
 
     name: Annotated[str, says("Of the layout.")]
@@ -71,8 +70,7 @@ def build_compared(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
+class Difference(Record, frozen=True, kw_only=True):
     """Runs that only one of two layouts avoids, all units of each together."""
 
     first: Annotated[str, says("Name of the one layout.")]
@@ -148,7 +146,7 @@ def side_by_side_table(
         shares = [mean, *[NOTHING] * 4] if levels is None else [*[NOTHING] * 5, mean]
         rows.append([head, str(random.units), NOTHING, *shares])
     of_score = [] if levels is None else [tr("score ({score})", score=levels.score)]
-    columns = [*heads("layouts side by side"), *of_score]
+    columns = [*listed("layouts side by side"), *of_score]
     return Table(
         caption=tr("The layouts side by side, all units of each together, by the evaluator"),
         columns=columns,
@@ -221,7 +219,7 @@ def section(
         Subheading(tr("Which runs differ")),
         Table(
             caption=tr("Runs that only one of two layouts avoids"),
-            columns=heads("differences"),
+            columns=listed("differences"),
             rows=rows,
         )
         if rows

@@ -17,7 +17,7 @@ from placement.pipeline import Placement
 from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
-from ..language import heads, mark, said, say, tr, trn
+from ..language import listed, mark, said, say, tr, trn
 from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
 from .section import Block, Section, Table, tabulate
@@ -185,7 +185,7 @@ def contribution_table(
         rows.append([name, n_saved, *shares, *shown])
     return Table(
         caption=tr("What each unit is there for, on the detection table"),
-        columns=heads("contributions"),
+        columns=listed("contributions"),
         rows=rows,
         numeric=range(1, 8),
     )

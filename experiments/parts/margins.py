@@ -15,7 +15,7 @@ from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
 from ..figures.axes import PALETTE, WIDTH_IN, Style, literal, new_figure, write_beside
-from ..language import heads, mark, said, say, tr, trn
+from ..language import listed, mark, said, say, tr, trn
 from ..results.numbers import NOTHING, number
 from ..results.tables import GroupedBy, groups_by, margin_s
 from .section import Section, Table, build_picture
@@ -202,7 +202,7 @@ def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
         caption = say(f"margins.by_{what}")
         table = Table(
             caption=caption,
-            columns=[say(f"grouped.{what}"), *heads("margins")],
+            columns=[say(f"grouped.{what}"), *listed("margins")],
             rows=rows,
             numeric=range(2, 11),
             summary=caption,

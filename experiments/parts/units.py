@@ -14,7 +14,7 @@ from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import compass_word, looking_words, plot_plan
-from ..language import heads, localized, said, say, tr
+from ..language import listed, localized, said, say, tr
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
 from .section import Block, Box, Picture, Section, Table, build_picture
@@ -67,7 +67,7 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     is_long = len(rows) > _MAX_FLAT_ROWS
     return Table(
         caption=caption,
-        columns=heads("units"),
+        columns=listed("units"),
         rows=rows,
         numeric=range(5, 12),
         summary=tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else "",
@@ -179,7 +179,7 @@ def private_ground_section(
         caption += tr("; of {all} units the {n} that matter most", all=len(units), n=len(shown))
     if len(told) < len(areas):
         caption += tr("; of {all} areas the {n} that matter most", all=len(areas), n=len(told))
-    columns = [*heads("private ground"), *(labels.get(unit_id, unit_id) for unit_id in shown)]
+    columns = [*listed("private ground"), *(labels.get(unit_id, unit_id) for unit_id in shown)]
     rows = []
     for area in told:
         shares = (most_seen[area.name], *(units[unit_id][area.name] for unit_id in shown))

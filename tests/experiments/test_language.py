@@ -84,9 +84,9 @@ def messages_of_code():
         for message in of_part.values():
             key = message if isinstance(message, str) else tuple(message)
             found.setdefault(key, []).append("data/texts.toml")
-    for columns in load_data("experiments", "table_heads.toml").values():
-        for message in columns:
-            found.setdefault(message, []).append("data/table_heads.toml")
+    for messages in load_data("experiments", "lists.toml").values():
+        for message in messages:
+            found.setdefault(message, []).append("data/lists.toml")
     return found
 
 
