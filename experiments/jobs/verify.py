@@ -19,7 +19,7 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import asdict
 
 from geometry.arrays import BoolArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, located
 from geometry.files import parse_json, read_bytes, read_table, read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
@@ -179,8 +179,10 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
     stored = read_table(_load_object(path), certified.CertifiedResult, str(path))
     layout = load_layout(folder / LAYOUT_FILE)
     sites = tuple(unit.site_id for unit in layout.units)
+    with located(f"{path}: "):
+        numbers = certified.recompute(stored)
     wrong = {
-        "numbers": certified.recompute(stored),
+        "numbers": numbers,
         "layout file": [] if sites == stored.units else ["it shows units at other sites"],
     }
     unknown = "bounds of the blocks, and APRs by world: certify computes them again, with the seed"
