@@ -16,7 +16,7 @@ from .alternatives import doubt_sentences, recommended_sentences
 from .explanation import next_unit_sentence, refinement_sentences
 from .result import ComparisonResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
-from .units import private_ground_sentences
+from .units import private_ground_sentence
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
@@ -151,10 +151,17 @@ def doubts(result: Result) -> list[str]:
 
 def private_ground(result: Result) -> list[str]:
     """Private ground that units see; of each layout where several are compared."""
+    if result.private_ground is None:
+        return []
     others = result.compared if isinstance(result, ComparisonResult) else ()
-    return private_ground_sentences(
-        result.private_ground, {other.name: other.private_ground for other in others}
-    )
+    return [
+        private_ground_sentence(result.private_ground),
+        *(
+            f"{other.name}: {private_ground_sentence(other.private_ground)}"
+            for other in others
+            if other.private_ground
+        ),
+    ]
 
 
 def refinement(result: Result) -> list[str]:

@@ -1,7 +1,6 @@
 """Bill of materials: sensors by model, sites, what they cost as far as it is known."""
 
-from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from geometry.catalogue import sensor_kind
@@ -54,8 +53,13 @@ class BillOfMaterials:
     @property
     def sites_eur(self) -> float | None:
         """Price of all sites; None where one is unknown."""
-        sums = [item.sum_eur for item in self.sites]
-        return None if None in sums else sum(value for value in sums if value is not None)
+        return total_eur(self.sites)
+
+
+def total_eur(items: Iterable[Item]) -> float | None:
+    """Price of all items; None where one is unknown."""
+    sums = [item.sum_eur for item in items]
+    return None if None in sums else sum(value for value in sums if value is not None)
 
 
 def build_bill(
@@ -73,20 +77,20 @@ def build_bill(
     used = {unit.site_id for unit in layout.units}
     used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
     to_make = [one for one in scene.sites if one.id in used and site_cost_eur is None]
-    to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
-    of_model = Counter(unit.sensor.name for unit in layout.units)
+    of_model = grouped((unit.sensor.name, unit) for unit in layout.units)
     return BillOfMaterials(
         sensors=tuple(
             Item(
                 part="sensor",
                 name=name,
                 kind=_KINDS[sensor_kind(sensor)],
-                count=to_buy[name],
-                n_units=of_model[name],
+                count=sum(unit.id not in kept_ids for unit in units),
+                n_units=len(units),
                 price_eur=sensor.price_eur if sensor.price_eur > 0.0 else None,
                 price_source="catalogue" if sensor.price_eur > 0.0 else "",
             )
-            for name, sensor in {unit.sensor.name: unit.sensor for unit in layout.units}.items()
+            for name, units in of_model.items()
+            for sensor in [units[-1].sensor]
         ),
         sites=_site_items(layout, scene, site_cost_eur, kept_ids),
         assumed=assumed_prices(load_prices(), to_make),

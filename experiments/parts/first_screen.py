@@ -17,7 +17,7 @@ from ..language import said, say, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
-from .bill_of_materials import BillOfMaterials
+from .bill_of_materials import BillOfMaterials, total_eur
 from .dangers import DangerGroup, avoided_runs, position_words
 from .explanation import causes_and_remedies
 from .result import PlacementResult, Result
@@ -107,10 +107,7 @@ def _if_one_fails(result: Result, subject: Evaluation) -> Card:
 
 
 def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
-    sites = bill.sites_eur
-    sensors = [item.sum_eur for item in bill.sensors]
-    known = [amount for amount in sensors if amount is not None]
-    total = None if sites is None or len(known) < len(sensors) else sum(known) + sites
+    total = total_eur((*bill.sensors, *bill.sites))
     counted = count_sensors(subject.layout)
     words = tr("to buy {sensors} and to make their poles ready", sensors=counted)
     if bill.assumed:

@@ -150,16 +150,6 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
     return tr("Of private ground, {views}.", views="; ".join(seen))
 
 
-def private_ground_sentences(
-    found: PrivateGroundRecord | None, others: Mapping[str, PrivateGroundRecord | None]
-) -> list[str]:
-    """The same of a result; `others` are those of layouts compared with it, by name."""
-    if found is None:
-        return []
-    of_others = [f"{name}: {private_ground_sentence(one)}" for name, one in others.items() if one]
-    return [private_ground_sentence(found), *of_others]
-
-
 def private_ground_section(
     found: PrivateGroundRecord | None, labels: Mapping[str, str]
 ) -> Section | None:
