@@ -9,7 +9,7 @@ import click
 
 from ..results.numbers import grouped
 from . import options
-from .recording import check_recording_options, evaluate_recording
+from .recording import evaluate_recording
 from .running import Job, command_line
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ def evaluate(
     out: Path | None,
 ) -> None:
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
-    check_recording_options(recording)
     if recording is not None:
         evaluate_recording(job, recording, min_confidence, out)
         return
