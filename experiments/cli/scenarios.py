@@ -2,7 +2,6 @@
 
 import math
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -47,41 +46,29 @@ class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
     reason: str | None
 
 
-_Key = tuple[str, str, str]
-
-
 def list_rows(drives: "Drives") -> list[DrivenRow]:
     """One row per case, approach and position; with what is driven and what is refused."""
-    driven = grouped(((run.case.name, run.approach, run.position), run) for run in drives.runs)
-    reasons: dict[_Key, list[str]] = {}
-    refusals = (*drives.refused, *drives.left_out)
-    keyed = [((one.case.name, one.approach, one.position), one) for one in refusals]
-    refused: Counter[_Key] = Counter()
-    for key, refusal in keyed:
-        refused[key] += len(refusal.speeds_kmh)
-    for key, refusal in keyed:
-        is_partly = key in driven or refused[key] > len(refusal.speeds_kmh)
-        at = f"at {refusal.speeds_text} km/h: "
-        reason = f"{at}{refusal.reason}" if is_partly else refusal.reason
-        reasons.setdefault(key, []).append(reason)
     from scenarios.positions import sort_positions
 
-    keys = list(dict.fromkeys((*driven, *reasons)))
+    refusals = (*drives.refused, *drives.left_out)
+    driven = grouped(((run.case.name, run.approach, run.position), run) for run in drives.runs)
+    refused = grouped(((one.case.name, one.approach, one.position), one) for one in refusals)
+    keys = list(dict.fromkeys((*driven, *refused)))
     # By case in the order asked for, within it by approach, and as the VUT passes them.
     cases = list(dict.fromkeys(case for case, _, _ in keys))
     pairs = list(dict.fromkeys(key[:2] for key in keys))
     positions = sort_positions(key[2] for key in keys)
     keys.sort(key=lambda k: (cases.index(k[0]), pairs.index(k[:2]), positions.index(k[2])))
     described = {run.case.name: run.case for run in drives.runs}
-    described |= {refusal.case.name: refusal.case for refusal in refusals}
+    described |= {one.case.name: one.case for one in refusals}
     rows = []
-    for name, approach, position in keys:
-        runs = driven.get((name, approach, position), [])
+    for key in keys:
+        runs, reasons = driven.get(key, []), refused.get(key, [])
+        n_refused = sum(len(one.speeds_kmh) for one in reasons)
         # Several runs have the same speed and differ elsewhere: the earliest time is shown.
-        times: dict[float, float] = {}
-        for run in runs:
-            earliest_s = times.get(run.vut_speed_kmh, math.inf)
-            times[run.vut_speed_kmh] = min(earliest_s, run.last_brake_time_s)
+        times = grouped((run.vut_speed_kmh, run.last_brake_time_s) for run in runs)
+        earliest_s = [min(of_speed) for of_speed in times.values()]
+        name, approach, position = key
         row = DrivenRow(
             case=name,
             title=described[name].title,
@@ -91,8 +78,14 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
             speeds_kmh=tuple(times),
             vru_speeds_kmh=tuple(sorted({run.case.vru_speed_kmh for run in runs})),
             n_runs=len(runs),
-            last_brake_time_s=tuple(t if math.isfinite(t) else None for t in times.values()),
-            reason="; ".join(reasons.get((name, approach, position), [])) or None,
+            last_brake_time_s=tuple(t if math.isfinite(t) else None for t in earliest_s),
+            reason="; ".join(
+                f"at {one.speeds_text} km/h: {one.reason}"
+                if runs or n_refused > len(one.speeds_kmh)
+                else one.reason
+                for one in reasons
+            )
+            or None,
         )
         rows.append(row)
     return rows

@@ -188,13 +188,12 @@ def _gaps(setting: Setting) -> Iterator[str]:
     if silent:
         yield tr("nothing from the {arms}", arms=joined(map(said, silent)))
     kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
-    told: dict[tuple[bool, str], list[str]] = {}  # of a kind, or of a case; name; arms
-    for name, arm in left:
-        if arm in silent:
-            continue
-        kind = kinds[name]
-        has_kind = any(kinds[other] == kind for other, from_arm in driven if from_arm == arm)
-        told.setdefault((False, name) if has_kind else (True, kind), []).append(said(arm))
+    met = {(kinds[name], arm) for name, arm in driven}
+    told = grouped(  # of a kind, or of a case; name; arms
+        ((False, name) if (kinds[name], arm) in met else (True, kinds[name]), said(arm))
+        for name, arm in left
+        if arm not in silent
+    )
     for is_kind, name in sorted(told, key=lambda what: not what[0]):
         arms = joined(dict.fromkeys(told[is_kind, name]))
         if is_kind:
