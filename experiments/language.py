@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any
 
 from geometry.files import load_data
@@ -32,44 +33,42 @@ class _GermanNumbers(string.Formatter):
 
 
 class Messages:
-    """A catalogue of messages, and of those that have a form for one and one for many."""
+    """A catalogue of messages, and of those that have a form for one and one for many.
+
+    `found` has their translations by the English text, of two forms by the first; a message that it
+    does not have stays English.
+    """
+
+    def __init__(self, found: Mapping[str, str | tuple[str, ...]] = MappingProxyType({})) -> None:
+        self._found = found
 
     def find(self, message: str) -> str:
-        """The translation of a message; the message itself where it is English."""
-        return message
-
-    def find_plural(self, one: str, many: str, count: int) -> str:
-        """The form that a count asks for."""
-        return one if count == 1 else many
-
-
-class _Translated(Messages):
-    def __init__(self, code: str) -> None:
-        from babel.messages.pofile import read_po
-
-        self._found: dict[str, str | tuple[str, ...]] = {}
-        for path in sorted(files("experiments").joinpath("languages", code).iterdir(), key=str):
-            if path.name.endswith(".po"):
-                with path.open("rb") as file:
-                    for entry in read_po(file):
-                        key = entry.id if isinstance(entry.id, str) else entry.id[0]
-                        said = entry.string
-                        self._found[key] = said if isinstance(said, str) else tuple(said or ())
-
-    def find(self, message: str) -> str:
+        """The translation of a message."""
         found = self._found.get(message)
         return found if isinstance(found, str) and found else message
 
     def find_plural(self, one: str, many: str, count: int) -> str:
+        """The form that a count asks for."""
         found = self._found.get(one)
-        if isinstance(found, tuple) and all(found):
-            return found[count != 1]
-        return super().find_plural(one, many, count)
+        forms = found if isinstance(found, tuple) and all(found) else (one, many)
+        return forms[count != 1]
 
 
 @cache
 def _catalogue(code: str) -> Messages:
-    return Messages() if code == "en" else _Translated(code)
+    if code == "en":
+        return Messages()
+    from babel.messages.pofile import read_po
+
+    translated: dict[str, str | tuple[str, ...]] = {}
+    for path in sorted(files("experiments").joinpath("languages", code).iterdir(), key=str):
+        if path.name.endswith(".po"):
+            with path.open("rb") as file:
+                for entry in read_po(file):
+                    key = entry.id if isinstance(entry.id, str) else entry.id[0]
+                    text = entry.string
+                    translated[key] = text if isinstance(text, str) else tuple(text or ())
+    return Messages(translated)
 
 
 class _Current:
@@ -139,6 +138,16 @@ def say(key: str, n: int | None = None, /, **values: Any) -> str:
 @cache
 def _texts() -> dict[str, Any]:
     return load_data("experiments", "texts.toml")
+
+
+def listed(name: str) -> list[str]:
+    """Texts that belong together, of ``data/lists.toml``: most are heads of a table's columns."""
+    return [tr(text) for text in _lists()[name]]
+
+
+@cache
+def _lists() -> dict[str, list[str]]:
+    return load_data("experiments", "lists.toml")
 
 
 def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:

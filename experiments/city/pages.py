@@ -27,7 +27,7 @@ from ..figures.axes import (
 )
 from ..figures.labels import Label, draw_labels
 from ..language import localized, tr, trn
-from ..parts.section import Bullets, Code, Html, Section, build_picture
+from ..parts.section import Bullets, Code, Section, build_picture
 from ..report.page import page_environment, page_template
 from ..results.numbers import euros, number, percent
 from ..scene.pictures import build_street_map, new_map_axes, plot_scene_plan
@@ -55,7 +55,7 @@ def _templates() -> Any:
 
 def _section(name: str, title: str, *values: object, macro: str = "") -> Section:
     html = getattr(_templates(), macro or name.replace("-", "_"))(*values)
-    return Section(name, title, [Html(html)] if html else [])
+    return Section(name, title, [html] if html else [])
 
 
 def render_city_report(

@@ -13,7 +13,7 @@ from placement.explain.agreement import Disagreement
 from placement.explain.unavoided import Unavoided
 from scenarios.scores import AVOIDED
 
-from ..language import localized, mark, said, say, tr
+from ..language import listed, localized, mark, said, say, tr
 from ..parts import (
     Part,
     added,
@@ -29,12 +29,12 @@ from ..parts import (
     study_cases,
 )
 from ..parts.assumptions import assumption_sentences
-from ..parts.baselines import Baselines, Score
-from ..parts.comparison import HIGHEST
+from ..parts.baselines import Score
+from ..parts.comparison import HIGHEST, Compared
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
 from ..parts.study_cases import StudyCases
-from ..results.numbers import first_of, layout_words, number, percent, shortened
+from ..results.numbers import first_of, grouped, layout_words, number, percent, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
 from .terminal import basis, first_reasons
 
@@ -49,31 +49,28 @@ _Apr = PartyAprRecord | Score
 
 def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     """The best layout, its proof, and what it is compared with."""
-    n_units = len(result.layout)
-    parties: dict[str, _Apr] = {tr("these, fused"): result.evaluation.judged}
-    parties |= {
+    others = {"greedy": result.greedy}
+    if result.highest is not None and result.highest.compared is not None:
+        others = {HIGHEST: result.highest.compared, **others}
+    parties: dict[str, _Apr] = {
+        tr("these, fused"): result.evaluation.judged,
         **dict([_other_view(result.evaluation)]),
         tr(_VUT_ALONE): result.evaluation.vut,
         tr("greedy, fused"): result.greedy.evaluation.judged,
     }
     if result.baseline is not None:
+        others[result.baseline.name] = result.baseline
         name = tr("{name} fused", name=result.baseline.name)
         parties[name] = result.baseline.evaluation.judged
     if result.baselines.expert is not None:
         parties[tr("expert rule, fused")] = result.baselines.expert.score
-    compared: list[tuple[str, comparison.Compared]] = [("greedy", result.greedy)]
-    if result.highest is not None and result.highest.compared is not None:
-        compared.insert(0, (HIGHEST, result.highest.compared))
-    if result.baseline is not None:
-        compared.append((result.baseline.name, result.baseline))
-    others = {name: other.evaluation for name, other in compared}
-    units = {name: len(other.layout) for name, other in compared}
-    measure = proof.measure_of(result)
-    further = f"{explanation.next_unit_sentence(result.next_unit, measure)}."
+    further = explanation.next_unit_sentence(result.next_unit, proof.measure_of(result))
+    best = say("terminal.best", n=len(result.layout), poses=result.candidates, **basis(result))
+    note = tr("{fused}; greedy: units chosen one by one.", fused=_together(result))
     return [
         *_head(result),
         Part(
-            title=say("terminal.best", n=n_units, poses=result.candidates, **basis(result)),
+            title=best,
             table=_units_table(result.layout),
             notes=[*unit_notes(result.layout), _cost(result)],
             is_short=True,
@@ -81,22 +78,11 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         Part(notes=[*map(said, result.assumed_prices)]),
         _said(f"{proof.words(result)}."),
         Part(table=proof.table(result)),
-        Part(
-            title=tr(_EVALUATED),
-            table=_summary_table(result, others, units, result.baselines),
-            notes=failure_notes(result.evaluation),
-            is_short=True,
-        ),
-        Part(
-            table=_apr_table(parties | _announced(result.evaluation)),
-            notes=[tr("{fused}; greedy: units chosen one by one.", fused=_together(result))],
-        ),
-        _impacts(result, others),
-        _said(*([] if further == "." else [further])),
+        *_judged(result, others, parties | _announced(result.evaluation), note),
+        *([_said(f"{further}.")] if further else []),
         _said(*answer.doubts(result)),
         *_explained(result),
-        _without_optimiser(result.baselines, n_units=n_units),
-        _study_part(result.study_cases),
+        *_besides(result),
         Part(
             words=[say("terminal.disagree", share=percent(result.surrogate_disagreement))],
             notes=_disagreements(result.disagreements),
@@ -116,49 +102,26 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
     more = tr("and {n} more units, none of a higher APR by itself: in apr.csv", n=n_left)
     if out is None:
         more = say("terminal.more_units", n=n_left)
-    units, n_units = [unit for unit in result.layout if unit.id in shown], len(result.layout)
+    units, cost = [unit for unit in result.layout if unit.id in shown], _cost(result)
     is_long = len(units) > _MAX_SHORT_UNITS
+    in_short = tr("{name}: {n} units; {cost}.", n=len(result.layout), name=result.name, cost=cost)
+    parties: dict[str, _Apr] = {
+        **shown,
+        tr("all, fused"): evaluation.judged,
+        **dict([_other_view(evaluation)]),
+        tr(_VUT_ALONE): evaluation.vut,
+        **_announced(evaluation),
+    }
     return [
         *_head(result),
         Part(
             title=tr("{name} on {runs} runs{cars}:", name=result.name, **basis(result)),
             table=_units_table(units),
-            notes=[*([more] if n_left else []), *unit_notes(units), _cost(result)],
+            notes=[*([more] if n_left else []), *unit_notes(units), cost],
             is_short=not is_long,
         ),
-        *(
-            [
-                _said(
-                    tr(
-                        "{name}: {n} units; {cost}.",
-                        n=n_units,
-                        name=result.name,
-                        cost=_cost(result),
-                    )
-                )
-            ]
-            if is_long
-            else []
-        ),
-        Part(
-            title=tr(_EVALUATED),
-            table=_summary_table(result, {}, {}, None),
-            notes=failure_notes(evaluation),
-            is_short=True,
-        ),
-        Part(
-            table=_apr_table(
-                {
-                    **shown,
-                    tr("all, fused"): evaluation.judged,
-                    **dict([_other_view(evaluation)]),
-                    tr(_VUT_ALONE): evaluation.vut,
-                    **_announced(evaluation),
-                }
-            ),
-            notes=[tr("each unit by itself; {fused}.", fused=_together(result))],
-        ),
-        _impacts(result, {}),
+        *([_said(in_short)] if is_long else []),
+        *_judged(result, {}, parties, tr("each unit by itself; {fused}.", fused=_together(result))),
         _said(*answer.doubts(result)),
         _said(*answer.private_ground(result)),
         _last(out),
@@ -167,48 +130,30 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
 
 def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     """Layouts side by side, and the runs in which the first differs from each other."""
+    others = {other.name: other for other in result.compared}
     parties: dict[str, _Apr] = {}
-    others = {other.name: other.evaluation for other in result.compared}
-    for name, evaluation in {result.name: result.evaluation, **others}.items():
+    judged = {name: other.evaluation for name, other in others.items()}
+    for name, evaluation in {result.name: result.evaluation, **judged}.items():
         parties[name] = evaluation.judged
         alone = tr("{name} alone", name=name)
         other_view = alone if result.cars else tr("{name} and VUT", name=name)
         parties[other_view] = _other_view(evaluation)[1]
     if result.baselines and result.baselines.expert is not None:
         parties[tr(comparison.EXPERT)] = result.baselines.expert.score
-    names = ", ".join(other.name for other in result.compared)
+    parties[tr(_VUT_ALONE)] = result.evaluation.vut
+    note = tr("each layout's units are {fused}.", fused=_together(result))
     return [
         *_head(result),
-        Part(
-            title=tr(
-                "{name} against {names} on {runs} runs{cars}:",
-                **{"name": result.name, "names": names, **basis(result)},
-            ),
-            table=_summary_table(
-                result,
-                others,
-                {other.name: len(other.layout) for other in result.compared},
-                result.baselines,
-            ),
-            is_short=True,
-        ),
-        Part(
-            table=_apr_table(parties | {tr(_VUT_ALONE): result.evaluation.vut}),
-            notes=[tr("each layout's units are {fused}.", fused=_together(result))],
-        ),
-        _impacts(result, others),
+        *_judged(result, others, parties, note),
         _said(*(f"{text}." for text in comparison.words(result.name, result.compared))),
         _said(*answer.doubts(result)),
-        _said(*answer.private_ground(result)),
-        *_sampled(result),
-        _without_optimiser(result.baselines, n_units=len(result.layout)),
-        _study_part(result.study_cases),
+        *_besides(result),
         *(
             Part(
-                title=tr(over if len(result.compared) > 1 else alone, name=other.name),
+                title=tr(over if len(others) > 1 else alone, name=name),
                 words=[", ".join(runs) or tr(_NO_RUNS)],
             )
-            for other in result.compared
+            for name, other in others.items()
             for over, alone, runs in (
                 (mark("Runs gained over {name}:"), mark("Runs gained:"), other.runs_gained),
                 (mark("Runs lost over {name}:"), mark("Runs lost:"), other.runs_lost),
@@ -218,11 +163,39 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     ]
 
 
-def _impacts(result: Result, others: Mapping[str, EvaluationRecord]) -> Part:
+def _judged(
+    result: Result, others: Mapping[str, Compared], parties: Mapping[str, _Apr], note: str
+) -> list[Part]:
+    """The layout, `others`, and the APR of all `parties` by the evaluator."""
+    title, notes = tr(_EVALUATED), failure_notes(result.evaluation)
+    if isinstance(result, ComparisonResult):
+        values = {"name": result.name, "names": ", ".join(others), **basis(result)}
+        title, notes = tr("{name} against {names} on {runs} runs{cars}:", **values), []
+    summary = _summary_table(result, others)
+    return [
+        Part(title=title, table=summary, notes=notes, is_short=True),
+        Part(table=_apr_table(parties), notes=[note]),
+        _impacts(result, others),
+    ]
+
+
+def _besides(result: PlacementResult | ComparisonResult) -> list[Part]:
+    """What was asked for besides, and baselines."""
+    without = baselines.words(result.baselines, n_units=len(result.layout))
+    return [
+        _said(*answer.private_ground(result)),
+        _said(*answer.refinement(result)),
+        *_sampled(result),
+        *([Part(title=tr("Without an optimiser:"), words=without)] if without else []),
+        *([_study_part(result.study_cases)] if result.study_cases else []),
+    ]
+
+
+def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
     """What is left of the impacts, and with a score what the runs count."""
     parties = {
         result.name: result.evaluation.judged,
-        **{said(name): other.judged for name, other in others.items()},
+        **{said(name): other.evaluation.judged for name, other in others.items()},
         tr(_VUT_ALONE): result.evaluation.vut,
     }
     left = ", ".join(
@@ -279,21 +252,16 @@ def assumption_parts(result: Result) -> list[Part]:
 
 
 def _explained(result: PlacementResult) -> list[Part]:
-    """Why these units, what each buys; what was asked for besides."""
-    return [
-        Part(
-            title=tr("What each unit buys:"),
-            words=result.front.sentences,
-            table=front.table(result.front),
-            notes=front.notes(result.front),
-        )
-        if result.front is not None
-        else Part(),
-        *explanation_parts(result.explained),
-        _said(*answer.private_ground(result)),
-        _said(*answer.refinement(result)),
-        *_sampled(result),
-    ]
+    """Why these units, and what each buys."""
+    if result.front is None:
+        return explanation_parts(result.explained)
+    bought = Part(
+        title=tr("What each unit buys:"),
+        words=result.front.sentences,
+        table=front.table(result.front),
+        notes=front.notes(result.front),
+    )
+    return [bought, *explanation_parts(result.explained)]
 
 
 def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
@@ -304,15 +272,8 @@ def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
     return [_said(*words[:n_first]), Part(words=words[n_first:], table=table)]
 
 
-def _without_optimiser(found: Baselines | None, *, n_units: int) -> Part:
-    words = baselines.words(found, n_units=n_units)
-    return Part(title=tr("Without an optimiser:"), words=words) if words else Part()
-
-
-def _study_part(found: StudyCases | None) -> Part:
+def _study_part(found: StudyCases) -> Part:
     """Layouts on the study's cases."""
-    if found is None:
-        return Part()
     return Part(
         title=tr("On the study's cases, as the study reads them, by the evaluator:"),
         table=study_cases.table(found),
@@ -339,18 +300,13 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
         stands = [localized(f"{unit.x_m:.2f}"), localized(f"{unit.y_m:.2f}")]
         place = ", ".join(filter(None, (site, said(unit.place or ""))))
         rows.append([unit.id, said(unit.kind or "-"), *looks, *stands, place])
-    heads = [
-        *(tr("unit"), tr("kind"), tr("height m"), tr("bearing"), tr("tilt"), tr("east m")),
-        *(tr("north m"), tr("at")),
-    ]
-    return Table(caption=tr("Units"), columns=heads, rows=rows, numeric=range(1, 7))
+    columns = listed("units in short")
+    return Table(caption=tr("Units"), columns=columns, rows=rows, numeric=range(1, 7))
 
 
 def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
     """How the table of units is to be read, and what they are, if not the default."""
-    units_of: dict[str, list[str]] = {}
-    for unit in units:
-        units_of.setdefault(unit.camera or unit.lidar or "", []).append(unit.id)
+    units_of = grouped((unit.camera or unit.lidar or "", unit.id) for unit in units)
     models = "; ".join(f"{model} ({', '.join(ids)})" for model, ids in units_of.items())
     is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
     bearing = tr("bearing: degrees clockwise from north")
@@ -369,34 +325,28 @@ def _cost(result: Result) -> str:
     return say("terminal.cost", n_sites, **values)
 
 
-def _summary_table(
-    result: Result,
-    others: Mapping[str, EvaluationRecord],
-    n_units: Mapping[str, int],
-    found: Baselines | None,
-) -> Table:
+def _summary_table(result: Result, others: Mapping[str, Compared]) -> Table:
     """A row per sensing party: APR, when the most needed unit fails, and on the study's cases."""
     parties = () if result.study_cases is None else result.study_cases.parties
     study = {party.name: percent(party.all) for party in parties}
     evaluation = result.evaluation
 
-    def row_of(name: str, n_units: int, judged: EvaluationRecord) -> list[str | None]:
+    def row_of(name: str, one: Result | Compared) -> list[str | None]:
+        judged = one.evaluation
         shares = percent(judged.judged.all), percent(judged.apr_without_worst_unit)
-        return [layout_words(name), str(n_units), *shares, study.get(name)]
+        return [layout_words(name), str(len(one.layout)), *shares, study.get(name)]
 
     rows = [
-        row_of(result.name, len(result.layout), evaluation),
+        row_of(result.name, result),
         _other_row(evaluation),
         [tr(_VUT_ALONE), "", percent(evaluation.vut.all), "", study.get(_VUT_ALONE)],
-        *(
-            [name, "", percent(party.all), "", None]
-            for name, party in _announced(evaluation).items()
-        ),
+        *(_row(name, party) for name, party in _announced(evaluation).items()),
     ]
     for name, other in others.items():
-        rows.append(row_of(name, n_units[name], other))
+        rows.append(row_of(name, other))
         if isinstance(result, ComparisonResult):
-            rows.append(_other_row(other))
+            rows.append(_other_row(other.evaluation))
+    found = result.baselines
     if found is not None and (expert := found.expert) is not None:
         shares = percent(expert.score.all), percent(expert.apr_without_worst_unit)
         name = comparison.EXPERT
@@ -404,11 +354,11 @@ def _summary_table(
     if found is not None and found.random is not None:
         name = tr("random, mean of {n} on the table", n=found.random.layouts)
         rows.append([name, str(found.random.units), percent(found.random.mean), "", None])
-    heads = ["", tr("units"), tr("APR"), tr("if one fails"), tr("on the study's cases")]
-    n_columns = len(heads) if study else len(heads) - 1
+    columns = ["", *listed("layouts in short")]
+    n_columns = len(columns) if study else len(columns) - 1
     return Table(
         caption=tr("APR"),
-        columns=heads[:n_columns],
+        columns=columns[:n_columns],
         rows=[
             [shortened(row[0] or "", _NAME_WIDTH), *(cell or "" for cell in row[1:n_columns])]
             for row in rows
@@ -426,7 +376,11 @@ def _other_view(evaluation: EvaluationRecord) -> tuple[str, PartyAprRecord]:
 
 def _other_row(evaluation: EvaluationRecord) -> list[str | None]:
     words, party = _other_view(evaluation)
-    return [f"  {words}", "", percent(party.all), "", None]
+    return _row(f"  {words}", party)
+
+
+def _row(name: str, party: PartyAprRecord) -> list[str | None]:
+    return [name, "", percent(party.all), "", None]
 
 
 def _together(result: Result) -> str:
@@ -511,24 +465,22 @@ def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
 
 def _alike(missed: Sequence[Unavoided]) -> list[list[Unavoided]]:
     """Runs that have the same said of them, but for numbers; the largest group first."""
-    groups: dict[tuple[str, ...], list[Unavoided]] = {}
-    for entry in missed:
-        because = explanation.cause(entry.reasons[0]) if entry.reasons else ""
-        rescue = entry.rescue.unit if entry.rescue else ""
-        groups.setdefault((entry.outcome, entry.unit, because, rescue), []).append(entry)
+    groups = grouped((tuple(_said_of(entry).values()), entry) for entry in missed)
     return sorted(groups.values(), key=len, reverse=True)
+
+
+def _said_of(entry: Unavoided) -> dict[str, str]:
+    return {
+        "outcome": explanation.outcome_words(entry.outcome),
+        "unit": entry.unit,
+        "cause": explanation.cause(entry.reasons[0]) if entry.reasons else "",
+        "rescue": entry.rescue.unit if entry.rescue else "",
+    }
 
 
 def _missed_in_short(group: Sequence[Unavoided]) -> str:
     first = group[0]
-    runs = first_of([entry.run for entry in group], _MAX_RUNS)
-    values = {
-        "runs": runs,
-        "outcome": tr(explanation.OUTCOMES[first.outcome]),
-        "unit": first.unit,
-        "cause": explanation.cause(first.reasons[0]) if first.reasons else "",
-        "rescue": first.rescue.unit if first.rescue else "",
-    }
+    values = _said_of(first) | {"runs": first_of([entry.run for entry in group], _MAX_RUNS)}
     if first.reasons and first.rescue:
         return say("terminal.missed", **values)
     if first.reasons:

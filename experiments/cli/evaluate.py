@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from ..results.numbers import grouped
 from . import options
-from .recording import check_recording_options, evaluate_recording
+from .recording import evaluate_recording
 from .running import Job, command_line
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ def evaluate(
     out: Path | None,
 ) -> None:
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
-    check_recording_options(recording)
     if recording is not None:
         evaluate_recording(job, recording, min_confidence, out)
         return
@@ -78,12 +78,10 @@ def compare(
 def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layout"]:
     """Layouts; where the same name stands in other folders, by these: "best-3 of latest"."""
     folders = [Path(file).resolve().parent.name for file in files]
-    homes: dict[str, set[str]] = {}
-    for layout, folder in zip(layouts, folders, strict=True):
-        homes.setdefault(layout.name, set()).add(folder)
+    homes = grouped((one.name, folder) for one, folder in zip(layouts, folders, strict=True))
     return [
         replace(layout, name=f"{layout.name} of {folder}")
-        if len(homes[layout.name]) > 1
+        if len(set(homes[layout.name])) > 1
         else layout
         for layout, folder in zip(layouts, folders, strict=True)
     ]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import localized, mark, said, say, tr
+from ..language import listed, localized, mark, said, say, tr
 from ..results.numbers import joined, percent
 from . import options
 from .running import Job
@@ -69,7 +69,7 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         for level in APR_LEVELS
     ]
     names = _COLUMNS | {name: _OTHERS.get(name, name) for name in parties if name not in _COLUMNS}
-    heads = [*map(tr, _COLUMNS.values())]
+    columns = [*map(tr, _COLUMNS.values())]
     within = [
         [tr(words), *map(percent, (party.at_best, party.at_mean, party.at_worst))]
         for name, words in names.items()
@@ -78,19 +78,13 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
     lines = [
         *driven_lines(summary.driven, summary.without_effect),
         *sentences(tr("{name} on {runs} runs:", name=summary.name, runs=summary.runs)),
-        *table([tr("APR at a latency of"), *heads], at),
+        *table([tr("APR at a latency of"), *columns], at),
         "",
-        *table([tr("longest latency that leaves an APR of"), *heads], longest),
+        *table([tr("longest latency that leaves an APR of"), *columns], longest),
         "",
         *_budget_lines(budget),
         "",
-        *table(
-            [
-                *(tr("APR within the budget"), tr("at the least"), tr("at the mean")),
-                tr("at the most"),
-            ],
-            within,
-        ),
+        *table(listed("within the budget"), within),
         *sentences(" ".join([say("latency.note"), *_own_latencies(summary)]), indent=2),
     ]
     if out is not None:

@@ -384,11 +384,6 @@ def calling(command: Callable[..., Any]) -> Callable[..., Any]:
     return combined(json_option, quiet_option)(with_call)
 
 
-def job_options(*, has_cache: bool = False) -> Decorator:
-    """The last options of a command that computes: it gets `as_json`, `quiet` and `compute`."""
-    return combined(json_option, quiet_option, compute_options(has_cache=has_cache))
-
-
 def asking(
     *names: str, defaults: dict[str, Any] | None = None, has_cache: bool = True
 ) -> Decorator:
@@ -406,7 +401,8 @@ def asking(
             return command(job, **values)
 
         asked = question_options(*names, defaults=defaults)
-        return combined(asked, language_option, job_options(has_cache=has_cache))(with_job)
+        computing = compute_options(has_cache=has_cache)
+        return combined(asked, language_option, json_option, quiet_option, computing)(with_job)
 
     return decorate
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from . import options
-from .recording import check_recording_options, evaluate_recording
+from .recording import evaluate_recording
 from .running import Job, command_line
 
 
@@ -42,20 +42,17 @@ def cli(
             "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
             "--budget-cost)"
         )
-    check_recording_options(recording)
-    if pdf is not None and (recording is not None or out.resolve() in pdf.resolve().parents):
-        raise click.UsageError(
-            f"--pdf: got {pdf}; expected a file outside of --out, without --recording"
-        )
-    browser = None
-    if pdf is not None:
-        from ..report.printing import find_browser
-
-        browser = find_browser()
     if recording is not None:
         to = out if options.is_given("out") else None
         evaluate_recording(job, recording, min_confidence, to, chooses=True)
         return
+    browser = None
+    if pdf is not None:
+        if out.resolve() in pdf.resolve().parents:
+            raise click.UsageError(f"--pdf: got {pdf}; expected a file outside of --out")
+        from ..report.printing import find_browser
+
+        browser = find_browser()
     job = job.begin()
     from ..jobs import READY
     from ..side_process import side_process

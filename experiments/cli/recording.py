@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -24,28 +24,30 @@ _WITH_RECORDING = frozenset(
 )
 
 
-def check_recording_options(recording: Path | None) -> None:
-    """Refuse options that say nothing next to a recording, by click.UsageError."""
-    if recording is None:
-        return
+def evaluate_recording(
+    job: Job, folder: Path, min_confidence: float, out: Path | None, *, chooses: bool = False
+) -> None:
+    """Judge the units of a recording, or with `chooses` find the best of them; end the command.
+
+    Options that say nothing next to a recording are refused, by click.UsageError.
+    """
     for param in click.get_current_context().command.params:
         if param.name not in _WITH_RECORDING and options.is_given(str(param.name)):
             raise click.UsageError(
                 f"{options.option_name(param)}: got it beside --recording; expected one of them: "
                 "a recording has units and drives of its own"
             )
-
-
-def evaluate_recording(
-    job: Job, folder: Path, min_confidence: float, out: Path | None, *, chooses: bool = False
-) -> None:
-    """Judge the units of a recording, or with `chooses` find the best of them; end the command."""
     job.start()
-    from ..parts.recording import run_recorded_placement, run_recording
+    from ..parts.recording import run_recording
 
-    run = run_recorded_placement if chooses else run_recording
-    asked: dict[str, Any] = {"folder": folder, "min_confidence": min_confidence, "out": out}
-    summary = run(job.question, **asked, progress=job.progress)
+    summary = run_recording(
+        job.question,
+        folder=folder,
+        min_confidence=min_confidence,
+        chooses=chooses,
+        out=out,
+        progress=job.progress,
+    )
     job.print(summary, lambda: recording_text(summary, out))
 
 

@@ -93,8 +93,11 @@ class Call:
             tell(f"place-rsus: {sentence}", err=True)
 
     def print(self, result: Any, text: Callable[[], str]) -> None:
-        """End the command, see :func:`print_result`."""
-        print_result(result, self.progress, self.as_json, text)
+        """End a command: take the bar away, print its result as JSON or as text for people."""
+        from ..export.json import to_json_text
+
+        self.progress.stop()
+        tell(to_json_text(result).rstrip() if self.as_json else text())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,16 +130,6 @@ def command_line() -> str:
     # What the system hands over need not be text.
     arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
     return shlex.join(["place-rsus", *arguments])
-
-
-def print_result(
-    result: Any, progress: StageProgress, as_json: bool, text: Callable[[], str]
-) -> None:
-    """End a command: take the bar away, print its result as JSON or as text for people."""
-    from ..export.json import to_json_text
-
-    progress.stop()
-    tell(to_json_text(result).rstrip() if as_json else text())
 
 
 def cache_folder() -> Path:

@@ -2,7 +2,6 @@
 
 import math
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -15,9 +14,9 @@ from geometry.errors import InputError, Unquoted
 from placement.question import Question
 
 from ..progress import StageProgress, tell
-from ..results.numbers import several
+from ..results.numbers import grouped, several
 from . import options
-from .running import begin, print_result, unwritable, write_result
+from .running import Call, begin, unwritable, write_result
 from .terminal import sentences, table
 
 if TYPE_CHECKING:
@@ -47,43 +46,29 @@ class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
     reason: str | None
 
 
-_Key = tuple[str, str, str]
-
-
 def list_rows(drives: "Drives") -> list[DrivenRow]:
     """One row per case, approach and position; with what is driven and what is refused."""
-    driven: dict[_Key, list[Run]] = {}
-    reasons: dict[_Key, list[str]] = {}
-    for run in drives.runs:
-        driven.setdefault((run.case.name, run.approach, run.position), []).append(run)
-    refusals = (*drives.refused, *drives.left_out)
-    keyed = [((one.case.name, one.approach, one.position), one) for one in refusals]
-    refused: Counter[_Key] = Counter()
-    for key, refusal in keyed:
-        refused[key] += len(refusal.speeds_kmh)
-    for key, refusal in keyed:
-        is_partly = key in driven or refused[key] > len(refusal.speeds_kmh)
-        at = f"at {refusal.speeds_text} km/h: "
-        reason = f"{at}{refusal.reason}" if is_partly else refusal.reason
-        reasons.setdefault(key, []).append(reason)
     from scenarios.positions import sort_positions
 
-    keys = list(dict.fromkeys((*driven, *reasons)))
+    refusals = (*drives.refused, *drives.left_out)
+    driven = grouped(((run.case.name, run.approach, run.position), run) for run in drives.runs)
+    refused = grouped(((one.case.name, one.approach, one.position), one) for one in refusals)
+    keys = list(dict.fromkeys((*driven, *refused)))
     # By case in the order asked for, within it by approach, and as the VUT passes them.
     cases = list(dict.fromkeys(case for case, _, _ in keys))
     pairs = list(dict.fromkeys(key[:2] for key in keys))
     positions = sort_positions(key[2] for key in keys)
     keys.sort(key=lambda k: (cases.index(k[0]), pairs.index(k[:2]), positions.index(k[2])))
     described = {run.case.name: run.case for run in drives.runs}
-    described |= {refusal.case.name: refusal.case for refusal in refusals}
+    described |= {one.case.name: one.case for one in refusals}
     rows = []
-    for name, approach, position in keys:
-        runs = driven.get((name, approach, position), [])
+    for key in keys:
+        runs, reasons = driven.get(key, []), refused.get(key, [])
+        n_refused = sum(len(one.speeds_kmh) for one in reasons)
         # Several runs have the same speed and differ elsewhere: the earliest time is shown.
-        times: dict[float, float] = {}
-        for run in runs:
-            earliest_s = times.get(run.vut_speed_kmh, math.inf)
-            times[run.vut_speed_kmh] = min(earliest_s, run.last_brake_time_s)
+        times = grouped((run.vut_speed_kmh, run.last_brake_time_s) for run in runs)
+        earliest_s = [min(of_speed) for of_speed in times.values()]
+        name, approach, position = key
         row = DrivenRow(
             case=name,
             title=described[name].title,
@@ -93,8 +78,14 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
             speeds_kmh=tuple(times),
             vru_speeds_kmh=tuple(sorted({run.case.vru_speed_kmh for run in runs})),
             n_runs=len(runs),
-            last_brake_time_s=tuple(t if math.isfinite(t) else None for t in times.values()),
-            reason="; ".join(reasons.get((name, approach, position), [])) or None,
+            last_brake_time_s=tuple(t if math.isfinite(t) else None for t in earliest_s),
+            reason="; ".join(
+                f"at {one.speeds_text} km/h: {one.reason}"
+                if runs or n_refused > len(one.speeds_kmh)
+                else one.reason
+                for one in reasons
+            )
+            or None,
         )
         rows.append(row)
     return rows
@@ -106,9 +97,7 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
     unlaid = [entry for entry in rows if entry.case in load_unlaid_cases()]
     rows = [entry for entry in rows if entry.case not in load_unlaid_cases()]
-    groups: dict[tuple[str, str], list[DrivenRow]] = {}
-    for entry in rows:
-        groups.setdefault((entry.case, entry.approach), []).append(entry)
+    groups = grouped(((entry.case, entry.approach), entry) for entry in rows)
     has_positions = len({entry.position for entry in rows}) > 1
     cells = []
     for (case, approach), entries in groups.items():
@@ -132,20 +121,17 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
     lines += ["", *_who_meets_whom(rows)]
     if has_positions:
         lines += ["", *_position_table(rows), ""]
-    refused: dict[tuple[str, str], dict[str, list[str]]] = {}
-    for entry in rows:
-        if entry.reason is not None:
-            of_reason = refused.setdefault((entry.case, entry.reason), {})
-            of_reason.setdefault(entry.approach, []).append(entry.position)
     from ..results.drives import describe_places
 
+    refused = grouped(
+        ((one.case, one.reason), (one.approach, one.position)) for one in rows if one.reason
+    )
     for (case, reason), where in refused.items():
-        lines += sentences(f"{case} from {describe_places(where)} not driven: {reason}", hanging=2)
-    nowhere: dict[str, dict[str, None]] = {}
-    for entry in unlaid:
-        nowhere.setdefault(entry.reason or "", {})[f"{entry.case} ({entry.title})"] = None
-    for reason, cases in nowhere.items():
-        lines += sentences(f"Not laid: {'; '.join(cases)}: {reason}", hanging=2)
+        there = describe_places(grouped(where))
+        lines += sentences(f"{case} from {there} not driven: {reason}", hanging=2)
+    nowhere = grouped((one.reason or "", f"{one.case} ({one.title})") for one in unlaid)
+    for why, cases in nowhere.items():
+        lines += sentences(f"Not laid: {'; '.join(dict.fromkeys(cases))}: {why}", hanging=2)
     n_runs = sum(entry.n_runs for entry in rows)
     n_cases = len({entry.case for entry in rows})
     lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
@@ -154,13 +140,11 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
 def _who_meets_whom(rows: Sequence[DrivenRow]) -> list[str]:
     """What happens in each case: those that differ in the impact point share a sentence."""
-    speeds: dict[str, set[float]] = {}
-    for entry in rows:
-        speeds.setdefault(entry.case, set()).update(entry.vru_speeds_kmh)
+    speeds = grouped((entry.case, speed) for entry in rows for speed in entry.vru_speeds_kmh)
     alike: dict[str, dict[str, None]] = {}
     for entry in rows:
         title = entry.title.partition(", met at")[0]
-        at = _span(sorted(speeds[entry.case]), "g")
+        at = _span(sorted(speeds.get(entry.case, [])), "g")
         who = f"{entry.road_user}, {at} km/h" if at else entry.road_user
         alike.setdefault(f"{title} ({who})", {})[entry.case] = None
     lines = []
@@ -204,12 +188,8 @@ def scenarios() -> None:
 
 @scenarios.command("list", cls=options.SectionedCommand, epilog=options.EXAMPLES["scenarios-list"])
 @options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
-@options.json_option
-@options.quiet_option
-@click.pass_obj
-def list_scenarios(
-    progress: StageProgress, *, question: Question, as_json: bool, quiet: bool
-) -> None:
+@options.calling
+def list_scenarios(call: Call, *, question: Question) -> None:
     """Cases by approach and place: speeds, runs, the last moment to brake, and why not.
 
     The last moment is the time at which braking must have begun, relative to the impact: -1.2 is
@@ -222,11 +202,11 @@ def list_scenarios(
     from placement.setting import drive
     from scenarios.cases import ALL_CASES
 
-    question = begin(progress, question, quiet=quiet)
-    progress("lay the cases", 0, 0)
+    question = begin(call.progress, question, quiet=call.quiet)
+    call.progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, load_scene(question.scene)))
     once = _driven_once() if ALL_CASES in question.cases.split(",") else []
-    print_result(rows, progress, as_json, lambda: "\n".join([scenario_table(rows), *once]))
+    call.print(rows, lambda: "\n".join([scenario_table(rows), *once]))
 
 
 def _driven_once() -> list[str]:
@@ -346,18 +326,8 @@ def export(progress: StageProgress, *, question: Question, position: str, out: P
 )
 @options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "study"})
 @options.from_table("check-esmini")
-@options.json_option
-@options.quiet_option
-@click.pass_obj
-def check_esmini(
-    progress: StageProgress,
-    *,
-    question: Question,
-    program: str,
-    out: Path | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+@options.calling
+def check_esmini(call: Call, *, question: Question, program: str, out: Path | None) -> None:
     """Drive runs in esmini, and compare when the bodies touch with the impact of each run.
 
     Exit code 1 where they touch more than 0.02 s from it, or never. Without esmini, which is no
@@ -369,7 +339,8 @@ def check_esmini(
 
     from ..export.esmini import describe, drive_in_esmini, find_esmini, summarise, worst_first
 
-    question = begin(progress, question, quiet=quiet)
+    progress = call.progress
+    question = begin(progress, question, quiet=call.quiet)
     found = find_esmini(program)
     if found is None:
         progress.stop()
@@ -391,7 +362,7 @@ def check_esmini(
         return "\n".join(lines) + "\n"
 
     rows = [{"run": one.run_id, "touch_s": one.touch_s} for one in driven]
-    print_result(rows, progress, as_json, words)
+    call.print(rows, words)
     if not all(one.agrees for one in driven):
         sys.exit(1)
 

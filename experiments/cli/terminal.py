@@ -52,7 +52,7 @@ def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
     was_plain = True
     for part in parts:
         if part and (is_verbose or part.is_short):
-            is_plain = not (part.title or part.table or part.text)
+            is_plain = not (part.title or part.table)
             is_note = is_plain and not part.words  # it belongs to what stands above
             lines += [] if is_note or (is_plain and was_plain) or not lines else [""]
             lines += _part_lines(part, width)
@@ -67,7 +67,6 @@ def _part_lines(part: Part, width: int) -> list[str]:
         *sentences(*part.words, indent=indent, hanging=indent, width=width),
         *([] if part.table is None else _table_lines(part.table, width)),
         *sentences(*part.notes, indent=2, hanging=2, width=width),
-        *part.text.splitlines(),
     ]
 
 

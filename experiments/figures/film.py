@@ -183,7 +183,8 @@ class _Stage:
     def _draw_sight(self, axes: Axes, frame: int) -> float:
         """Draw what the VUT looks at; returns the share of the VRU that it has in sight."""
         run, yaw_deg = self.run, float(self.run.vut_yaw_deg[frame])
-        pose = _pose(run, run.vut_position_m[frame], yaw_deg)
+        where = on_ground(run.vut_position_m[frame], run.terrain)
+        pose = Pose(position_m=where, yaw_deg=yaw_deg)
         (eye,) = np.asarray(to_world(self.lens[None], pose))
         share = float(self.share[frame])
         half_deg = 0.5 * self.camera.horizontal_fov_deg
@@ -221,10 +222,6 @@ def _draw_body(
     flanks = (front_left + rear_left, front_right + rear_right)
     wedge = [0.5 * ends for ends in (front_left + front_right, *flanks)]
     axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="black", linewidth=0.6, zorder=7.6))
-
-
-def _pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
-    return Pose(position_m=on_ground(position_m, run.terrain), yaw_deg=float(yaw_deg))
 
 
 def _window(run: Run, frames: list[int]) -> tuple[FloatArray, float]:

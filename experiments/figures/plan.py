@@ -65,7 +65,6 @@ _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0
 _DART_POINTS = 5.5  # half its length
 _N_BEARINGS = 180
 _STEP_M = 0.1
-ALL_ROUND = "all round"
 _HALF_SIZE_M, _MARGIN_M = 45.0, 5.0
 
 

@@ -1,12 +1,10 @@
 """Evaluations and comparisons of layouts that are given: from a question to a result."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
-
-from msgspec.structs import replace as replace_fields
 
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
@@ -21,13 +19,13 @@ from placement.sampling.uncertainty import load_drawn
 from placement.setting import Setting
 
 from ..parts.baselines import build_baselines, compare_layout
-from ..parts.bill_of_materials import BillOfMaterials, build_bill
+from ..parts.bill_of_materials import build_bill
 from ..parts.comparison import EXPERT, GREEDY, HIGHEST, build_compared, find_differences
 from ..parts.result import ComparisonResult, EvaluationResult, build_answer
 from ..parts.sampled_worlds import build_sampled_record
 from ..parts.units import PrivateGroundRecord, build_private_ground_record
 from ..progress import StageProgress
-from .placement import Job, R, begin_job, judge_study_cases, write_results
+from .placement import begin_job, judge_study_cases, write_results
 
 
 def run_evaluation(
@@ -56,7 +54,7 @@ def run_evaluation(
             assumed_prices=bill.assumed,
             study_cases=None if out is None else judge_study_cases(job, evaluations),
         )
-        return _finish(job, result, evaluations, bill, out=out, command=command)
+        return write_results(job, out, result, evaluations, bill=bill, command=command)
 
 
 def run_comparison(
@@ -110,7 +108,7 @@ def run_comparison(
             baselines=proposed and build_baselines(proposed, evaluations.get(EXPERT), setting),
             sampled=sampled,
         )
-        return _finish(job, result, evaluations, bill, out=out, command=command)
+        return write_results(job, out, result, evaluations, bill=bill, command=command)
 
 
 def build_evaluation_result(
@@ -139,30 +137,6 @@ def build_comparison_result(
         compared=compared,
         differences=differences,
         **parts,
-    )
-
-
-def _finish(
-    job: Job,
-    result: R,
-    evaluations: Mapping[str, Evaluation],
-    bill: BillOfMaterials,
-    *,
-    out: Path | None,
-    command: str,
-) -> R:
-    """The result with its seconds; in a folder, if asked for."""
-    if out is None:
-        return replace_fields(result, seconds=job.progress.finish())
-    return write_results(
-        out,
-        result,
-        job.setting,
-        evaluations,
-        command=command,
-        progress=job.progress,
-        bill=bill,
-        side=job.side,
     )
 
 

@@ -201,17 +201,12 @@ def run_placement(
             sampled=_in_fresh_worlds(job, found, evaluations, fresh) if fresh else None,
         )
         return write_results(
-            out,
-            result,
-            setting,
-            evaluations,
+            *(job, out, result, evaluations),
+            bill=bill,
             command=command,
-            progress=progress,
             placement=placement,
             candidates=found.poses,
             recommended=recommended,
-            bill=bill,
-            side=job.side,
         )
 
 
@@ -370,30 +365,30 @@ def _check_out(out: Path | None, progress: StageProgress) -> None:
 
 
 def write_results(
-    folder: Path,
+    job: Job,
+    folder: Path | None,
     result: R,
-    setting: Setting,
     evaluations: Mapping[str, Evaluation],
     *,
+    bill: BillOfMaterials,
     command: str,
-    progress: StageProgress,
     placement: Placement | None = None,
     candidates: Sequence[CandidatePose] = (),
     recommended: Layout | None = None,
-    bill: BillOfMaterials | None = None,
-    side: SideProcess | None = None,
 ) -> R:
-    """Fill a result folder; returns the result with its "seconds", all stages but the writing.
+    """The result with its "seconds", all stages but the writing; in a folder, if asked for.
 
     `folder` is replaced as a whole, or left as it was. The first evaluation is the subject;
     `candidates` are the rows of the placement's table, `recommended` is what the evaluator prefers,
-    `bill` knows more of costs than the scene, `command` makes the result again. Raises InputError
-    if something cannot be written: it names the folder where the answer is all the same.
+    `command` makes the result again. Raises InputError if something cannot be written: it names the
+    folder where the answer is all the same.
     """
+    setting, progress = job.setting, job.progress
+    if folder is None:
+        return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)
     result = replace_fields(result, seconds=progress.seconds.copy())
-    if side is not None:
-        begin_tasks(side, result, setting, evaluations)  # drawn while other files are written
+    begin_tasks(job.side, result, setting, evaluations)  # drawn while other files are written
     subject = next(iter(evaluations.values()))
     layout = replace(subject.layout, scene_name=setting.scene.name)
     # The answer comes first: it is kept if anything that follows cannot be written.
@@ -424,11 +419,10 @@ def write_results(
                 mounts=mounts,
             )
             save_certificate(new, document, placement.problem, mounts)
-        bill = bill or build_bill(layout, setting.scene)
         write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
         write_atomically(new / folders.APR_FILE, csv_text(apr_table(evaluations)))
         write_atomically(new / folders.RUNS_FILE, runs_table(evaluations).to_parquet())
-        write_report(new, result, setting, evaluations, command=command, bill=bill, side=side)
+        write_report(new, result, setting, evaluations, command=command, bill=bill, side=job.side)
         result = replace_fields(result, seconds=progress.finish())
         write_atomically(new / folders.MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"

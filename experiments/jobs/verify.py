@@ -19,7 +19,7 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import asdict
 
 from geometry.arrays import BoolArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, located
 from geometry.files import parse_json, read_bytes, read_table, read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
@@ -54,7 +54,7 @@ from ..results.folders import (
     read_manifest,
 )
 from ..results.record import Record, StageRecord, to_plain
-from ..results.tables import ALL, plain_cell
+from ..results.tables import ALL, GROUP_COLUMNS, plain_cell
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,7 +63,6 @@ _TOLERANCE = 1.0e-9
 _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
-_GROUPS = ("case", "approach", "position", "weather", "vut_speed_kmh")
 _HEADLINE = "headline"
 _MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
 """Parties whose ratios are those of two others by the share of cars that see."""
@@ -180,8 +179,10 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
     stored = read_table(_load_object(path), certified.CertifiedResult, str(path))
     layout = load_layout(folder / LAYOUT_FILE)
     sites = tuple(unit.site_id for unit in layout.units)
+    with located(f"{path}: "):
+        numbers = certified.recompute(stored)
     wrong = {
-        "numbers": certified.recompute(stored),
+        "numbers": numbers,
         "layout file": [] if sites == stored.units else ["it shows units at other sites"],
     }
     unknown = "bounds of the blocks, and APRs by world: certify computes them again, with the seed"
@@ -436,7 +437,7 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
     }
     wrong = ""
     for row in result.apr.to_dict("records"):
-        group = [str(row[name]) for name in _GROUPS]
+        group = [str(row[name]) for name in GROUP_COLUMNS]
         ratio, n_runs, n_avoided = outcomes[row["layout"], row["party"]].in_group(group)
         got = None if math.isnan(row["apr"]) else float(row["apr"])
         if not _agree(got, ratio) or (n_runs, n_avoided) != (row["n_runs"], row["n_avoided"]):
@@ -474,7 +475,7 @@ def _wrong_ratios(
             told_by = ratios.get(f"by_{key}") or {}
             groups |= {(key, word): ratio for word, ratio in told_by.items()}
         for (key, word), ratio in groups.items():
-            group = [word if column == key else ALL for column in _GROUPS]
+            group = [word if column == key else ALL for column in GROUP_COLUMNS]
             expected, *seeing = (one.in_group(group)[0] for one in of_party if one is not None)
             if seeing and expected is not None and seeing[0] is not None:
                 expected = mix(expected, seeing[0], cars)
@@ -486,14 +487,14 @@ def _wrong_ratios(
 class _Outcomes:
     """Runs of one party of one layout."""
 
-    words: tuple[Any, ...]  # by _GROUPS: arrays of texts
+    words: tuple[Any, ...]  # by GROUP_COLUMNS: arrays of texts
     weight: Any
     is_avoided: BoolArray
 
     @classmethod
     def of(cls, table: "pd.DataFrame") -> "_Outcomes":
         speeds = [f"{speed:g}" for speed in table["vut_speed_kmh"]]
-        columns = [table[name].astype(str).to_numpy() for name in _GROUPS[:-1]]
+        columns = [table[name].astype(str).to_numpy() for name in GROUP_COLUMNS[:-1]]
         return cls(
             words=(*columns, np.array(speeds)),
             weight=table["weight"].to_numpy(dtype=float),

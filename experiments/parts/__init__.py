@@ -33,9 +33,8 @@ class Part:
     words: Sequence[str] = ()  # a paragraph each
     table: "Table | None" = None
     notes: Sequence[str] = ()  # sentences below the table
-    text: str = ""  # further lines as they are
     is_short: bool = False  # printed without ``--verbose``, too
 
     def __bool__(self) -> bool:
         """There is something to print."""
-        return bool(self.words or self.table or self.notes or self.text)
+        return bool(self.words or self.table or self.notes)

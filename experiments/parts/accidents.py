@@ -10,7 +10,7 @@ from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray
 from geometry.catalogue import sensor_kind
 from geometry.footprints import footprint_corners
-from placement.evaluation import Evaluation, Verdict, apr, apr_by_case, detected_share, run_outcome
+from placement.evaluation import Evaluation, Verdict, apr, detected_share, run_outcome
 from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.cases import Case
@@ -20,7 +20,7 @@ from ..figures.axes import unit_labels
 from ..language import localized, said, say, tr, trn
 from ..results.drives import describe_driven
 from ..results.numbers import capital, joined, number, percent
-from ..results.tables import groups_by, margin_s
+from ..results.tables import GroupedBy, RunGroup, groups_by, margin_s
 from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
 MAX_UNIT_COLUMNS = 24
@@ -64,51 +64,36 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     for the car alone and with each layout; and where road users announce themselves.
     """
     axis = next(iter(evaluations.values())).axis
-    parties = _parties(evaluations)
-    return Table(
-        caption=tr("Accident prevention ratio by case and weather")
-        if several_weathers(axis)
-        else tr("Accident prevention ratio by case"),
-        columns=[_groups(axis), *parties],
-        rows=_apr_rows([*parties.values()], axis),
-        numeric=range(1, 1 + len(parties)),
-    )
+    caption = tr("Accident prevention ratio by case")
+    if several_weathers(axis):
+        caption = tr("Accident prevention ratio by case and weather")
+    return _table_of_parties(evaluations, caption, _cases(axis), _groups(axis))
 
 
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     """APR of these parties by speed, direction and position, where there are several."""
+    axis = next(iter(evaluations.values())).axis
+    by: tuple[GroupedBy, ...] = ("speed", "direction", "position")
+    tables = []
+    for what in by:
+        groups = [(said(name), mask) for name, mask in groups_by(axis, what)]
+        if len(groups) > 1:
+            caption, head = say(f"accidents.by_{what}"), say(f"grouped.{what}")
+            tables.append(_table_of_parties(evaluations, caption, head, groups))
+    return tables
+
+
+def _table_of_parties(
+    evaluations: Mapping[str, Evaluation], caption: str, head: str, groups: Sequence[RunGroup]
+) -> Table:
+    """A row per group of runs, a column per party."""
     axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
-    along = groups_by(axis, "position")
-    groupings = [
-        (
-            tr("Accident prevention ratio by speed of the car"),
-            tr("speed (km/h)"),
-            groups_by(axis, "speed"),
-        ),
-        (
-            tr("Accident prevention ratio by direction from which the car comes"),
-            tr("from"),
-            groups_by(axis, "direction"),
-        ),
-        (
-            say("accidents.by_place"),
-            tr("at"),
-            along,
-        ),
-    ]
-    return [
-        Table(
-            caption=caption,
-            columns=[head, *parties],
-            rows=[
-                [said(group), *(percent(apr(verdict, axis, mask)) for verdict in parties.values())]
-                for group, mask in groups
-            ],
-            numeric=range(1, 1 + len(parties)),
-        )
-        for caption, head, groups in groupings
-        if len(groups) > 1
-    ]
+    return Table(
+        caption=caption,
+        columns=[head, *parties],
+        rows=_apr_rows([*parties.values()], axis, groups),
+        numeric=range(1, 1 + len(parties)),
+    )
 
 
 def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
@@ -137,9 +122,12 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     labels, axis = unit_labels(evaluation.layout), evaluation.axis
     units, verdicts = evaluation.units.items(), [*evaluation.units.values()]
     detected = [percent(detected_share(verdict, axis)) for verdict in verdicts]
-    columns = [_groups(axis), *(labels[unit_id] for unit_id, _ in units)]
+    columns = [_cases(axis), *(labels[unit_id] for unit_id, _ in units)]
     caption = tr("APR of each unit of {name} by itself", name=name)
-    rows = [*_apr_rows(verdicts, axis), [tr("frames in which it detects"), *detected]]
+    rows = [
+        *_apr_rows(verdicts, axis, _groups(axis)),
+        [tr("frames in which it detects"), *detected],
+    ]
     if len(labels) > MAX_UNIT_COLUMNS:
         caption = tr("APR of each unit of {name} by itself, best first", name=name)
         columns = [tr("unit"), *(row[0] for row in rows)]
@@ -159,26 +147,33 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     )
 
 
-def _groups(axis: FrameAxis) -> str:
+def _cases(axis: FrameAxis) -> str:
     return tr("case or weather") if several_weathers(axis) else tr("case")
 
 
-def several_weathers(axis: FrameAxis) -> list[str]:
+def several_weathers(axis: FrameAxis) -> list[RunGroup]:
     """The weathers in the order in which they first appear; none where all runs have the same."""
-    weathers = list(dict.fromkeys(axis.weathers))
+    weathers = groups_by(axis, "weather")
     return weathers if len(weathers) > 1 else []
 
 
-def _apr_rows(verdicts: Sequence[Verdict], axis: FrameAxis) -> list[list[str]]:
-    of_weather = np.array(axis.weathers)
-    by_case = [apr_by_case(verdict, axis) for verdict in verdicts]
-    rows = [[tr("all runs"), *(percent(apr(verdict, axis)) for verdict in verdicts)]]
-    for case in dict.fromkeys(axis.cases):
-        rows.append([case, *(percent(shares[case]) for shares in by_case)])
-    for weather in several_weathers(axis):
-        shares = (apr(verdict, axis, of_weather == weather) for verdict in verdicts)
-        rows.append([tr("weather: {weather}", weather=said(weather)), *map(percent, shares)])
-    return rows
+def _groups(axis: FrameAxis) -> list[RunGroup]:
+    """All runs, those of each case, and those of each weather where there are several."""
+    every = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
+    weathers = [
+        (tr("weather: {weather}", weather=said(name)), mask)
+        for name, mask in several_weathers(axis)
+    ]
+    return [every, *groups_by(axis, "case"), *weathers]
+
+
+def _apr_rows(
+    verdicts: Sequence[Verdict], axis: FrameAxis, groups: Sequence[RunGroup]
+) -> list[list[str]]:
+    return [
+        [name, *(percent(apr(verdict, axis, mask)) for verdict in verdicts)]
+        for name, mask in groups
+    ]
 
 
 def cases_section(setting: Setting) -> Section:

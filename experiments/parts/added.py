@@ -1,6 +1,5 @@
 """What units add to cars: the VUT by itself, with the units, the difference, and unit by unit."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -13,8 +12,8 @@ from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
 from ..language import say, tr
-from ..results.numbers import number, percent
-from ..results.record import says
+from ..results.numbers import in_points, percent
+from ..results.record import Record, says
 from ..results.tables import groups_by
 from .section import Section, Table
 
@@ -23,8 +22,7 @@ MAX_UNITS = 24
 _MAX_TOLD = 4
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AddedUnit:
+class AddedUnit(Record, frozen=True, kw_only=True):
     """A unit that joins the VUT and the units before it."""
 
     unit: Annotated[str, says("Its id.")]
@@ -32,8 +30,7 @@ class AddedUnit:
     gain: Annotated[float, says("How much higher that is than without.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AddedGroup:
+class AddedGroup(Record, frozen=True, kw_only=True):
     """What units add in some runs."""
 
     kind: Annotated[str, says('"all", "case", "position" or "road user".')]
@@ -43,8 +40,7 @@ class AddedGroup:
     gain: Annotated[float | None, says("What the units add: the difference.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Added:
+class Added(Record, frozen=True, kw_only=True):
     """What the units of a layout add to a VUT that sees, by the evaluator."""
 
     groups: Annotated[tuple[AddedGroup, ...], says("All runs, then each case, place, road user.")]
@@ -119,20 +115,16 @@ def words(record: Added | None) -> list[str]:
     if record is None or record.groups[0].gain is None:
         return []
     everything, units = record.groups[0], record.units
-    told = [f"{unit.unit} {_points(unit.gain)}" for unit in units[:_MAX_TOLD]]
+    told = [f"{unit.unit} {in_points(unit.gain)}" for unit in units[:_MAX_TOLD]]
     if len(units) > _MAX_TOLD:
         rest = sum(unit.gain for unit in units[_MAX_TOLD:])
-        told.append(tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=_points(rest)))
-    gain, by_unit = _points(everything.gain), ", ".join(told)
+        told.append(tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=in_points(rest)))
+    gain, by_unit = in_points(everything.gain), ", ".join(told)
     if len(units) > 1:
         text = say("added.by_unit", gain=gain, by_unit=by_unit)
     else:
         text = tr("To a car that sees, these units add {gain} points.", gain=gain)
     return [text]
-
-
-def _points(gain: float | None) -> str:
-    return number(None if gain is None else 100.0 * gain, 1)
 
 
 def section(record: Added | None) -> Section | None:
@@ -142,7 +134,7 @@ def section(record: Added | None) -> Section | None:
     of_units = Table(
         caption=say("added.one_after_the_other"),
         columns=[tr("unit"), tr("APR with it"), tr("adds (points)")],
-        rows=[[unit.unit, percent(unit.apr), _points(unit.gain)] for unit in record.units],
+        rows=[[unit.unit, percent(unit.apr), in_points(unit.gain)] for unit in record.units],
         numeric=(1, 2),
     )
     return Section("added", tr("What the units add"), [*words(record), of_units])

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Literal
 
@@ -34,7 +33,7 @@ from ..language import mark, say, tr, trn
 from ..progress import StageProgress
 from ..results.folders import RECOMMENDED_FILE
 from ..results.numbers import NOTHING, count_runs, first_of, milliseconds, number, percent
-from ..results.record import UnitRecord, build_unit_records, says
+from ..results.record import Record, UnitRecord, build_unit_records, says
 from ..side_process import SideProcess, Task
 from .section import Section, Table, tabulate
 
@@ -43,26 +42,16 @@ HEAVY_SHARE = 0.02
 MAX_ROWS = 12
 """Rows of a table of failures: beyond, only the worst are shown."""
 _MAX_HEAVY, _MAX_RUNS = 8, 4
-_OFF = {  # by what is wrong, and whether it is too much of it
-    ("yaw", True): mark("turned {step:g} degree to the left"),
-    ("yaw", False): mark("turned {step:g} degree to the right"),
-    ("pitch", True): mark("tilted {step:g} degree up"),
-    ("pitch", False): mark("tilted {step:g} degree down"),
-    ("height", True): mark("5 cm too high"),
-    ("height", False): mark("5 cm too low"),
-}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeavyRun:
+class HeavyRun(Record, frozen=True, kw_only=True):
     """A run that counts much."""
 
     run: Annotated[str, says("Name of the run, as in runs.parquet.")]
     share: Annotated[float, says("Its part of the weight of all runs, 0..1.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeadingLayout:
+class LeadingLayout(Record, frozen=True, kw_only=True):
     """A layout that leads on the detection table, by the evaluator."""
 
     name: Annotated[str, says("Of the layout.")]
@@ -72,8 +61,7 @@ class LeadingLayout:
     mounting: Annotated[Standing | None, says("Cost of mounting errors; null: not asked.")] = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrontRunners:
+class FrontRunners(Record, frozen=True, kw_only=True):
     """The layout found and others that lead, judged by the evaluator."""
 
     recommended: Annotated[str, says("One of them; if another one, it is in recommended.json.")]
@@ -245,7 +233,8 @@ def _mounting(found: Standing) -> str:
     if not worst.lost_run_ids:
         return text
     runs, apr = count_runs(len(worst.lost_run_ids)), percent(worst.apr)
-    off = tr(_OFF[worst.kind, worst.step > 0.0], step=abs(worst.step))
+    way = "more" if worst.step > 0.0 else "less"
+    off = say(f"off.{worst.kind}_{way}", step=abs(worst.step))
     at_worst = mark("At worst, 1 degree or 5 cm cost {runs}: with {unit} {off} the APR is {apr}.")
     at_worst = tr(at_worst, runs=runs, unit=worst.unit_id, off=off, apr=apr)
     return f"{text} {at_worst}"
@@ -306,15 +295,10 @@ def failure_table(
     failures: Sequence[Failure], labels: Mapping[str, str], *, of: Literal["unit", "pair", "pole"]
 ) -> Table:
     """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
-    all_shown, worst_shown = {
-        "unit": (tr("If one unit fails"), mark("{if_fails}: the {n} worst of {n_all} units")),
-        "pair": (tr("If two units fail"), mark("{if_fails}: the {n} worst of {n_all} pairs")),
-        "pole": (tr("If one pole fails"), mark("{if_fails}: the {n} worst of {n_all}")),
-    }[of]
-    is_cut = len(failures) > MAX_ROWS
-    counts = {"n": MAX_ROWS, "n_all": len(failures)}
-    caption = tr(worst_shown, if_fails=all_shown, **counts) if is_cut else all_shown
-    head = {"unit": tr("fails"), "pair": tr("fail"), "pole": tr("its units")}[of]
+    caption, head = say(f"failures.{of}"), say(f"failures.{of}_head")
+    if len(failures) > MAX_ROWS:
+        counts = {"n": MAX_ROWS, "n_all": len(failures)}
+        caption = say(f"failures.{of}_worst", if_fails=caption, **counts)
     least = tr("smallest margin of the rest (ms)")
     pole: dict[str, Callable[[Failure], str]] = {tr("pole"): lambda item: item.site_id}
     columns: dict[str, Callable[[Failure], str]] = (pole if of == "pole" else {}) | {

@@ -8,20 +8,15 @@ from placement.evaluation import Evaluation
 from placement.question import N_JUDGED
 from placement.setting import Setting
 
-from ..language import mark, say, tr, trn
+from ..language import listed, say, tr, trn
 from ..results.numbers import capital, joined, percent, points
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors
 from .alternatives import doubt_sentences, recommended_sentences
 from .explanation import next_unit_sentence, refinement_sentences
-from .result import ComparisonResult, EvaluationResult, PlacementResult, Result
+from .result import ComparisonResult, PlacementResult, Result
 from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
-from .units import private_ground_sentences
-
-_SMALL = (
-    *(mark("no"), mark("one"), mark("two"), mark("three"), mark("four"), mark("five")),
-    *(mark("six"), mark("seven"), mark("eight"), mark("nine"), mark("ten")),
-)
+from .units import private_ground_sentence
 
 
 def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
@@ -99,7 +94,8 @@ def is_proven(result: PlacementResult) -> bool:
 
 
 def _spelled(count: int) -> str:
-    return tr(_SMALL[count]) if count < len(_SMALL) else str(count)
+    words = listed("numbers")
+    return words[count] if count < len(words) else str(count)
 
 
 def words(result: Result) -> list[str]:
@@ -137,8 +133,6 @@ def planned_only(result: Result) -> list[str]:
 
 def preferred(result: Result) -> list[str]:
     """Other layouts that the evaluator or fresh sampled worlds prefer to the one found."""
-    if isinstance(result, EvaluationResult):
-        return []
     found = []
     if isinstance(result, PlacementResult):
         is_proven = any(stage.name == "apr" and stage.gap == 0.0 for stage in result.stages)
@@ -157,21 +151,25 @@ def doubts(result: Result) -> list[str]:
 
 def private_ground(result: Result) -> list[str]:
     """Private ground that units see; of each layout where several are compared."""
+    if result.private_ground is None:
+        return []
     others = result.compared if isinstance(result, ComparisonResult) else ()
-    return private_ground_sentences(
-        result.private_ground, {other.name: other.private_ground for other in others}
-    )
+    return [
+        private_ground_sentence(result.private_ground),
+        *(
+            f"{other.name}: {private_ground_sentence(other.private_ground)}"
+            for other in others
+            if other.private_ground
+        ),
+    ]
 
 
 def refinement(result: Result) -> list[str]:
     """Gains of refinement between the poses of the grid; nothing where not asked for."""
-    if not isinstance(result, PlacementResult) or result.refinement is None:
-        return []
-    return refinement_sentences(result.refinement)
+    refined = result.refinement if isinstance(result, PlacementResult) else None
+    return refinement_sentences(refined) if refined else []
 
 
 def uncertainty(result: Result) -> list[str]:
     """The layout in sampled worlds; nothing where none were asked for."""
-    if isinstance(result, EvaluationResult) or result.sampled is None:
-        return []
-    return uncertainty_sentences(result.sampled)
+    return uncertainty_sentences(result.sampled) if result.sampled else []

@@ -11,9 +11,9 @@ from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
 from ..language import localized, said, say, tr
-from ..results.numbers import first_of, joined, percent
+from ..results.numbers import first_of, grouped, joined, percent
 from .accidents import is_weighted
-from .result import EvaluationResult, PlacementResult, Result
+from .result import PlacementResult, Result
 from .sampled_worlds import moving_sentence
 from .section import Box, Code, Filled, Section, Table
 
@@ -23,10 +23,10 @@ _MAX_NAMES = 3
 
 def assumption_sentences(result: Result) -> list[str]:
     """What the map leaves open, the most important first; sites alike share a sentence."""
-    groups: dict[tuple[str, ...], list[Note]] = {}
-    for index, one in enumerate(result.assumptions):
-        key = (one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else (str(index),)
-        groups.setdefault(key, []).append(one)
+    groups = grouped(
+        ((one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else index, one)
+        for index, one in enumerate(result.assumptions)
+    )
     return [_together(group) for group in groups.values()]
 
 
@@ -51,7 +51,7 @@ def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, 
     """Assumptions behind the numbers; layouts by display name."""
     axis, rule = setting.axis, setting.rule
     counted = axis.weight[axis.weight > 0.0]
-    sampled = None if isinstance(result, EvaluationResult) else result.sampled
+    sampled = result.sampled
     weathers = [*dict.fromkeys(run.weather for run in setting.runs)]
     values = {
         "setting": setting,
@@ -96,11 +96,10 @@ def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
     """The rule's latency, then the units that have another of their own, equal ones together."""
     own = []
     for name, layout in layouts.items():
-        unit_ids: dict[float, list[str]] = {}
-        for unit in layout.units:
-            if unit.latency(rule) != rule.latency_s:
-                unit_ids.setdefault(unit.latency(rule), []).append(unit.id)
+        unit_ids = grouped((unit.latency(rule), unit.id) for unit in layout.units)
         for latency_s, ids in sorted(unit_ids.items()):
+            if latency_s == rule.latency_s:
+                continue
             who = tr("every unit") if len(ids) == len(layout.units) > 1 else joined(ids)
             if len(layouts) > 1:
                 who = tr("{units} of {layout}", units=who, layout=name)

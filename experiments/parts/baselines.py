@@ -21,7 +21,7 @@ from scenarios.runs import FrameAxis
 
 from ..language import said, say, tr
 from ..results.numbers import percent
-from ..results.record import UnitRecord, build_unit_records, mixed, says
+from ..results.record import Record, UnitRecord, build_unit_records, mixed, says
 
 STAGE = "baselines"
 _OverWorlds = Annotated[float, says("Mean APR over these worlds, and ends of its 95 % interval.")]
@@ -30,8 +30,7 @@ _OverLayouts = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Score:
+class Score(Record, frozen=True, kw_only=True):
     """APR and avoided runs of a sensing party, by the evaluator."""
 
     name: Annotated[str, says("Of the layout; or who else senses.")]
@@ -54,8 +53,7 @@ def build_score(name: str, verdict: evaluation.Verdict, axis: FrameAxis, *, n_un
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RandomInWorlds:
+class RandomInWorlds(Record, frozen=True, kw_only=True):
     """Mean of random layouts over the sampled worlds that the layout found was chosen in."""
 
     worlds: Annotated[int, says("How many.")]
@@ -64,8 +62,7 @@ class RandomInWorlds:
     high: _OverWorlds
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RandomBaseline:
+class RandomBaseline(Record, frozen=True, kw_only=True):
     """Layouts of candidate poses drawn at random within the limits, on the detection table."""
 
     layouts: Annotated[int, says("How many were drawn.")]
@@ -76,8 +73,7 @@ class RandomBaseline:
     in_worlds: Annotated[RandomInWorlds | None, says("Over worlds; only with --samples.")] = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExpertBaseline:
+class ExpertBaseline(Record, frozen=True, kw_only=True):
     """A camera per corner of the junction that looks at its middle."""
 
     name: Annotated[str, says("Of the layout.")]
@@ -89,8 +85,7 @@ class ExpertBaseline:
     apr_without_worst_unit: Annotated[float | None, says("APR without the most needed unit.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Baselines:
+class Baselines(Record, frozen=True, kw_only=True):
     """Layouts that need no optimiser, within the same limits."""
 
     random: Annotated[RandomBaseline | None, says("Drawn; null: none is within the limits.")]

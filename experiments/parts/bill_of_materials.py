@@ -1,7 +1,6 @@
 """Bill of materials: sensors by model, sites, what they cost as far as it is known."""
 
-from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from geometry.catalogue import sensor_kind
@@ -10,23 +9,13 @@ from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
-from ..language import localized, mark, said, say, tr, trn
-from ..results.numbers import joined
+from ..language import listed, localized, mark, said, say, tr, trn
+from ..results.numbers import grouped, joined
 from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
 
 UNKNOWN = mark("unknown")
 FILE_NAME = "bill_of_materials.csv"
-NOT_IN_IT = (
-    mark("new poles and foundations"),
-    mark("brackets, cables and junction boxes beyond what a site's cost covers"),
-    mark("the computer that detects, the radio unit that sends to cars, and their housing"),
-    mark("spare units"),
-    mark("planning, permits, traffic management while mounting, the lift and the people"),
-    mark("calibration and acceptance"),
-    mark("electricity, data connection, cleaning, repair and replacement over the years"),
-    mark("value added tax"),
-)
 _KINDS = {"camera": mark("camera"), "lidar": mark("LiDAR")}
 _NO_SITE = mark("no site of the scene")
 _SOURCES = {"catalogue": mark("catalogue"), "told": mark("told"), "assumption": mark("assumption")}
@@ -64,8 +53,13 @@ class BillOfMaterials:
     @property
     def sites_eur(self) -> float | None:
         """Price of all sites; None where one is unknown."""
-        sums = [item.sum_eur for item in self.sites]
-        return None if None in sums else sum(value for value in sums if value is not None)
+        return total_eur(self.sites)
+
+
+def total_eur(items: Iterable[Item]) -> float | None:
+    """Price of all items; None where one is unknown."""
+    sums = [item.sum_eur for item in items]
+    return None if None in sums else sum(value for value in sums if value is not None)
 
 
 def build_bill(
@@ -83,20 +77,20 @@ def build_bill(
     used = {unit.site_id for unit in layout.units}
     used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
     to_make = [one for one in scene.sites if one.id in used and site_cost_eur is None]
-    to_buy = Counter(unit.sensor.name for unit in layout.units if unit.id not in kept_ids)
-    of_model = Counter(unit.sensor.name for unit in layout.units)
+    of_model = grouped((unit.sensor.name, unit) for unit in layout.units)
     return BillOfMaterials(
         sensors=tuple(
             Item(
                 part="sensor",
                 name=name,
                 kind=_KINDS[sensor_kind(sensor)],
-                count=to_buy[name],
-                n_units=of_model[name],
+                count=sum(unit.id not in kept_ids for unit in units),
+                n_units=len(units),
                 price_eur=sensor.price_eur if sensor.price_eur > 0.0 else None,
                 price_source="catalogue" if sensor.price_eur > 0.0 else "",
             )
-            for name, sensor in {unit.sensor.name: unit.sensor for unit in layout.units}.items()
+            for name, units in of_model.items()
+            for sensor in [units[-1].sensor]
         ),
         sites=_site_items(layout, scene, site_cost_eur, kept_ids),
         assumed=assumed_prices(load_prices(), to_make),
@@ -108,9 +102,9 @@ def _site_items(
 ) -> tuple[Item, ...]:
     doubts = assumed_sites(scene.notes)
     sites = {site.id: site for site in scene.sites}
-    used: dict[str | None, list[str]] = {}
-    for unit in layout.units:
-        used.setdefault(unit.site_id if unit.site_id in sites else None, []).append(unit.id)
+    used = grouped(
+        (unit.site_id if unit.site_id in sites else None, unit.id) for unit in layout.units
+    )
     items = []
     for site_id, unit_ids in used.items():
         kept = [unit_id for unit_id in unit_ids if unit_id in kept_ids]
@@ -176,10 +170,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         rows.append([one.name, tr(one.kind), str(one.n_units), str(one.count), price, _sum([one])])
     n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
     rows.append([tr("all"), "", str(n_units), str(n_to_buy), "", _sum(sensors)])
-    columns = [
-        *(tr("model"), tr("kind"), tr("units"), tr("to buy"), tr("price of one (EUR)")),
-        tr("sum (EUR)"),
-    ]
+    columns = listed("sensors to buy")
     if n_to_buy == n_units:  # nothing exists already
         columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
     of_sites = []
@@ -191,10 +182,14 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         kind = tr(UNKNOWN) if one.kind == UNKNOWN else said(one.kind)
         of_sites.append([name, kind, str(one.n_units), price, source])
     of_sites.append([tr("all"), "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
-    heads = [tr("site"), tr("kind"), tr("units"), tr("making it ready (EUR)"), tr("price")]
     return [
         Table(caption=tr("Sensors"), columns=columns, rows=rows, numeric=range(2, 6)),
-        Table(caption=tr("Sites"), columns=heads, rows=of_sites, numeric=range(2, 4)),
+        Table(
+            caption=tr("Sites"),
+            columns=listed("sites to make ready"),
+            rows=of_sites,
+            numeric=range(2, 4),
+        ),
     ]
 
 
@@ -205,8 +200,7 @@ def bill_section(bill: BillOfMaterials) -> Section:
         " ".join([*bill_sentences(bill), *map(said, bill.assumed)]),
         *bill_tables(bill),
         note,
-        # Assumed costs are with poles.
-        Bullets([*map(tr, NOT_IN_IT[1:] if bill.assumed else NOT_IN_IT)]),
+        Bullets(listed("not in the bill")[bool(bill.assumed) :]),  # assumed costs are with poles
     ]
     return Section("bill", tr("Bill of materials"), blocks)
 

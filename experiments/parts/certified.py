@@ -49,10 +49,12 @@ class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
     growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
     uncertainty: Annotated[str, says("Name of what is drawn in the worlds.")]
     seed: Annotated[int, says("Of the draws.", ge=0)]
-    blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.")]
-    pool: Annotated[tuple[PoolRecord, ...], says("Layouts found, the best first.")]
+    blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.", min_length=1)]
+    pool: Annotated[tuple[PoolRecord, ...], says("Layouts found, the best first.", min_length=1)]
     units: Annotated[tuple[str, ...], says("Sites of the best one's units.")]
-    apr_by_world: Annotated[tuple[float, ...], says("In worlds that nothing was chosen in.")]
+    apr_by_world: Annotated[
+        tuple[float, ...], says("In worlds that nothing was chosen in.", min_length=1)
+    ]
     apr: Annotated[float, says("Mean of these.")]
     least: Annotated[float, says("Its APR over all worlds is not below this.")]
     most: Annotated[float, says("No layout's APR over all worlds is above this.")]
@@ -133,7 +135,7 @@ def recompute(stored: CertifiedResult) -> list[str]:
     above = [block.first for block in stored.blocks if block.apr > block.bound + _SMALL]
     wrong += [f"block from world {first}: APR above its bound" for first in above]
     best = max(stored.pool, key=lambda one: one.mean or 0.0)
-    if not stored.pool or best != stored.pool[0]:
+    if best != stored.pool[0]:
         wrong.append("pool: the first one is not the best")
     return wrong
 

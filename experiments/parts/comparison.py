@@ -1,7 +1,6 @@
 """Layouts side by side: their worth, the runs on which they differ, how sure the difference is."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Annotated
 
@@ -19,10 +18,11 @@ from placement.evaluation import (
 )
 from scenarios.aeb import AebRule
 
-from ..language import localized, mark, said, say, tr
-from ..results.numbers import NOTHING, count_runs, layout_words, number, or_nan, percent
+from ..language import listed, localized, mark, said, say, tr
+from ..results.numbers import NOTHING, count_runs, in_points, layout_words, number, or_nan, percent
 from ..results.record import (
     EvaluationRecord,
+    Record,
     UnitRecord,
     build_evaluation_record,
     build_unit_records,
@@ -40,8 +40,7 @@ GREEDY, EXPERT, HIGHEST = mark("greedy"), mark("expert rule"), mark("highest APR
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
+class Compared(Record, frozen=True, kw_only=True):
     """Another layout on the same runs."""
 
     name: Annotated[str, says("Of the layout.")]
@@ -71,8 +70,7 @@ def build_compared(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
+class Difference(Record, frozen=True, kw_only=True):
     """Runs that only one of two layouts avoids, all units of each together."""
 
     first: Annotated[str, says("Name of the one layout.")]
@@ -147,12 +145,8 @@ def side_by_side_table(
         head = tr("random: mean of {n}, on the detection table", n=random.layouts)
         shares = [mean, *[NOTHING] * 4] if levels is None else [*[NOTHING] * 5, mean]
         rows.append([head, str(random.units), NOTHING, *shares])
-    columns = [
-        *(tr("layout"), tr("units"), tr("cost of the units (EUR)"), tr("APR"), tr("runs avoided")),
-        *(tr("APR if the most needed unit fails"), tr("smallest time to spare (s)")),
-        tr("mean speed at contact (km/h)"),
-        *([] if levels is None else [tr("score ({score})", score=levels.score)]),
-    ]
+    of_score = [] if levels is None else [tr("score ({score})", score=levels.score)]
+    columns = [*listed("layouts side by side"), *of_score]
     return Table(
         caption=tr("The layouts side by side, all units of each together, by the evaluator"),
         columns=columns,
@@ -183,9 +177,9 @@ def significance_table(sampled: SampledRecord) -> Table:
             tr("more in"): lambda pair: percent(pair.more_share),
             tr("the same in"): lambda pair: percent(pair.equal_share),
             tr("less in"): lambda pair: percent(pair.less_share),
-            tr("mean difference (points)"): lambda pair: _points(pair.mean),
+            tr("mean difference (points)"): lambda pair: in_points(pair.mean),
             tr("95 % interval (points)"): lambda pair: tr(
-                "{low} to {high}", low=_points(pair.low), high=_points(pair.high)
+                "{low} to {high}", low=in_points(pair.low), high=in_points(pair.high)
             ),
             tr("is that sure?"): lambda pair: (
                 tr("no sure difference") if is_open(pair) else tr("yes")
@@ -203,10 +197,6 @@ def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
     shares = {"more_share": pair.less_share, "less_share": pair.more_share}
     mean, low, high = (-or_nan(share) for share in (pair.mean, pair.high, pair.low))
     return msgspec.structs.replace(pair, mean=mean, low=low, high=high, **names, **shares)
-
-
-def _points(share: float | None) -> str:
-    return number(100.0 * or_nan(share), 1)
 
 
 def section(
@@ -229,7 +219,7 @@ def section(
         Subheading(tr("Which runs differ")),
         Table(
             caption=tr("Runs that only one of two layouts avoids"),
-            columns=[tr("avoided by"), tr("not by"), tr("how many"), tr("which")],
+            columns=listed("differences"),
             rows=rows,
         )
         if rows

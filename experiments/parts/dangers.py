@@ -21,7 +21,7 @@ from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, sh
 from ..figures.plan import draw_scene
 from ..language import said, say, tr, trn
 from ..results.numbers import joined, percent
-from ..results.record import says
+from ..results.record import Record, says
 from ..results.tables import RunGroup, groups_by
 from .accidents import is_weighted
 from .section import Block, Box, Section, Table, build_picture
@@ -37,8 +37,7 @@ _RED: Style = {"markerfacecolor": "#CC0000", "markeredgecolor": "white", "marker
 _UNIT_STYLE: Style = _RED | {"markersize": 7.0, "linestyle": "none"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DangerGroup:
+class DangerGroup(Record, frozen=True, kw_only=True):
     """Some runs that are alike, and how many of them are not avoided."""
 
     name: Annotated[str, says("Of the case, or of the position along the arms.")]
@@ -46,8 +45,7 @@ class DangerGroup:
     not_avoided: Annotated[int, says("How many of them are not avoided.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Dangers:
+class Dangers(Record, frozen=True, kw_only=True):
     """Runs that the units of the layout do not avoid, by the evaluator."""
 
     not_avoided: Annotated[int, says("How many of all runs.")]

@@ -17,38 +17,11 @@ from placement.pipeline import Placement
 from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
-from ..language import mark, said, say, tr, trn
+from ..language import listed, mark, said, say, tr, trn
 from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
 from .section import Block, Section, Table, tabulate
 
-OUTCOMES = {
-    "hopeless": mark("too short for any unit"),
-    "never seen": mark("never seen"),
-    "never confirmed": mark("seen, but never long enough"),
-    "lost again": mark("confirmed, but lost again before the last moment"),
-    "too late": mark("confirmed too late"),
-}
-"""Messages for the outcome of a run that is not avoided."""
-_CONTRIBUTION_COLUMNS = (
-    *(mark("unit"), mark("runs that only it saves"), mark("APR it adds"), mark("APR without it")),
-    *(mark("smallest time to spare without it (s)"), mark("mean time to spare without it (s)")),
-    *(mark("later without it, mean (s)"), mark("later, at most (s)")),
-)
-_CAUSES = {
-    "out of view": mark("out of view"),
-    "cut off": mark("cut off by the edge of the view"),
-    "too dark": mark("too little contrast in light and weather"),
-    "too far": mark("image of the road user too small, or too little of it seen"),
-    "otherwise": mark("not detected on the table"),
-}
-_DEEDS = {  # of a unit by its name, and of one that has been named
-    "turned": (mark("turned {unit} by {amount}°"), mark("turned it by {amount}°")),
-    "tilted": (mark("tilted {unit} by {amount}°"), mark("tilted it by {amount}°")),
-    "raised": (mark("raised {unit} by {amount} m"), mark("raised it by {amount} m")),
-    "lowered": (mark("lowered {unit} by {amount} m"), mark("lowered it by {amount} m")),
-    "zoomed": (mark("zoomed {unit} by {amount}°"), mark("zoomed it by {amount}°")),
-}
 _MAX_REASONS = 2
 _MAX_UNFOLDED = 12  # rows of a table that is unfolded from the start
 _MAX_DIGITS = 6
@@ -152,10 +125,10 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the runs that are not avoided, and what is most often in the way."""
     missed, n_without = explained.not_avoided, explained.runs_without_weight
     counts = Counter(entry.outcome for entry in missed)
-    outcomes = ", ".join(f"{count} {tr(OUTCOMES[name])}" for name, count in counts.most_common())
+    outcomes = ", ".join(f"{count} {outcome_words(name)}" for name, count in counts.most_common())
     if len(counts) == 1:
         only = "{outcome}" if len(missed) == 1 else mark("all {outcome}")
-        outcomes = tr(only, outcome=tr(OUTCOMES[missed[0].outcome]))
+        outcomes = tr(only, outcome=outcome_words(missed[0].outcome))
     if missed:
         sentences = [say("explanation.not_avoided", len(missed), outcomes=outcomes)]
     elif n_without:
@@ -189,9 +162,12 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
 
 def cause(reason: Reason) -> str:
     """Why a unit does not detect the road user, in words."""
-    if reason.cause == "hidden":
-        return tr("hidden by {thing}", thing=said(reason.thing))
-    return tr(_CAUSES[reason.cause])
+    return say(f"cause.{reason.cause}", thing=said(reason.thing))
+
+
+def outcome_words(outcome: str) -> str:
+    """How a run ends that is not avoided, in words."""
+    return say(f"outcome.{outcome}")
 
 
 def contribution_table(
@@ -209,7 +185,7 @@ def contribution_table(
         rows.append([name, n_saved, *shares, *shown])
     return Table(
         caption=tr("What each unit is there for, on the detection table"),
-        columns=[*map(tr, _CONTRIBUTION_COLUMNS)],
+        columns=listed("contributions"),
         rows=rows,
         numeric=range(1, 8),
     )
@@ -226,7 +202,7 @@ def missed_table(explained: ExplainedRecord) -> Table:
             tr("outcome"): lambda entry: (
                 tr("confirmed too late, by {late} s", late=number(entry.late_s))
                 if entry.outcome == "too late"
-                else tr(OUTCOMES[entry.outcome])
+                else outcome_words(entry.outcome)
             ),
             tr("why"): _why,
             tr("nearest further unit that would save it"): _rescue,
@@ -356,13 +332,13 @@ def _deed(move: MoveRecord) -> str:
     name = move.is_
     if move.is_ != move.was:
         name = tr("{was} (now {now})", was=move.was, now=move.is_)
-    done = [
-        (*_DEEDS[verb], {"unit": name, "amount": number(amount)})
-        for verb, amount in amounts.items()
-        if amount
-    ]
-    (first, _, values), *others = done
-    return joined([tr(first, **values), *(tr(again, **by) for _, again, by in others)])
+    done = [(verb, number(amount)) for verb, amount in amounts.items() if amount]
+    return joined(
+        [
+            say(f"deed.{verb}_it" if order else f"deed.{verb}", unit=name, amount=amount)
+            for order, (verb, amount) in enumerate(done)
+        ]
+    )
 
 
 def _changes(found: RefinementRecord) -> str:

@@ -13,22 +13,17 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
-from ..language import mark, said, say, tr
+from ..language import said, say, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
-from .bill_of_materials import BillOfMaterials
+from .bill_of_materials import BillOfMaterials, total_eur
 from .dangers import DangerGroup, avoided_runs, position_words
 from .explanation import causes_and_remedies
 from .result import PlacementResult, Result
 from .section import Picture
 
 _MOST_DANGERS, _MOST_UNITS = 3, 6
-_BEST = {
-    "best": mark("no other choice does better {tried}"),
-    "fewest": mark("no other choice reaches what was asked for with fewer sensors {tried}"),
-    "cheapest": mark("no other choice reaches what was asked for with less money {tried}"),
-}
 
 
 class Card(NamedTuple):
@@ -112,10 +107,7 @@ def _if_one_fails(result: Result, subject: Evaluation) -> Card:
 
 
 def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
-    sites = bill.sites_eur
-    sensors = [item.sum_eur for item in bill.sensors]
-    known = [amount for amount in sensors if amount is not None]
-    total = None if sites is None or len(known) < len(sensors) else sum(known) + sites
+    total = total_eur((*bill.sensors, *bill.sites))
     counted = count_sensors(subject.layout)
     words = tr("to buy {sensors} and to make their poles ready", sensors=counted)
     if bill.assumed:
@@ -129,7 +121,9 @@ def _proof(result: Result) -> Card:
     tried = say("first_screen.tried", n=result.candidates)
     if is_proven(result):
         if result.highest is None:
-            return Card(tr("Proof"), tr("proven best"), tr(_BEST[result.goal], tried=tried))
+            return Card(
+                tr("Proof"), tr("proven best"), say(f"first_screen.{result.goal}", tried=tried)
+            )
         given_up = points(result.highest.given_up)
         words = say("first_screen.keeps_most", points=given_up, tried=tried)
         return Card(tr("Proof"), tr("proven"), words)

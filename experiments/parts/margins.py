@@ -3,7 +3,7 @@
 import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,9 @@ from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
 from ..figures.axes import PALETTE, WIDTH_IN, Style, literal, new_figure, write_beside
-from ..language import mark, said, say, tr, trn
+from ..language import listed, mark, said, say, tr, trn
 from ..results.numbers import NOTHING, number
-from ..results.tables import groups_by, margin_s
+from ..results.tables import GroupedBy, groups_by, margin_s
 from .section import Section, Table, build_picture
 
 MAX_COLUMNS = 4
@@ -34,12 +34,6 @@ _STYLES = tuple(zip("o^sXDvP", (*PALETTE, "#000000"), strict=True))
 VUT_NAME = mark("VUT alone")
 _MPS_PER_KMH = 1.0 / 3.6
 _MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
-_COLUMNS = (
-    *(mark("who"), mark("runs"), mark("smallest (ms)"), mark("smallest (m)")),
-    *(mark("median (ms)"), mark("median (m)"), mark("not avoided")),
-    mark("of these never confirmed, or lost again"),
-    *(mark("worst too late by (ms)"), mark("worst too late by (m)")),
-)
 
 
 def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tuple[Axes, ...]:
@@ -196,29 +190,25 @@ def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     """Margins by case, speed and direction, to unfold: a row per group and layout or car."""
     axis = next(iter(evaluations.values())).axis
     everything = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
+    by: tuple[GroupedBy, ...] = ("case", "speed", "direction")
     tables = []
-    for caption, head, groups in (
-        (tr("Margins to the last moment by case"), tr("case"), groups_by(axis, "case")),
-        (
-            tr("Margins to the last moment by speed of the car"),
-            tr("speed (km/h)"),
-            groups_by(axis, "speed"),
-        ),
-        (
-            tr("Margins to the last moment by direction from which the car comes"),
-            tr("from"),
-            groups_by(axis, "direction"),
-        ),
-    ):
+    for what in by:
         rows = [
             [said(group), name, *_cells(summarise_margins(verdict, axis, mask))]
-            for group, mask in (everything, *groups)
+            for group, mask in (everything, *groups_by(axis, what))
             if (mask & (axis.weight > 0.0)).any()
             for name, verdict in _parties(evaluations)
         ]
-        columns = [head, *map(tr, _COLUMNS)]
-        table = Table(caption=caption, columns=columns, rows=rows, numeric=range(2, 11))
-        tables.append(replace(table, summary=caption, is_open=len(rows) <= _MAX_UNFOLDED))
+        caption = say(f"margins.by_{what}")
+        table = Table(
+            caption=caption,
+            columns=[say(f"grouped.{what}"), *listed("margins")],
+            rows=rows,
+            numeric=range(2, 11),
+            summary=caption,
+            is_open=len(rows) <= _MAX_UNFOLDED,
+        )
+        tables.append(table)
     return tables
 
 

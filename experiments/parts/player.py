@@ -21,7 +21,7 @@ from scenarios.runs import Run
 from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
 from ..figures.plan import CLASS_STYLES
 from ..figures.views import GroundViews
-from ..language import mark, said, tr
+from ..language import mark, said, say, tr
 from ..results.numbers import layout_words
 from ..results.tables import margin_s, parties
 
@@ -31,9 +31,6 @@ DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = mark("shown above"), mark("not avoided"), mark("avoided")
 _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
-_PARTY_NAMES = {"vut": mark("VUT"), "rsu_all": mark("all RSUs")}
-_PARTY_NAMES |= {"vut_and_rsus": mark("VUT and RSUs"), "vam": mark("VAM")}
-_PARTY_NAMES |= {"all_sources": mark("all sources")}
 _MAX_HALF_M = 120.0  # farther things are never in the player's window
 _LEAST_HALF_M = 30.0
 _TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out
@@ -116,7 +113,7 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
     kinds = {**dict.fromkeys(subject.units, "unit"), "vut": "vut", "rsu_all": "rsu_all"}
     return [
         *(
-            {"name": labels.get(key) or tr(_PARTY_NAMES[key]), "kind": kinds.get(key, "other")}
+            {"name": labels.get(key) or say(f"party.{key}"), "kind": kinds.get(key, "other")}
             for key in parties(subject)
         ),
         *(

@@ -7,7 +7,7 @@ from placement.optimiser.problem import Objective
 from placement.pipeline import FOUND
 from scenarios.scores import AVOIDED
 
-from ..language import localized, said, say, tr
+from ..language import listed, localized, said, say, tr
 from ..results.numbers import NOTHING, number, or_nan, percent, points
 from ..results.record import StageRecord
 from .result import HighestRecord, PlacementResult
@@ -33,16 +33,10 @@ def words(result: PlacementResult) -> str:
 
 def _within(first: StageRecord) -> str:
     """How little was needed for what was asked, where that is the first objective."""
-    values = {"found": first.objective, "least": or_nan(first.bound)}
-    if first.name == "units" and first.gap == 0.0:
-        return tr("With {found:,.0f} units for what was asked, the least:", **values)
-    if first.name == "units":
-        return say("proof.units_open", **values)
-    if first.name == "cost_eur" and first.gap == 0.0:
-        return tr("With {found:,.0f} EUR for what was asked, the least:", **values)
-    if first.name == "cost_eur":
-        return say("proof.cost_open", **values)
-    return ""
+    if first.name not in ("units", "cost_eur"):
+        return ""
+    key = f"proof.{first.name}_{'proven' if first.gap == 0.0 else 'open'}"
+    return say(key, found=first.objective, least=or_nan(first.bound))
 
 
 def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
@@ -102,9 +96,7 @@ def stage_table(stages: Sequence[StageRecord]) -> Table:
 def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
     return Table(
         caption=tr("Objectives in order: each is optimised without giving up any before it"),
-        columns=[
-            *(tr("on the detection table"), tr("found"), tr("bound"), tr("gap"), tr("time (s)")),
-        ],
+        columns=listed("objectives"),
         rows=[[label, *_stage_row(stage)] for label, stage in stages],
         numeric=range(1, 5),
     )

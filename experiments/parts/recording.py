@@ -240,32 +240,20 @@ def run_recording(
     *,
     folder: Path,
     min_confidence: float,
+    chooses: bool = False,
     out: Path | None,
     progress: StageProgress,
 ) -> RecordedResult:
-    """Judge the units of a recording, and write ``summary.json`` if asked to.
+    """Judge the units of a recording, or choose the best and prove it; written if asked to.
 
-    Of the question only how the VUT confirms and brakes counts; detections below `min_confidence`
-    do not. Raises InputError if the recording is not what it should be, or `out` cannot be written.
-    """
-    rule, recording, evaluation = _evaluate(question, folder, min_confidence, out, progress)
-    return _finish(_build_result(recording, evaluation, rule), out, progress)
-
-
-def run_recorded_placement(
-    question: Question,
-    *,
-    folder: Path,
-    min_confidence: float,
-    out: Path | None,
-    progress: StageProgress,
-) -> RecordedResult:
-    """Choose the best roadside units among those of a recording, and prove the choice.
-
-    As :func:`run_recording`; of the question count budget, fusion and how hard to try, too. Raises
-    InputError if the budget is more than the units recorded.
+    Of the question only how the VUT confirms and brakes counts, and with `chooses` budget, fusion
+    and how hard to try; detections below `min_confidence` do not. Raises InputError if the
+    recording is not what it should be, the budget is more than the units recorded, or `out` cannot
+    be written.
     """
     rule, recording, everything = _evaluate(question, folder, min_confidence, out, progress)
+    if not chooses:
+        return _finish(_build_result(recording, everything, rule), out, progress)
     n_units = len(recording.units)
     budget_units, fusion = question.budget, question.fusion
     if budget_units is None:

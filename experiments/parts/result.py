@@ -1,8 +1,8 @@
 """The three results that ``summary.json`` may hold: a placement, an evaluation, a comparison."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, get_args
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from msgspec import Meta
@@ -25,6 +25,7 @@ from scenarios.scores import AVOIDED
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.record import (
     EvaluationRecord,
+    Record,
     Share,
     StageRecord,
     UnitRecord,
@@ -94,8 +95,7 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     versions: Annotated[dict[str, str], says("Of the programs that the numbers depend on.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HighestRecord:
+class HighestRecord(Record, frozen=True, kw_only=True):
     """The layout of the highest APR, where some of it might be given up to bear a failure."""
 
     given_up: Annotated[float, says("APR that might be given up, 0..1.")]
@@ -154,6 +154,9 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
 
 class EvaluationResult(Answer, frozen=True, kw_only=True, tag="place-rsus/evaluation/2"):
     """One layout by the evaluator."""
+
+    baselines: ClassVar[None] = None
+    sampled: ClassVar[None] = None
 
 
 class ComparisonResult(Answer, frozen=True, kw_only=True, tag="place-rsus/comparison/2"):

@@ -1,7 +1,6 @@
 """Who is protected: accidents prevented by the road user that is met."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -14,12 +13,11 @@ from scenarios.cases import ROAD_USER_GROUPS
 from ..language import said, say, tr
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent
-from ..results.record import mixed, says
+from ..results.record import Record, mixed, says
 from .section import Block, Section, Table, tabulate
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoadUserScore:
+class RoadUserScore(Record, frozen=True, kw_only=True):
     """A sensing party on the runs in which one group of road users is met, by the evaluator."""
 
     name: Annotated[str, says('Of the layout, or "VUT alone".')]
@@ -28,8 +26,7 @@ class RoadUserScore:
     mean_impact_speed_kmh: Annotated[float | None, says("By weight, avoided 0, in km/h; or null.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoadUserGroup:
+class RoadUserGroup(Record, frozen=True, kw_only=True):
     """Runs in which one group of road users is met."""
 
     road_user: Annotated[str, says('"on foot", "bicycle", "motorcycle" or "car".')]
@@ -38,8 +35,7 @@ class RoadUserGroup:
     parties: Annotated[tuple[RoadUserScore, ...], says("The layouts, then the vehicle alone.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoadUserGroups:
+class RoadUserGroups(Record, frozen=True, kw_only=True):
     """Whose runs count, and who is left out."""
 
     groups: Annotated[tuple[RoadUserGroup, ...], says("At least one, those on foot first.")]

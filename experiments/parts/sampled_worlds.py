@@ -417,29 +417,15 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
         worlds = [_points(share) for share in layout.apr_by_sample]
         dotted: Style = {"color": "#999999", "linewidth": 1.0, "linestyle": (0, (1.0, 1.5))}
         axes.hlines(row, min(worlds), max(worlds), zorder=2, **dotted)
-        _whisker(axes, row, layout)
+        mean, low, high = (_points(share) for share in (layout.mean, layout.low, layout.high))
+        dot: Style = {"marker": "o", "markersize": 6.0, "linestyle": "none", "color": BLUE}
+        bar: Style = {"elinewidth": 1.6, "capsize": 4.0, "zorder": 3}
+        axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], **bar, **dot)
         to_the_right: Style = {"away_pt": (4.0, 0.0), "xycoords": ("axes fraction", "data")}
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
-    axes.set_yticks(range(len(layouts)), [_name(one.name) for one in layouts], fontsize=8)
+    names = [literal(shortened(one.name, _MAX_NAME_LENGTH)) for one in layouts]
+    axes.set_yticks(range(len(layouts)), names, fontsize=8)
     axes.set_ylim(len(layouts) - 0.5, -0.5)
     words = say("sampled_worlds.share_axis")
     finish_axes(axes, x=words, grid="x")
     return axes
-
-
-def _whisker(axes: Axes, row: int, estimate: EstimateRecord) -> None:
-    mean, low, high = (_points(share) for share in (estimate.mean, estimate.low, estimate.high))
-    dot: Style = {"marker": "o", "markersize": 6.0, "linestyle": "none", "color": BLUE}
-    axes.errorbar(
-        [mean],
-        [row],
-        xerr=[[mean - low], [high - mean]],
-        elinewidth=1.6,
-        capsize=4.0,
-        zorder=3,
-        **dot,
-    )
-
-
-def _name(name: str) -> str:
-    return literal(shortened(name, _MAX_NAME_LENGTH))

@@ -122,15 +122,8 @@ class Sketch:
     paths: Sequence[tuple[str, str]]  # class of ``report.css``, and data of an SVG path
 
 
-@dataclass(frozen=True, slots=True)
-class Html:
-    """What a template has made, as it is."""
-
-    kind: ClassVar[str] = "html"
-    html: str
-
-
-Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Sketch | Html
+Block = str | Table | Bullets | Subheading | Filled | Code | Box | Picture | Sketch
+"""A text is a paragraph; `Markup`, what a template has made, is shown as it is."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -215,7 +215,8 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
         style = {"facecolor": BLUE, "alpha": 0.25, "edgecolor": BLUE, "linewidth": 1.5, "zorder": 5}
         axes.add_patch(PathPatch(ring_path(corners, blind), **style))
     if not is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
-        tip = (x + 9.0 * math.cos(_yaw(unit)), y + 9.0 * math.sin(_yaw(unit)))
+        yaw = math.radians(unit.pose.yaw_deg)
+        tip = (x + 9.0 * math.cos(yaw), y + 9.0 * math.sin(yaw))
         arrow = {"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0}
         axes.annotate("", xy=tip, xytext=(x, y), arrowprops=arrow, zorder=9)
     axes.plot([x], [y], marker="o", markersize=8, color=VERMILION, zorder=10)
@@ -228,10 +229,6 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
     axes.set_aspect("equal")
     axes.set_xlabel(tr("east (m); north is up"), fontsize=8)
     axes.tick_params(labelsize=7)
-
-
-def _yaw(unit: CandidatePose) -> float:
-    return math.radians(unit.pose.yaw_deg)
 
 
 def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Compute) -> None:

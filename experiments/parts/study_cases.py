@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 from placement.compute import Compute
@@ -15,15 +15,14 @@ from scenarios.cases import select_cases
 
 from ..language import said, say, tr, trn
 from ..results.numbers import percent
-from ..results.record import says
+from ..results.record import Record, says
 from .baselines import Score, build_score
 from .section import Section, Table
 
 STAGE = "study's cases"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StudyCases:
+class StudyCases(Record, frozen=True, kw_only=True):
     """Layouts on the study's cases, as the study drives and reads them."""
 
     runs: Annotated[int, says("Runs of these cases.")]

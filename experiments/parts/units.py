@@ -14,7 +14,7 @@ from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import compass_word, looking_words, plot_plan
-from ..language import localized, mark, said, say, tr
+from ..language import listed, localized, said, say, tr
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
 from .section import Block, Box, Picture, Section, Table, build_picture
@@ -23,11 +23,6 @@ _PLAN_RANGE_M = 35.0
 _MAX_UNITS_IN_WORDS = 40
 _MAX_NARROW_UNITS = 6  # labels of more would lie on one another
 _MAX_FLAT_ROWS = 24  # a longer table is to unfold
-_COLUMNS = (
-    *(mark("mark"), mark("id"), mark("site"), mark("kind"), mark("where"), mark("east (m)")),
-    *(mark("north (m)"), mark("height (m)"), mark("bearing (°)"), mark("tilt down (°)")),
-    *(mark("yaw (°)"), mark("pitch (°)"), mark("looks to the"), mark("sensor")),
-)
 _MAX_NAMED = 6  # pairs of unit and area in a sentence
 MAX_UNITS, MAX_AREAS = 12, 60
 """Columns and rows of the table: beyond, only what is seen the most."""
@@ -72,7 +67,7 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     is_long = len(rows) > _MAX_FLAT_ROWS
     return Table(
         caption=caption,
-        columns=[*map(tr, _COLUMNS)],
+        columns=listed("units"),
         rows=rows,
         numeric=range(5, 12),
         summary=tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else "",
@@ -155,16 +150,6 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
     return tr("Of private ground, {views}.", views="; ".join(seen))
 
 
-def private_ground_sentences(
-    found: PrivateGroundRecord | None, others: Mapping[str, PrivateGroundRecord | None]
-) -> list[str]:
-    """The same of a result; `others` are those of layouts compared with it, by name."""
-    if found is None:
-        return []
-    of_others = [f"{name}: {private_ground_sentence(one)}" for name, one in others.items() if one]
-    return [private_ground_sentence(found), *of_others]
-
-
 def private_ground_section(
     found: PrivateGroundRecord | None, labels: Mapping[str, str]
 ) -> Section | None:
@@ -184,8 +169,7 @@ def private_ground_section(
         caption += tr("; of {all} units the {n} that matter most", all=len(units), n=len(shown))
     if len(told) < len(areas):
         caption += tr("; of {all} areas the {n} that matter most", all=len(areas), n=len(told))
-    heads = [tr("area"), tr("size (m²)"), tr("most, by one unit")]
-    columns = [*heads, *(labels.get(unit_id, unit_id) for unit_id in shown)]
+    columns = [*listed("private ground"), *(labels.get(unit_id, unit_id) for unit_id in shown)]
     rows = []
     for area in told:
         shares = (most_seen[area.name], *(units[unit_id][area.name] for unit_id in shown))

@@ -27,7 +27,7 @@ from ..parts.first_screen import build_first_screen
 from ..parts.front import front_section
 from ..parts.margins import margins_section
 from ..parts.player import interactive_part
-from ..parts.result import EvaluationResult, PlacementResult, Result
+from ..parts.result import PlacementResult, Result
 from ..parts.sampled_worlds import sampled_picture, sampled_section
 from ..parts.section import Picture, Section
 from ..parts.units import build_plans, private_ground_section, units_section
@@ -130,16 +130,14 @@ def build_report(
         cases_section(setting),
         runs_section(evaluations),
         again_section(result, command),
+        comparison.section(evaluations, setting.rule, result.baselines, result.sampled),
     ]
     if isinstance(result, PlacementResult):
         sections += explanation_sections(result.explained, labels)
         sections += [proof.section(result), proof.agreement_section(result)]
-    if not isinstance(result, EvaluationResult):
-        compared = (result.baselines, result.sampled)
-        sections.append(comparison.section(evaluations, setting.rule, *compared))
-        if result.sampled:
-            pictures["sampled_apr"] = sampled_picture(result.sampled)
-            sections.append(sampled_section(result.sampled, pictures["sampled_apr"]))
+    if result.sampled:
+        pictures["sampled_apr"] = sampled_picture(result.sampled)
+        sections.append(sampled_section(result.sampled, pictures["sampled_apr"]))
     page = page_template().render(
         title=answer.title(result, setting, shown),
         first=build_first_screen(

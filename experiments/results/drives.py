@@ -13,7 +13,7 @@ from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
 
 from ..language import said, say, tr
-from .numbers import capital, count_runs, finite_or_none, joined
+from .numbers import capital, count_runs, finite_or_none, grouped, joined
 from .record import Record, Share, says
 
 _PACKAGES = ("cvxpy", "highspy", "numpy", "scipy", "trimesh")
@@ -94,7 +94,7 @@ def _without_effect(setting: Setting) -> Iterator[str]:
         yield say(
             "drives.no_light",
             len(alike),
-            weathers=capital(joined([*map(said, alike)])),
+            weathers=capital(joined(map(said, alike))),
             detector=detector.name,
         )
 
@@ -120,11 +120,9 @@ def describe_limits(setting: Setting) -> list[str]:
     found = [one for one in setting.refusals if one.limit_kmh is not None]
     if not found:
         return []
-    arms: dict[str, dict[str, None]] = {}
-    for one in found:
-        arms.setdefault(f"{one.limit_kmh:g} km/h", {})[said(one.approach)] = None
+    arms = grouped((f"{one.limit_kmh:g} km/h", said(one.approach)) for one in found)
     where = [
-        tr("{limit} from the {arms}", limit=limit, arms=joined(list(names)))
+        tr("{limit} from the {arms}", limit=limit, arms=joined(dict.fromkeys(names)))
         for limit, names in arms.items()
     ]
     return [
@@ -150,12 +148,10 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
     names = unprotected_cases(setting)
     if names:
         yield say("drives.unprotected", len(names), cases=joined(names))
-    reasons: dict[str, dict[str, None]] = {}
-    for one in setting.refusals:
-        if one.left_out == "not laid":
-            reasons.setdefault(one.reason.removesuffix("."), {})[one.case.name] = None
+    not_laid = [one for one in setting.refusals if one.left_out == "not laid"]
+    reasons = grouped((one.reason.removesuffix("."), one.case.name) for one in not_laid)
     if reasons:
-        listed = [f"{joined(list(cases))}: {said(reason)}" for reason, cases in reasons.items()]
+        listed = [f"{joined(dict.fromkeys(names))}: {said(why)}" for why, names in reasons.items()]
         yield tr("Not laid at any junction: {cases}.", cases="; ".join(listed))
 
 
@@ -183,24 +179,23 @@ def _gaps(setting: Setting) -> Iterator[str]:
     missing = {pair: one for pair, one in refused.items() if pair not in driven}
     nowhere = [name for name, _ in missing if name not in for_speed]
     if nowhere:
-        yield tr("no {cases} at all", cases=joined(list(dict.fromkeys(nowhere))))
+        yield tr("no {cases} at all", cases=joined(dict.fromkeys(nowhere)))
     left = {
         pair: one for pair, one in missing.items() if pair[0] not in nowhere and one.is_possible
     }
     from_arms = {arm for _, arm in driven}
     silent = dict.fromkeys(arm for _, arm in left if arm not in from_arms)
     if silent:
-        yield tr("nothing from the {arms}", arms=joined([*map(said, silent)]))
+        yield tr("nothing from the {arms}", arms=joined(map(said, silent)))
     kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
-    told: dict[tuple[bool, str], list[str]] = {}  # of a kind, or of a case; name; arms
-    for name, arm in left:
-        if arm in silent:
-            continue
-        kind = kinds[name]
-        has_kind = any(kinds[other] == kind for other, from_arm in driven if from_arm == arm)
-        told.setdefault((False, name) if has_kind else (True, kind), []).append(said(arm))
+    met = {(kinds[name], arm) for name, arm in driven}
+    told = grouped(  # of a kind, or of a case; name; arms
+        ((False, name) if (kinds[name], arm) in met else (True, kinds[name]), said(arm))
+        for name, arm in left
+        if arm not in silent
+    )
     for is_kind, name in sorted(told, key=lambda what: not what[0]):
-        arms = joined(list(dict.fromkeys(told[is_kind, name])))
+        arms = joined(dict.fromkeys(told[is_kind, name]))
         if is_kind:
             yield tr("no {kind} case from the {arms}", kind=said(name), arms=arms)
         else:
@@ -209,22 +204,15 @@ def _gaps(setting: Setting) -> Iterator[str]:
 
 def _reasons(setting: Setting) -> Iterator[str]:
     """A line per reason: those of most possible runs first, last what is not possible."""
-    groups: dict[str, list[Refusal]] = {}
-    for one in lacking_room(setting):
-        groups.setdefault(one.reason, []).append(one)
+    groups = grouped((one.reason, one) for one in lacking_room(setting))
 
     def count(group: Sequence[Refusal]) -> int:
         return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)
 
     ranked = sorted(groups.items(), key=lambda item: (not item[1][0].is_possible, -count(item[1])))
     for reason, group in ranked:
-        places: dict[str, dict[str, list[str]]] = {}
-        for one in group:
-            of_case = places.setdefault(one.case.name, {})
-            of_case.setdefault(one.approach, []).append(one.position)
-        cases: dict[str, list[str]] = {}
-        for name, of_case in places.items():
-            cases.setdefault(describe_places(of_case), []).append(name)
+        places = grouped((one.case.name, (one.approach, one.position)) for one in group)
+        cases = grouped((describe_places(grouped(where)), name) for name, where in places.items())
         where = [
             tr("{cases} from the {places}", cases=joined(names), places=found)
             for found, names in cases.items()

@@ -102,13 +102,16 @@ def check_result_folder(folder: Path) -> None:
         raise unwritable(folder, error) from None
     else:
         _check_existing(folder, real)
-    parent = real.parent
-    while not parent.exists():
-        parent = parent.parent
+    _try_to_write(folder, real.parent)
+
+
+def _try_to_write(folder: Path, existing: Path) -> None:
+    """Make a folder, and remove it: root may write anywhere, so nothing else is an honest test."""
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
     try:
-        # Root may write anywhere that is mounted writeable: trying is the only honest test.
         with signals_held():
-            Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent)).rmdir()
+            Path(tempfile.mkdtemp(prefix=_PREFIX, dir=existing)).rmdir()
     except OSError as error:
         raise unwritable(folder, error) from None
 
@@ -259,14 +262,7 @@ def _reason(error: Exception) -> str:
 def check_folder(folder: Path) -> None:
     """Find out before anything is computed whether a folder can be written; else InputError."""
     _check_name(folder)
-    existing = folder
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
-    try:
-        with tempfile.TemporaryDirectory(prefix=_PREFIX, dir=existing):
-            pass
-    except OSError as error:
-        raise unwritable(folder, error) from None
+    _try_to_write(folder, folder)
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:

@@ -1,12 +1,15 @@
 """Numbers and counts as results print them, on a terminal and in the report alike."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Sequence
+from typing import TypeVar
 
 from placement.question import BASELINE_NAME
 
 from ..language import localized, said, tr, trn
 
+_K = TypeVar("_K", bound=Hashable)
+_V = TypeVar("_V")
 NOTHING = "\N{EN DASH}"
 """Stands where there is no number."""
 
@@ -55,6 +58,11 @@ def points(share: float) -> str:
     return tr("1 point") if shown == 1.0 else tr("{n} points", n=number(shown, 1))
 
 
+def in_points(share: float | None) -> str:
+    """A difference of shares of 1 as a number of points, for tables; a dash where there is none."""
+    return number(100.0 * or_nan(share), 1)
+
+
 def number(value: float | None, digits: int = 2) -> str:
     """A number with a typographic minus; a dash where there is none."""
     if value is None or not math.isfinite(value):
@@ -100,7 +108,21 @@ def count_runs(n_runs: int) -> str:
     return trn("{n} run", "{n} runs", n_runs)
 
 
-def joined(words: Sequence[str]) -> str:
+def grouped(pairs: Iterable[tuple[_K, _V]]) -> dict[_K, list[_V]]:
+    """Values by their keys, both in the order in which they come.
+
+    Examples
+    --------
+    >>> grouped([("b", 1), ("a", 2), ("b", 3)])
+    {'b': [1, 3], 'a': [2]}
+    """
+    found: dict[_K, list[_V]] = {}
+    for key, value in pairs:
+        found.setdefault(key, []).append(value)
+    return found
+
+
+def joined(words: Iterable[str]) -> str:
     """Words as a list in a sentence: "a", "a and b", "a, b and c"."""
     *first, last = words
     return tr("{first} and {last}", first=", ".join(first), last=last) if first else last

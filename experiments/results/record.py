@@ -187,11 +187,11 @@ def mixed(blind: Any, seeing: Any, cars: float) -> Any:
         return mix(blind, seeing, cars)
     if isinstance(blind, dict):
         return {key: mixed(value, seeing[key], cars) for key, value in blind.items()}
-    names = getattr(blind, "__struct_fields__", None) or getattr(blind, "__dataclass_fields__", ())
-    if not names:
+    if not isinstance(blind, Record):
         return blind
-    return type(blind)(
-        **{name: mixed(getattr(blind, name), getattr(seeing, name), cars) for name in names}
+    names = blind.__struct_fields__
+    return replace(
+        blind, **{name: mixed(getattr(blind, name), getattr(seeing, name), cars) for name in names}
     )
 
 

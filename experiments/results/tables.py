@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ALL = "all"
+GROUP_COLUMNS = ("case", "approach", "position", "weather", "vut_speed_kmh")
+"""Columns of apr.csv that say which runs; each a word of the run, or ALL."""
+GroupedBy = Literal["case", "direction", "position", "speed", "weather"]
 RunGroup = tuple[str, BoolArray]
 """Its name, and which runs are in it: (n_runs,) bool."""
 _BEGINNINGS = (*"=+-@", "\t", "\r", "\n")
@@ -104,37 +107,26 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
 
 def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
     """Groups of runs by their words, each with its runs; none is empty."""
-    speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
-    of_run = {
-        "case": np.array(axis.cases),
-        "approach": np.array(axis.approaches),
-        "position": np.array(axis.positions),
-        "weather": np.array(axis.weathers),
-        "vut_speed_kmh": np.array(speeds),
-    }
 
-    def each(words: Sequence[str]) -> list[str]:
-        return [*dict.fromkeys(words)]
+    def several(what: GroupedBy) -> list[RunGroup]:
+        groups = groups_by(axis, what)
+        return groups if len(groups) > 1 else []
 
-    def several(words: Sequence[str]) -> list[str]:
-        return each(words) if len(each(words)) > 1 else []
-
-    cases, arms = [ALL, *each(axis.cases)], each(axis.approaches)
-    positions, weathers = several(sort_positions(axis.positions)), several(axis.weathers)
-    ascending = several([f"{speed:g}" for speed in np.sort(axis.vut_speed_kmh)])
+    every: list[RunGroup] = [(ALL, np.ones(axis.n_runs, dtype=bool))]
+    cases, arms = [*every, *groups_by(axis, "case")], groups_by(axis, "direction")
+    positions, weathers, speeds = several("position"), several("weather"), several("speed")
     wanted = [
-        *product(cases, [ALL, *arms], [ALL], [ALL, *weathers], [ALL]),
-        *product(cases, [ALL], [ALL], [ALL], ascending),
-        *product(cases, [ALL], positions, [ALL], [ALL]),
-        *((ALL, arm, position, ALL, ALL) for arm in arms for position in positions),
+        *product(cases, [*every, *arms], every, [*every, *weathers], every),
+        *product(cases, every, every, every, speeds),
+        *product(cases, every, positions, every, every),
+        *product(every, arms, positions, every, every),
     ]
     groups = []
-    for words in wanted:
-        group = dict(zip(of_run, words, strict=True))
-        masks = [of_run[key] == word for key, word in group.items() if word != ALL]
-        mask = np.logical_and.reduce([np.ones(axis.n_runs, dtype=bool), *masks])
+    for parts in wanted:
+        mask: BoolArray = np.logical_and.reduce([runs for _, runs in parts])
         if mask.any():
-            groups.append((group, mask))
+            words = (word for word, _ in parts)
+            groups.append((dict(zip(GROUP_COLUMNS, words, strict=True)), mask))
     return groups
 
 
@@ -142,10 +134,8 @@ def _missing(times_s: FloatArray) -> FloatArray:
     return np.where(np.isfinite(times_s), times_s, np.nan)
 
 
-def groups_by(
-    axis: FrameAxis, what: Literal["case", "direction", "position", "speed"]
-) -> list[RunGroup]:
-    """A group per case or direction as they first appear, or per position or speed, ascending."""
+def groups_by(axis: FrameAxis, what: GroupedBy) -> list[RunGroup]:
+    """A group per case, direction or weather as they appear; per position or speed, ascending."""
     speeds = [f"{speed:g}" for speed in axis.vut_speed_kmh]
     ascending = [f"{speed:g}" for speed in np.unique(axis.vut_speed_kmh)]
     words, order = {
@@ -153,6 +143,7 @@ def groups_by(
         "direction": (axis.approaches, axis.approaches),
         "position": (axis.positions, sort_positions(axis.positions)),
         "speed": (speeds, ascending),
+        "weather": (axis.weathers, axis.weathers),
     }[what]
     return [(word, np.array(words) == word) for word in dict.fromkeys(order)]
 

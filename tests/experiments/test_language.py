@@ -84,6 +84,9 @@ def messages_of_code():
         for message in of_part.values():
             key = message if isinstance(message, str) else tuple(message)
             found.setdefault(key, []).append("data/texts.toml")
+    for messages in load_data("experiments", "lists.toml").values():
+        for message in messages:
+            found.setdefault(message, []).append("data/lists.toml")
     return found
 
 

@@ -30,6 +30,17 @@ def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_pa
     code, out, _ = run("verify", folder, "--quiet")
     assert code == 1
     assert "FAILED numbers: gap: " in out
+    above_one = [1.5, *found["apr_by_world"][1:]]
+    for key, value, where in (
+        ("pool", [], "pool"),
+        ("blocks", [], "blocks"),
+        ("apr_by_world", [], "apr_by_world"),
+        ("apr_by_world", above_one, "samples"),
+    ):
+        path.write_text(json.dumps(found | {key: value}))
+        code, out, err = run("verify", folder, "--quiet")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert err.startswith(f"place-rsus: {path}: {where}: got ")
 
 
 def test_worlds_of_a_block_may_be_found_out(run, tmp_path):

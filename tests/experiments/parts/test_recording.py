@@ -12,7 +12,7 @@ from oracles import naive_confirmed
 from experiments.cli.recording import recording_text
 from experiments.jobs.verify import run_verification
 from experiments.parts import recording as part
-from experiments.parts.recording import RecordedResult, run_recorded_placement, run_recording
+from experiments.parts.recording import RecordedResult, run_recording
 from experiments.progress import StageProgress
 from experiments.results.record import to_plain
 from geometry.errors import InputError
@@ -112,7 +112,7 @@ def _place(folder, **options):
     }
     asked = {"budget": options.pop("budget_units", 2), "fusion": options.pop("fusion", "any")}
     question = Question(**asked, time_limit_s=60.0)
-    return to_plain(run_recorded_placement(question, folder=folder, **(given | options)))
+    return to_plain(run_recording(question, folder=folder, chooses=True, **(given | options)))
 
 
 def _evaluate(folder, question=None, **options):
