@@ -174,17 +174,10 @@ def georeference(
             why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
             note = Note(f"coordinate reference system {name}", why)
             return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
-        if _is_in_metres(crs, middle):
-            return Georeference(
-                crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m
-            )
-        lonlat = transform(middle[None, :], name, WGS84)[0]
-    return Georeference(
-        crs=local_crs(lonlat, WGS84, where=where),
-        source_crs=name,
-        is_northing_first=northing_first,
-        z_m=z_m,
-    )
+        is_plane = _is_in_metres(crs, middle)
+        lonlat = None if is_plane else transform(middle[None, :], name, WGS84)[0]
+    plane = name if lonlat is None else local_crs(lonlat, WGS84, where=where)
+    return Georeference(crs=plane, source_crs=name, is_northing_first=northing_first, z_m=z_m)
 
 
 def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":

@@ -154,8 +154,6 @@ def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
     """Drop sites inside buildings, and of those within `snap_m` all but the best known; notes."""
-    if not (np.isfinite(snap_m) and snap_m >= 0.0):
-        raise InputError("snap_m", snap_m, "metres, at least 0")
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
     around = _things_over(positions, buildings)
