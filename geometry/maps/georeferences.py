@@ -1,6 +1,7 @@
 """Coordinate reference systems of map files, and the world frame of a scene around its junction."""
 
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -174,17 +175,10 @@ def georeference(
             why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
             note = Note(f"coordinate reference system {name}", why)
             return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
-        if _is_in_metres(crs, middle):
-            return Georeference(
-                crs=name, source_crs=name, is_northing_first=northing_first, z_m=z_m
-            )
-        lonlat = transform(middle[None, :], name, WGS84)[0]
-    return Georeference(
-        crs=local_crs(lonlat, WGS84, where=where),
-        source_crs=name,
-        is_northing_first=northing_first,
-        z_m=z_m,
-    )
+        is_plane = _is_in_metres(crs, middle)
+        lonlat = None if is_plane else transform(middle[None, :], name, WGS84)[0]
+    plane = name if lonlat is None else local_crs(lonlat, WGS84, where=where)
+    return Georeference(crs=plane, source_crs=name, is_northing_first=northing_first, z_m=z_m)
 
 
 def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
@@ -199,6 +193,26 @@ def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
         crs = inner
     crs = crs.to_2d()
     return crs if crs.is_geographic or crs.is_projected else None
+
+
+def why_no_plane(crs: str) -> str:
+    """Why pyproj cannot take it as metres on a plane; empty: it can."""
+    from pyproj.exceptions import CRSError
+
+    if len(crs) > _MAX_TEXT:
+        return f"longer than {_MAX_TEXT} characters"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # +init=epsg:.. is old, not wrong
+            system = parse_crs(crs)
+    except (CRSError, ValueError, TypeError):
+        return "not a coordinate reference system that pyproj knows"
+    if system.is_geographic or system.is_geocentric:
+        return "degrees or geocentric, while roads are in metres on a plane"
+    if not system.is_projected:
+        return "no projection"
+    units = {round(axis.unit_conversion_factor, 9) for axis in system.axis_info[:2]}
+    return "" if units == {1.0} else "not in metres"
 
 
 def crs_name(crs: "CRS") -> str:

@@ -17,7 +17,6 @@ import shapely
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
 from ..files import Progress, check_file, load_data, open_file, read_text, silent
-from ..frames import parse_crs
 from ..junction import build_junction
 from ..notes import Note
 from ..scene import Instance, Lane, Scene, Site, area_of, join_bodies
@@ -25,7 +24,7 @@ from ..scene_checks import arms_that_end
 from ..terrain import GROUND
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
-from .georeferences import WGS84, transform
+from .georeferences import WGS84, transform, why_no_plane
 from .place_lists import SUFFIXES as LISTS
 from .relief import read_elevation
 from .sites import choose_sites, settle_poles
@@ -288,7 +287,9 @@ def read_map(
 ) -> SourceMap:
     """Read a map file by its ending, or .json, .gml and .xml by content; InputError: it is none."""
     options = options or ReadingOptions()
-    crs = _projected(options.crs) if options.crs else ""
+    crs = options.crs
+    if crs and why_no_plane(crs):
+        raise InputError("crs", crs, "one that pyproj knows, in metres, such as EPSG:25832")
     if not path.exists() or path.is_dir():
         refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
     check_file(path)
@@ -362,18 +363,6 @@ def _has_lanelets(path: Path) -> bool:
 
 
 _LANELET = re.compile(rb"""k=["']type["']\s+v=["']lanelet["']""")
-
-
-def _projected(crs: str) -> str:
-    from pyproj.exceptions import CRSError
-
-    try:
-        system = parse_crs(crs)
-    except CRSError:
-        raise InputError("crs", crs, "one that pyproj knows, such as EPSG:25832") from None
-    if not system.is_projected or any(axis.unit_name != "metre" for axis in system.axis_info[:2]):
-        raise InputError("crs", crs, "a projected one in metres")
-    return crs
 
 
 # ---------- scenes

@@ -184,12 +184,8 @@ def _check_chunks(
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
-    n_points = 0
     try:
-        for points in reader.chunk_iterator(CHUNK_POINTS):
-            n_points += len(points)
-            if n_points > MAX_POINTS:
-                refuse(where, f"more than {MAX_POINTS:,} points", "fewer")
+        for points in reader.chunk_iterator(CHUNK_POINTS):  # no more than the header has
             xyz = np.stack([np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1)
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):

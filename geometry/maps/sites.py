@@ -154,8 +154,6 @@ def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
     """Drop sites inside buildings, and of those within `snap_m` all but the best known; notes."""
-    if not (np.isfinite(snap_m) and snap_m >= 0.0):
-        raise InputError("snap_m", snap_m, "metres, at least 0")
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
     around = _things_over(positions, buildings)
@@ -408,7 +406,7 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     standing = [thing for thing in standing_things(surroundings) if len(thing.triangles)]
     solid = [thing for thing in standing if thing.class_name in ("building", "wall")]
     walls = _things_over(positions, solid)
-    boxes = [_box(thing) for thing in solid]
+    boxes = shapely.STRtree([shapely.box(*low, *high) for low, high in map(_box, solid)])
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
     places = []
     for index, position in enumerate(positions):
@@ -417,16 +415,15 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
             places.append(Place(position))
             continue
         most_m = _MAX_MOVE_M if wall is None else _MAX_MOVE_FROM_WALL_M
-        gaps_m = [np.hypot(*(np.clip(position, *box) - position)) for box in boxes]
-        close = [thing for thing, m in zip(solid, gaps_m, strict=True) if m <= most_m + 1.0]
-        near = [footprint(thing).buffer(_FROM_WALL_M, join_style="mitre") for thing in close]
+        point = shapely.Point(position)
+        close = np.sort(boxes.query(point, predicate="dwithin", distance=most_m + 1.0)).tolist()
+        near = [footprint(solid[at]).buffer(_FROM_WALL_M, join_style="mitre") for at in close]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
         edge = here.boundary.difference(around.boundary.buffer(0.01))
         why, target = "on a lane or in the junction", "to the nearest kerb"
         if wall is not None:
             why, target = f"inside {wall.class_name} {wall.id}", "out of it"
-        point = shapely.Point(position)
         if edge.is_empty or edge.distance(point) > most_m:
             places.append(Place(None, f"{why}, farther than {most_m:g} m from where it could"))
             continue

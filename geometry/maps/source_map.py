@@ -2,9 +2,9 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, Literal
 
 import mapbox_earcut
@@ -32,6 +32,8 @@ MAX_TRIANGLES = 5_000_000  # of the things of a file
 _MAX_ID = 120  # characters
 _MAX_SKIPPED = 100  # entries
 _MAX_NAME = 200  # characters of a name that are looked at
+_MAX_WORDS = 3  # that are read as one
+_WORD = re.compile(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-zäöüß])")
 _MAX_NESTED = 50  # collections within collections
 _SECTIONS = 10  # of a pole's cylinder
 _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
@@ -377,7 +379,7 @@ class ThingKind:
 
     kind: str
     class_name: str  # one of geometry.scene.CLASS_NAMES
-    words: tuple[str, ...]  # in names of such things, in lower case
+    words: tuple[str, ...]  # in names of such things, in lower case; see :func:`has_word`
     height_m: float  # assumed where nothing is stated, as is the thickness
     thickness_m: float
 
@@ -406,12 +408,29 @@ def kind_from_name(name: str) -> ThingKind | None:
     >>> kind_from_name("Wallace") is None
     True
     """
-    apart = re.sub(r"(?<=[a-zäöü])(?=[A-ZÄÖÜ])", " ", name[:_MAX_NAME]).lower()
-    words = " ".join(re.findall(r"[a-zäöüß]+", apart))
-    for kind in thing_defaults().kinds:
-        if any(re.search(rf"\b{re.escape(word)}s?\b", words) for word in kind.words):
-            return kind
-    return None
+    kinds = thing_defaults().kinds
+    return next((kind for kind in kinds if has_word((name,), kind.words)), None)
+
+
+def words_of(name: str) -> list[str]:
+    """Words of a name in lower case: "streetLamp_3" has street and lamp."""
+    return [word.lower() for word in _WORD.findall(name[:_MAX_NAME])]
+
+
+def has_word(names: Iterable[str], wanted: Collection[str]) -> bool:
+    """One of the names has a word of the list, or several words that together are one."""
+    return any(phrase in wanted for name in names for phrase in _phrases(name))
+
+
+@lru_cache(maxsize=4096)
+def _phrases(name: str) -> frozenset[str]:
+    found = words_of(name)
+    return frozenset(
+        "".join(found[begin:end]).removesuffix(plural)
+        for begin in range(len(found))
+        for end in range(begin + 1, min(begin + _MAX_WORDS, len(found)) + 1)
+        for plural in ("", "s")
+    )
 
 
 def kind_of_class(class_name: str) -> ThingKind:

@@ -1,11 +1,9 @@
 """Objects and signals along the roads: buildings, trees, crosswalks, parking spaces, poles."""
 
-import re
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import islice
 from xml.etree.ElementTree import Element
 
@@ -17,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
-from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing
+from ..source_map import POLE_KINDS, MapLane, Omissions, Pole, Thing, has_word, words_of
 from .junctions import JunctionRecord
 from .lanes import SampledSection, lane_kind
 from .object_shapes import (
@@ -32,9 +30,6 @@ from .object_shapes import (
 )
 from .roads import Offset, Road, RoadElement, load_facts, take_number, take_number_or, take_size
 
-_MAX_CHARACTERS = 100  # of a name that is looked at
-_MAX_WORDS = 3  # that are read as one
-_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
 _MIN_LENGTH_M = 0.5
 _SAME_ROW_T_M = 1.0
@@ -61,7 +56,7 @@ def object_kind(element: Element) -> str | None:
         return None
     if element.find("parkingSpace") is not None:
         return "parking space"
-    plain = "".join(_words(object_type))
+    plain = "".join(words_of(object_type))
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
@@ -88,27 +83,6 @@ def signal_kind(element: Element) -> str | None:
     if not is_static and has_word(texts, facts["light_words"]):
         return "traffic light"
     return "sign"
-
-
-def _words(text: str) -> list[str]:
-    """Words of a name in lower case: "streetLamp_3" has street and lamp."""
-    return [word.lower() for word in _WORD.findall(text[:_MAX_CHARACTERS])]
-
-
-def has_word(texts: Iterable[str], wanted: Sequence[str]) -> bool:
-    """One of the texts has a word of the list, or several words that together are one."""
-    return any(phrase in wanted for text in texts for phrase in _phrases(text))
-
-
-@lru_cache(maxsize=4096)
-def _phrases(text: str) -> frozenset[str]:
-    found = _words(text)
-    return frozenset(
-        "".join(found[begin:end]).removesuffix(plural)
-        for begin in range(len(found))
-        for end in range(begin + 1, min(begin + _MAX_WORDS, len(found)) + 1)
-        for plural in ("", "s")
-    )
 
 
 # ---------- crosswalks

@@ -1,7 +1,6 @@
 """Roads of a file with all that runs along them, the header, and checked attributes of XML."""
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,13 +15,12 @@ from scipy.special import fresnel
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
 from ...files import load_data
-from ...frames import parse_crs
+from ..georeferences import why_no_plane
 from ..source_map import Omissions
 
 MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
 MAX_SIZE_M = 1.0e4
 _UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
-_MAX_CRS_CHARACTERS = 20_000
 # They speak of heights, and name grids that need not be at hand.
 _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
 _ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
@@ -124,30 +122,10 @@ def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
     if source.startswith("+"):
         words = [word for word in source.split() if not word.startswith(_VERTICAL_PARAMETERS)]
         crs = " ".join(words)
-    if why := _why_not(crs):
+    if why := why_no_plane(crs):
         omissions.add("geoReferences", f"geoReference {source[:120]}", why)
         return "", source
     return crs, source
-
-
-def _why_not(crs: str) -> str:
-    """Why pyproj cannot take it as metres on a plane; empty: it can."""
-    from pyproj.exceptions import CRSError
-
-    if len(crs) > _MAX_CRS_CHARACTERS:
-        return f"longer than {_MAX_CRS_CHARACTERS} characters"
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # +init=epsg:.. is old, not wrong
-            system = parse_crs(crs)
-    except (CRSError, ValueError, TypeError):
-        return "not a coordinate reference system that pyproj knows"
-    if system.is_geographic or system.is_geocentric:
-        return "degrees or geocentric, while roads are in metres on a plane"
-    if not system.is_projected:
-        return "no projection"
-    units = {round(axis.unit_conversion_factor, 9) for axis in system.axis_info[:2]}
-    return "" if units == {1.0} else "not in metres"
 
 
 # ---------- facts of the format

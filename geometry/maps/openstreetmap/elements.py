@@ -176,18 +176,16 @@ def _assemble(
     node_ids, last = np.unique(all_ids[::-1], return_index=True)
     lon_lat_deg = np.array(places, dtype=np.float64).reshape(-1, 2)[::-1][last]
     references = np.fromiter((one for nodes, _ in ways.values() for one in nodes), dtype=np.int64)
-    rows = _rows(node_ids, references)
-    ends = np.cumsum([0, *(len(nodes) for nodes, _ in ways.values())])
+    ends = np.cumsum([len(nodes) for nodes, _ in ways.values()], dtype=np.int64)
+    rows = np.split(_rows(node_ids, references), ends)[:-1]
     tagged = np.fromiter(tags_by_id, dtype=np.int64)
     return Elements(
         node_ids=node_ids,
         lon_lat_deg=lon_lat_deg,
         node_tags=dict(zip(_rows(node_ids, tagged).tolist(), tags_by_id.values(), strict=True)),
         ways=tuple(
-            Way(id=way_id, rows=rows[begin:end], tags=tags)
-            for (way_id, (_, tags)), begin, end in zip(
-                ways.items(), ends[:-1], ends[1:], strict=True
-            )
+            Way(id=way_id, rows=part, tags=tags)
+            for (way_id, (_, tags)), part in zip(ways.items(), rows, strict=True)
         ),
         relations=tuple(relations),
     )
