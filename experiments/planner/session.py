@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from geometry.catalogue import Sensor, load_cameras
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import pick, write_atomically
 from geometry.junction import street_names
 from geometry.lidar import load_lidars
@@ -402,8 +402,7 @@ class Session:
                 self._ask(change_question(before, message, self._begun))
             case plan.Ask():
                 if self._advice.is_busy:
-                    got = Unquoted("another request")
-                    raise InputError("the optimiser", got, "one at a time")
+                    refuse("the optimiser", "another request", "one at a time")
                 self._spawn(self._advise(message, self.history.state.variant.units))
             case plan.Cancel():
                 self._spawn(asyncio.to_thread(self._advice.stop))
