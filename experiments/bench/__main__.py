@@ -19,6 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import click
@@ -26,7 +27,7 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 from threadpoolctl import threadpool_limits
 
-from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.arrays import BoolArray, FloatArray
 from geometry.raycast import FloatRays, Open3dCaster, RayCaster, caster_name
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose, build_candidates, load_candidate_grid
@@ -112,22 +113,16 @@ def bare_embree(
     return lambda: (mesh, embree.run(origins, vectors, dists=ends, query="OCCLUDED"))
 
 
-class _Recorder:
+def _recorder(caster: RayCaster, calls: list[Calls]) -> Any:
     """A caster that records the rays it is asked for, and the calls by mount."""
+    rays: list[Rays] = []
 
-    def __init__(self, caster: RayCaster, calls: list[Calls]) -> None:
-        self.caster, self.calls = caster, calls
-        self.rays: list[Rays] = []
+    def is_blocked(origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        rays.append((np.array(origins_m), np.array(vectors_m)))
+        calls[-1].append((caster.is_blocked, rays[-1]))
+        return caster.is_blocked(origins_m, vectors_m)
 
-    def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        self.rays.append((np.array(origins_m), np.array(vectors_m)))
-        self.calls[-1].append((self.caster.is_blocked, self.rays[-1]))
-        return self.caster.is_blocked(origins_m, vectors_m)
-
-    def first_triangle(
-        self, origins_m: FloatRays, vectors_m: FloatRays
-    ) -> tuple[FloatRays, IntArray]:
-        return self.caster.first_triangle(origins_m, vectors_m)
+    return SimpleNamespace(is_blocked=is_blocked, rays=rays)
 
 
 def measure_casting() -> Figures:
@@ -170,12 +165,12 @@ def measure_casting() -> Figures:
 
 def _record(
     world: World, setting: Setting, mounts: Sequence[CandidatePose], calls: list[Calls]
-) -> list[tuple[FloatArray, Any, _Recorder]]:
+) -> list[tuple[FloatArray, Any, Any]]:
     """Cast from all mounts with recorders; meshes of the world with those that were asked."""
-    scene = _Recorder(world.shared.caster, calls)
-    parked = [_Recorder(caster, calls) for caster in world.standing.casters]
-    bodies = [_Recorder(body, calls) for body in world.shared.bodies]
-    vut = _Recorder(world.vehicles.casters[0], calls)
+    scene = _recorder(world.shared.caster, calls)
+    parked = [_recorder(caster, calls) for caster in world.standing.casters]
+    bodies = [_recorder(body, calls) for body in world.shared.bodies]
+    vut = _recorder(world.vehicles.casters[0], calls)
     recording = replace(
         world,
         shared=replace(world.shared, caster=scene, bodies=tuple(bodies)),

@@ -18,7 +18,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from geometry.arrays import FloatArray, IntArray
-from geometry.errors import InputError, Unquoted, refuse
+from geometry.errors import InputError, refuse
 from geometry.files import read_bytes, read_table
 from placement.city.choose import Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
@@ -428,16 +428,16 @@ def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) 
     if not solved:
         # One that another try could mend says what to change.
         failed = min(records, key=lambda record: record.is_final)
-        raise InputError(
+        refuse(
             city.records[0].name,
-            Unquoted(f"no junction with a front; {failed.name or failed.id}: {failed.reason}"),
+            f"no junction with a front; {failed.name or failed.id}: {failed.reason}",
             "one at which runs can be laid and sites can carry units"
             if failed.is_final
             else "more time or memory for each: --max-junction-seconds, --worker-memory",
         )
     if not values.weight[solved].sum() > 0.0:
-        got = Unquoted("weights only of junctions that have no front")
-        raise InputError("--junction-weights", got, "a weight above 0 for one that has")
+        got = "weights only of junctions that have no front"
+        refuse("--junction-weights", got, "a weight above 0 for one that has")
     return solved
 
 

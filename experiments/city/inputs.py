@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, refuse
 from geometry.files import load_data, read_text
 from geometry.maps import importing
 from geometry.maps.georeferences import transform
@@ -148,15 +148,15 @@ def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: Ci
     no junction counts.
     """
     if not paths:
-        raise InputError("MAP", Unquoted("nothing"), "a map: OpenDRIVE or OpenStreetMap")
+        refuse("MAP", "nothing", "a map: OpenDRIVE or OpenStreetMap")
     names = [path.name for path in paths]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
-        raise InputError("MAP", Unquoted(f"two files called {twice[0]}"), "each map once")
+        refuse("MAP", f"two files called {twice[0]}", "each map once")
     maps = [importing.read_map(path, reading) for path in paths]
     roads = tuple(source for source in maps if source.lanes)
     if not roads:
-        raise InputError(", ".join(names), Unquoted("no roads"), "a map with roads")
+        refuse(", ".join(names), "no roads", "a map with roads")
     records = tuple(
         CityMapRecord(name=source.name, sha256=sha256(path), has_roads=bool(source.lanes))
         for source, path in zip(maps, paths, strict=True)
@@ -167,16 +167,16 @@ def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: Ci
             place = surveyed.junction.position_m
             if source.crs != roads[0].crs:
                 if not (source.crs and roads[0].crs):
-                    got = Unquoted(f"coordinates unlike those of {roads[0].name}")
+                    got = f"coordinates unlike those of {roads[0].name}"
                     expected = "maps that all say where on earth they lie, or none of them"
-                    raise InputError(source.name, got, expected)
+                    refuse(source.name, got, expected)
                 place = transform(place, source.crs, roads[0].crs)
             folder = _folder_name(source.name if len(roads) > 1 else "", surveyed.junction.id)
             found.append(
                 CityJunction(surveyed=surveyed, roads=source, folder=folder, position_m=place)
             )
     if not found:
-        raise InputError(", ".join(s.name for s in roads), Unquoted("no junction"), "some")
+        refuse(", ".join(s.name for s in roads), "no junction", "some")
     _refuse_overlap(found)
     chosen, notes = _counting(found, roads[0], wish)
     places = np.array([one.surveyed.position for one in found if one.roads.crs == roads[0].crs])
@@ -207,9 +207,9 @@ def _refuse_overlap(found: Sequence[CityJunction]) -> None:
     for one, other in sorted(cKDTree(places).query_pairs(_SAME_M)):
         first, second = found[one], found[other]
         if first.roads is not second.roads:
-            got = Unquoted(f"maps that overlap: both have a junction at {first.label}")
+            got = f"maps that overlap: both have a junction at {first.label}"
             expected = "maps of different places"
-            raise InputError(f"{first.roads.name} and {second.roads.name}", got, expected)
+            refuse(f"{first.roads.name} and {second.roads.name}", got, expected)
 
 
 def _counting(
@@ -239,8 +239,7 @@ def _counting(
         if len(few) < len(all_of_them):
             notes.append(f"{said}: {len(all_of_them) - len(few)}.")
     if not lit:
-        got = Unquoted("no junction that counts: " + " ".join(notes))
-        raise InputError(roads.name, got, "some")
+        refuse(roads.name, "no junction that counts: " + " ".join(notes), "some")
     return lit, notes
 
 
@@ -318,8 +317,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
         columns = {name for area in areas for name in area.values}
         if not columns & {"weight", "min_apr"}:
             known = ", ".join(sorted(columns)) or "none"
-            expected = "weight or min_apr, or both"
-            raise InputError(f"{wish.areas}: columns", Unquoted(known), expected)
+            refuse(f"{wish.areas}: columns", known, "weight or min_apr, or both")
         for index, hits in enumerate(areas_of(areas, places, within_m=wish.near_m)):
             for hit in hits:
                 area = areas[hit]
@@ -339,7 +337,7 @@ def load_values(city: City, wish: CityWish) -> CityValues:
         if not districts:
             raise InputError("--districts", str(wish.districts), "areas with junctions in them")
     if not weight.sum() > 0.0:
-        raise InputError("--junction-weights", Unquoted("only zeros"), "a weight above 0")
+        refuse("--junction-weights", "only zeros", "a weight above 0")
     return CityValues(
         weight=weight,
         source=source,
@@ -407,9 +405,9 @@ def _weights(
     nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
     is_near = nearest >= 0
     if not is_near.any():
-        got = Unquoted(f"{path}, whose nearest place is {distance.min():,.0f} m from a junction")
+        got = f"{path}, whose nearest place is {distance.min():,.0f} m from a junction"
         expected = f"places within {wish.snap_m:g} m (--snap) of a junction that counts"
-        raise InputError("--junction-weights", got, expected)
+        refuse("--junction-weights", got, expected)
     np.add.at(weight, nearest[is_near].astype(np.int64), counts.values[is_near])
     source = tr("{file}, each place counts 1, at the nearest junction within {snap_m:g} m", **said)
     if counts.column:

@@ -15,7 +15,7 @@ import msgspec
 from msgspec.structs import replace
 
 from geometry.catalogue import Sensor
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.files import read_bytes
 from geometry.maps.cut import Neighbourhoods
 from geometry.maps.georeferences import transform
@@ -155,8 +155,7 @@ def _begin(out: Path, city: inputs.City) -> CityManifest:
     path = out / MANIFEST
     if not path.exists():
         if out.is_dir() and any(out.iterdir()):
-            expected = "a new folder, or a city's"
-            raise InputError("--out", Unquoted(f"{out}, which holds other things"), expected)
+            refuse("--out", f"{out}, which holds other things", "a new folder, or a city's")
         write_files(out, {MANIFEST: _json(new)})
         return new
     found = load_manifest(path)
@@ -170,8 +169,8 @@ def _begin(out: Path, city: inputs.City) -> CityManifest:
         and south <= found.bounds[3]
     )
     if is_apart or not old & names:
-        got = Unquoted(f"{out}, the folder of another city ({', '.join(sorted(old))})")
-        raise InputError("--out", got, "a new folder, or that of the same maps")
+        got = f"{out}, the folder of another city ({', '.join(sorted(old))})"
+        refuse("--out", got, "a new folder, or that of the same maps")
     return replace(new, junctions=found.junctions)
 
 

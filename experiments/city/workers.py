@@ -81,18 +81,13 @@ def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
     )
 
 
-_UNITS = {"": 1, "B": 1, **{f"{unit}B": 1000**power for power, unit in enumerate("kMGT", start=1)}}
-_UNITS |= {f"{unit}iB": 1024**power for power, unit in enumerate("KMGT", start=1)}
-
-
 def check_memory(text: str) -> int:
     """The memory of a worker, in bytes; InputError if that is no amount, or too little."""
-    found = re.fullmatch(r"([0-9.]+) *([a-zA-Z]*)", text.strip())
-    units = {unit.lower(): size for unit, size in _UNITS.items()}
-    try:
-        size = float(found[1]) * units[found[2].lower()] if found else 0.0
-    except (ValueError, KeyError):
-        size = 0.0
+    amount = r"(\d+\.?\d*|\.\d+) *(?:(?:([kmgt])(i?))?b)?"  # such as 1.5GiB, or bytes
+    size = 0.0
+    if found := re.fullmatch(amount, text.strip().lower(), re.ASCII):
+        power = "kmgt".find(found[2] or "-") + 1
+        size = float(found[1]) * (1024 if found[3] else 1000) ** power
     if not 2**28 <= size <= 2**60:
         raise InputError("--worker-memory", text, "an amount such as 1.5GiB, at least 0.25GiB")
     return int(size)

@@ -6,7 +6,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.lenses import BrownConrady, CalibratedCamera, Fisheye
 from geometry.notes import assumed_sites
 from geometry.poses import Pose, body_rotation
@@ -26,7 +26,7 @@ def lens_coefficients(name: str, camera: CalibratedCamera) -> tuple[bool, FloatA
     if isinstance(lens, Fisheye):
         return True, np.array([[lens.k1, lens.k2, lens.k3, lens.k4]])
     expected = "Brown-Conrady's or a fisheye: the other way round is not of the same form"
-    raise InputError(f"{name}: lens", Unquoted("Tsai's radial term"), expected)
+    refuse(f"{name}: lens", "Tsai's radial term", expected)
 
 
 def calibrations(layout: Layout, format_name: str) -> dict[str, CalibratedCamera]:
@@ -44,7 +44,7 @@ def calibrations(layout: Layout, format_name: str) -> dict[str, CalibratedCamera
         if isinstance(unit.sensor, CameraModel)
     }
     if not found:
-        raise InputError(format_name, Unquoted("a layout of LiDARs only"), "at least one camera")
+        refuse(format_name, "a layout of LiDARs only", "at least one camera")
     return found
 
 
@@ -66,8 +66,8 @@ def refuse_lenses(layout: Layout, format_name: str) -> None:
     """Raise InputError if a camera of a layout is no pinhole: the format has no other."""
     for unit in layout.units:
         if isinstance(unit.sensor, CameraModel) and not unit.sensor.is_pinhole:
-            got = Unquoted(f"{unit.id}, whose lens, principal point or roll it cannot carry")
-            raise InputError(format_name, got, "ideal pinholes; opencv and ros have lenses")
+            got = f"{unit.id}, whose lens, principal point or roll it cannot carry"
+            refuse(format_name, got, "ideal pinholes; opencv and ros have lenses")
 
 
 def sensor_quaternion(pose: Pose, sensor: Sensor) -> list[float]:

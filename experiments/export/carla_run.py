@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.files import Table, load_data, pick
 from geometry.frames import to_carla_yaw
 from geometry.poses import Pose
@@ -56,7 +56,7 @@ def build_scenario(layout: Layout, scene: Scene, run: Run) -> dict[str, Any]:
     form, labels = load_format(), _table("labels")
     if run.road_user not in labels:
         expected = "a run with somebody on foot or on a bicycle, as recordings have"
-        raise InputError("carla-run", Unquoted(f"a road user by {run.road_user}"), expected)
+        refuse("carla-run", f"a road user by {run.road_user}", expected)
     calibrations(layout, "carla-run")  # refuses a layout without cameras
     refuse_lenses(layout, "carla-run")
     cameras: list[dict[str, Any]] = []
@@ -65,8 +65,8 @@ def build_scenario(layout: Layout, scene: Scene, run: Run) -> dict[str, Any]:
             size_px = unit.sensor.width_px, unit.sensor.height_px
             if size_px != (form.width_px, form.height_px):
                 expected = f"{form.width_px} x {form.height_px} px, as recordings have"
-                got = Unquoted(f"{size_px[0]} x {size_px[1]} px")
-                raise InputError(f"carla-run: {unit.id}", got, expected)
+                got = f"{size_px[0]} x {size_px[1]} px"
+                refuse(f"carla-run: {unit.id}", got, expected)
             cameras.append(_camera(str(len(cameras)), unit.sensor, [unit.pose], scene))
     mount = load_vut_camera()
     poses = [vut_camera_pose(mount, run, frame) for frame in range(len(run.time_s))]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from geometry.actors import load_actors
 from geometry.arrays import FloatArray, IntArray
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import check_one_of, refuse
 from geometry.frames import parse_crs, to_carla_yaw
 from geometry.maps.georeferences import transform
 from geometry.scene import Scene
@@ -125,7 +125,7 @@ def build_stations(
     for index, ((site, own), units) in enumerate(stations.items()):
         where = f"cpm: {site or own}"
         if len(units) > _MAX_SENSORS:
-            raise InputError(where, Unquoted(f"{len(units)} units"), f"at most {_MAX_SENSORS}")
+            refuse(where, f"{len(units)} units", f"at most {_MAX_SENSORS}")
         road_m = on_ground(origins_m[index], terrain_of(scene))
         described = [
             {
@@ -225,8 +225,8 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str
     middle_m = middle_m + [0.0, 0.0, 0.5 * body.height_m]
     offset = count_up(middle_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_COORDINATE or np.abs(velocity).max() > _MAX_VELOCITY:
-        got = Unquoted(f"a road user {np.abs(offset).max() / 100.0:g} m away")
-        raise InputError(where, got, f"at most {_MAX_COORDINATE / 100.0:g} m")
+        got = f"a road user {np.abs(offset).max() / 100.0:g} m away"
+        refuse(where, got, f"at most {_MAX_COORDINATE / 100.0:g} m")
     kind: dict[str, Any] = {"vehicleSubClass": _PASSENGER_CAR}
     if run.road_user in VRU_CLASSES:
         name, *profiles = VRU_CLASSES[run.road_user]
@@ -263,9 +263,9 @@ def _radial_shape(
 ) -> dict[str, object]:
     offset = count_up(unit.pose.position_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_OFFSET:
-        raise InputError(
+        refuse(
             where,
-            Unquoted(f"{unit.id} {np.abs(offset).max() / 100.0:g} m from the site's other units"),
+            f"{unit.id} {np.abs(offset).max() / 100.0:g} m from the site's other units",
             f"at most {_MAX_OFFSET / 100.0:g} m",
         )
     sensor = unit.sensor

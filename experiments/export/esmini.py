@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, refuse
 from geometry.scene import Scene
 from placement.compute import DEFAULT_COMPUTE, Compute
 from scenarios.runs import Run
@@ -103,7 +103,7 @@ def _first_touch_s(program: Path, path: Path) -> float | None:
     lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.exists() else []
     if done.returncode or not lines:
         why = next((line for line in lines if "error" in line.lower()), f"exit {done.returncode}")
-        raise InputError(str(program), Unquoted(why[:200]), "a run driven to its end")
+        refuse(str(program), why[:200], "a run driven to its end")
     times_s = [float(match[1]) for line in lines if (match := _TOUCH.search(line))]
     return min(times_s, default=None)
 

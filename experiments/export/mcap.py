@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geometry.actors import Actor
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.lenses import CalibratedCamera
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, with_width
@@ -58,7 +58,7 @@ def to_mcap(
     """
     if pictures is not None:
         if watched is None or layout is None:
-            raise InputError("--pictures", Unquoted("no run"), "--run RUN, whose frames are drawn")
+            refuse("--pictures", "no run", "--run RUN, whose frames are drawn")
         layout = replace(layout, units=tuple(_reduced(unit) for unit in layout.units))
     foxglove, m, kinds = (
         load_extra(f"foxglove{part}", "mcap needs foxglove-sdk", "mcap")

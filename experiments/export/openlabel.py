@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.lenses import BrownConrady
 from geometry.sensors import CameraModel, to_calibrated
 from placement.candidates import CandidatePose
@@ -65,8 +65,8 @@ def _stream(unit: CandidatePose) -> dict[str, object]:
         kind, calibrated = "camera", to_calibrated(sensor, unit.pose)
         projection = plain(np.column_stack([calibrated.K, np.zeros(3)]))
         if not isinstance(calibrated.lens, BrownConrady):
-            got = Unquoted(f"{unit.id}, whose lens is of another kind")
-            raise InputError("openlabel", got, "pinholes, or lenses of Brown and Conrady")
+            got = f"{unit.id}, whose lens is of another kind"
+            refuse("openlabel", got, "pinholes, or lenses of Brown and Conrady")
         distortion = plain(lens_coefficients(unit.id, calibrated)[1])
         properties = {
             "intrinsics_pinhole": {

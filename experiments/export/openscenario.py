@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
 from geometry.files import Table, load_data, pick
 from geometry.poses import wrap_deg
 from geometry.terrain import Terrain, on_ground
@@ -169,7 +169,7 @@ def validate_openscenario(text: str) -> None:
     parser = lxml.XMLParser(resolve_entities=False)
     if not schema.validate(lxml.fromstring(text.encode(), parser)):
         first = schema.error_log[0]
-        raise InputError(f"OpenSCENARIO: {first.path}", Unquoted(first.message), expected)
+        refuse(f"OpenSCENARIO: {first.path}", first.message, expected)
 
 
 @cache

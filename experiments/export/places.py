@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.frames import parse_crs, to_geographic
 from geometry.maps.georeferences import transform
 from geometry.notes import assumed_sites
@@ -73,8 +73,7 @@ def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
 def require_crs(crs: str, format_name: str) -> None:
     """Raise InputError for a scene that does not say where on earth it lies."""
     if not crs:
-        expected = "one that says where on earth it lies"
-        raise InputError(format_name, Unquoted("a scene without crs"), expected)
+        refuse(format_name, "a scene without crs", "one that says where on earth it lies")
 
 
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:

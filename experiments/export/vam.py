@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted, check_one_of
+from geometry.errors import InputError, check_one_of, refuse
 from geometry.scene import Scene
 from geometry.terrain import on_ground, terrain_of
 from scenarios.runs import Run
@@ -67,8 +67,8 @@ def build_message(
     """
     check_one_of("release", release, RELEASES)
     if user.kind not in _STATION_TYPES:
-        who = Unquoted(f"a road user by {user.kind}")
-        raise InputError("vam", who, f"one of: {', '.join(_STATION_TYPES)}")
+        who = f"a road user by {user.kind}"
+        refuse("vam", who, f"one of: {', '.join(_STATION_TYPES)}")
     within = {
         "latitude_deg": (user.latitude_deg, -90.0, 90.0),
         "longitude_deg": (user.longitude_deg, -180.0, 180.0),

@@ -19,7 +19,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import is_abandoned, read_table, read_text, write_atomically
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
@@ -267,8 +267,7 @@ def _is_begun(out: Path, record: DatasetRecord) -> bool:
         other = getattr(found, name)
         if other != getattr(record, name):
             what = f"other {name}" if isinstance(other, tuple) else f"{name} {other}"
-            got = Unquoted(f"{out}, a dataset with {what}")
-            raise InputError("--out", got, "a new folder, or the same dataset")
+            refuse("--out", f"{out}, a dataset with {what}", "a new folder, or the same dataset")
     return True
 
 

@@ -17,7 +17,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import read_table
 from geometry.image_boxes import box_height_px, iou
 from geometry.scene_files import load_scene
@@ -423,10 +423,8 @@ def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> 
     kinds = {one.id: known_names.get(one.name.lower()) for one in labels.categories}
     if not any(kinds.values()):
         got = ", ".join(one.name for one in labels.categories) or "none"
-        raise InputError(
-            f"{labels_path}: categories",
-            Unquoted(got),
-            "among them one of " + ", ".join(sorted(known_names)),
+        refuse(
+            f"{labels_path}: categories", got, "among them one of " + ", ".join(sorted(known_names))
         )
     known = {image.id for image in labels.images}
     for path, rows in ((labels_path, labels.annotations), (results_path, results)):

@@ -15,7 +15,7 @@ from msgspec import UNSET, Struct, UnsetType
 
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, refuse
 from geometry.files import pick, read_table
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance, road_area
@@ -48,7 +48,7 @@ _STARTS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg", b"G
 def check_count(n: int, where: str, most: int) -> None:
     """Raise InputError for more than there may be."""
     if n > most:
-        raise InputError(where, Unquoted(f"{n:,}"), f"at most {most:,}")
+        refuse(where, f"{n:,}", f"at most {most:,}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -455,8 +455,8 @@ def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Si
         raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:
-        got = Unquoted(f"a unit more than the {n_there} there")
-        raise InputError(f"site {site_id}", got, f"at most {site.capacity_units}")
+        got = f"a unit more than the {n_there} there"
+        refuse(f"site {site_id}", got, f"at most {site.capacity_units}")
     return site
 
 
@@ -508,20 +508,19 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     """
     standing = [site for site in scene.sites if site.kind != "mast arm"]
     if not standing:
-        raise InputError("pole", Unquoted("a scene without any"), "one whose poles it can be like")
+        refuse("pole", "a scene without any", "one whose poles it can be like")
     kinds = [(one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing]
     usual = standing[kinds.index(max(kinds, key=kinds.count))]
     east_m, north_m = (round(_finite("pole", value), 2) for value in place_m)
     point, foot_m = shapely.Point(east_m, north_m), np.array([east_m, north_m, 0.0])
     if not shapely.dwithin(point, shapely.Polygon(scene.outline_m), _FARTHEST_POLE_M):
         expected = f"one at most {_FARTHEST_POLE_M:g} m from the junction"
-        raise InputError("pole", Unquoted("a place farther away"), expected)
+        refuse("pole", "a place farther away", expected)
     foot_m[2] = ground_height_m(scene, foot_m[:2])
     if around := containing_instance(scene, foot_m + [0.0, 0.0, 1.0]):
-        got = Unquoted(f"a place inside {around.class_name} {around.id}")
-        raise InputError("pole", got, "one in the open air")
+        refuse("pole", f"a place inside {around.class_name} {around.id}", "one in the open air")
     if road_area(scene).contains(point):
-        raise InputError("pole", Unquoted("a place on the carriageway"), "one beside it")
+        refuse("pole", "a place on the carriageway", "one beside it")
     return replace(usual, id=name, position_m=foot_m, use="free")
 
 
@@ -557,8 +556,8 @@ def _remove_pole(state: PlanState, name: str) -> PlanState:
     pole = _own_pole(state, name)
     for variant in state.variants:
         if unit := next((one for one in variant.units if one.site_id == name), None):
-            got = Unquoted(f"{name}, which carries {unit.id} of {variant.name}")
-            raise InputError("pole", got, "one that carries nothing")
+            got = f"{name}, which carries {unit.id} of {variant.name}"
+            refuse("pole", got, "one that carries nothing")
     return replace(state, poles=tuple(one for one in state.poles if one is not pole))
 
 
@@ -714,12 +713,12 @@ def _read_background(record: Any, where: str) -> Background:
 def _checked(background: Background, where: str) -> Background:
     lie, n_bytes = background.lie, len(background.image)
     if n_bytes > MAX_IMAGE_BYTES:
-        raise InputError(where, Unquoted(f"{n_bytes:,} bytes"), f"at most {MAX_IMAGE_BYTES:,}")
+        refuse(where, f"{n_bytes:,} bytes", f"at most {MAX_IMAGE_BYTES:,}")
     if not background.media_type:
-        raise InputError(where, Unquoted("another format"), "PNG, JPEG, WebP or GIF")
+        refuse(where, "another format", "PNG, JPEG, WebP or GIF")
     if not (1 <= lie.width_px <= _MAX_SIDE_PX and 1 <= lie.height_px <= _MAX_SIDE_PX):
-        size = Unquoted(f"{lie.width_px} by {lie.height_px} pixels")
-        raise InputError(where, size, f"1 to {_MAX_SIDE_PX:,} pixels")
+        size = f"{lie.width_px} by {lie.height_px} pixels"
+        refuse(where, size, f"1 to {_MAX_SIDE_PX:,} pixels")
     first, second = lie.points
     numbers = [value for point in lie.points for value in msgspec.structs.astuple(point)]
     if not all(math.isfinite(value) and abs(value) <= _MAX_COORDINATE_M for value in numbers):
@@ -727,9 +726,9 @@ def _checked(background: Background, where: str) -> Background:
     apart_px = math.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
     apart_m = math.hypot(second.east_m - first.east_m, second.north_m - first.north_m)
     if apart_px < _LEAST_APART_PX or apart_m < _LEAST_APART_M:
-        got = Unquoted(f"points {apart_px:.1f} px and {apart_m:.2f} m from each other")
+        got = f"points {apart_px:.1f} px and {apart_m:.2f} m from each other"
         expected = f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m"
-        raise InputError(f"{where}: points", got, expected)
+        refuse(f"{where}: points", got, expected)
     return background
 
 
@@ -783,7 +782,7 @@ def read_plan(text: bytes, where: str) -> Plan:
 
 def _read_variants(records: Any, where: str) -> list[Variant]:
     if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
-        raise InputError(f"{where}: variants", Unquoted("none"), f"a list of 1 to {MAX_VARIANTS}")
+        refuse(f"{where}: variants", "none", f"a list of 1 to {MAX_VARIANTS}")
     variants = []
     for index, record in enumerate(records):
         at = f"{where}: variants[{index}]"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from geometry.errors import InputError, MissingExtraError, Unquoted
+from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
 
 from ..language import mark, said, tr, words_of
 from ..report.page import page_environment
@@ -231,7 +231,7 @@ class Pages:
                 text = await socket.receive_text()
                 try:
                     if len(text) > _MAX_MESSAGE_BYTES:
-                        raise InputError("message", Unquoted(f"{len(text)} bytes"), "fewer")
+                        refuse("message", f"{len(text)} bytes", "fewer")
                     self._session.handle(text.encode())
                 except InputError as error:
                     listen({"type": "problem", "text": said(str(error))})
@@ -360,7 +360,7 @@ class Pages:
 
     def _map_file(self) -> MapFile:
         if self._session.map_file is None:
-            raise InputError("map", Unquoted("none"), "one that was dropped on the page before")
+            refuse("map", "none", "one that was dropped on the page before")
         return self._session.map_file
 
     async def _import(self, request: Request) -> Response:
@@ -416,7 +416,7 @@ async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
     async for chunk in request.stream():
         n_bytes += len(chunk)
         if n_bytes > max_bytes:
-            raise InputError("file", Unquoted(f"more than {max_bytes:,} bytes"), "a smaller one")
+            refuse("file", f"more than {max_bytes:,} bytes", "a smaller one")
         yield chunk
 
 

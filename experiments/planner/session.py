@@ -6,6 +6,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from geometry.catalogue import Sensor, load_cameras
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import pick, write_atomically
 from geometry.junction import street_names
 from geometry.lidar import load_lidars
@@ -44,7 +45,7 @@ from .numbers import (
     table_numbers,
     tile_frame,
 )
-from .plan import Background, History, Plan, PlanState, Variant
+from .plan import Background, History, Plan, Variant
 from .tasks import Cancelled, DiedError, TaskError, Work, Worker
 
 Listener = Callable[[dict[str, Any]], None]
@@ -401,8 +402,7 @@ class Session:
                 self._ask(change_question(before, message, self._begun))
             case plan.Ask():
                 if self._advice.is_busy:
-                    got = Unquoted("another request")
-                    raise InputError("the optimiser", got, "one at a time")
+                    refuse("the optimiser", "another request", "one at a time")
                 self._spawn(self._advise(message, self.history.state.variant.units))
             case plan.Cancel():
                 self._spawn(asyncio.to_thread(self._advice.stop))
@@ -426,7 +426,7 @@ class Session:
             case _:
                 state = plan.change_state(self.history.state, message, self._stock())
                 gesture = message.gesture if isinstance(message, plan.ChangeUnit) else ""
-                self._go_on(state, gesture=gesture)
+                self._go_to(self.history.went_on(state, gesture=gesture))
 
     def lay_background(self, background: Background | None) -> None:
         """Show another image below the plan, or none."""
@@ -452,10 +452,7 @@ class Session:
         state = plan.lay_poles(state, opened.poles, self.setting.scene)
         if opened.background is not None:
             self.lay_background(opened.background)
-        self._go_on(state)
-
-    def _go_on(self, state: PlanState, *, gesture: str = "") -> None:
-        self._go_to(self.history.went_on(state, gesture=gesture))
+        self._go_to(self.history.went_on(state))
 
     def _go_to(self, history: History, exact: Worker | None = None) -> None:
         """Show the state of a history; `exact` has read its scene already, if that is another."""
@@ -591,7 +588,7 @@ class Session:
         layout = Variant(name="plan", units=units).layout(self.setting.scene)
         self._do("evaluator", "evaluate")
         try:
-            stages = self._stages("evaluator")
+            stages = partial(self._do, "evaluator")
             numbers = await self._exact.call("evaluate", layout, on_progress=stages)
         except Cancelled:
             return
@@ -615,9 +612,6 @@ class Session:
             self.send({"type": "numbers", "revision": revision, **numbers, **private})
         self._send_variants()
         self.send(self._proposals_message())
-
-    def _stages(self, who: str) -> Callable[[str, int, int], None]:
-        return lambda stage, done, total: self._do(who, stage, done, total)
 
     def _send_variants(self) -> None:
         """Send the numbers of all variants, as far as they are known."""
@@ -662,7 +656,7 @@ class Session:
     # ---------- the optimiser
 
     async def _advise(self, ask: plan.Ask, units: tuple[CandidatePose, ...]) -> None:
-        tell = self._stages("optimiser")
+        tell = partial(self._do, "optimiser")
         words = [self._words[name] for name in self._chosen]
         tell("start", 0, 0)
         try:
@@ -709,7 +703,7 @@ class Session:
         else:
             state = state.with_units(proposal.units)
         self._proposals = [each for each in self._proposals if each is not proposal]
-        self._go_on(state)
+        self._go_to(self.history.went_on(state))
         self.send(self._proposals_message())
 
     # ---------- what is asked
@@ -733,7 +727,7 @@ class Session:
         before, workspace, problem = self.workspace, None, ""
         self._do("setting", "start")
         try:
-            setting = await exact.call("open_setting", on_progress=self._stages("setting"))
+            setting = await exact.call("open_setting", on_progress=partial(self._do, "setting"))
             workspace, problem = await asyncio.to_thread(
                 build_workspace, work, setting, title=before.title, save=before.save
             )
@@ -769,7 +763,7 @@ class Session:
         """Result of a task by the evaluator's process, or the optimiser's; TaskError, Cancelled."""
         worker, who = (self._advice, "optimiser") if is_long else (self._exact, "evaluator")
         try:
-            return await worker.call(method, *args, on_progress=self._stages(who))
+            return await worker.call(method, *args, on_progress=partial(self._do, who))
         finally:
             self._do(who, "")
 
@@ -778,7 +772,7 @@ class Session:
         self._opening = reader = self._reader
         try:
             given = {key: file.options[key] for key in file.options.keys() & {"keeps_left"}}
-            stages = self._stages("scene")
+            stages = partial(self._do, "scene")
             found = await reader.call("survey", str(file.path), on_progress=stages, **given)
         finally:
             self._opening = None
@@ -794,7 +788,7 @@ class Session:
         It is read, or cut out of a map around a junction. Where the plan has a file, that of the
         new scene gets another one. TaskError: it cannot be made, or has no runs. Cancelled.
         """
-        stages = self._stages("scene")
+        stages = partial(self._do, "scene")
         work = replace(self.work, question=replace(self.work.question, scene=path))
         exact = self._make_worker(work)
         try:

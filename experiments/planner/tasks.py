@@ -184,7 +184,7 @@ class Tasks:
             grid, own = raster.transform, raster.crs.to_wkt() if raster.crs else crs
             is_coloured = raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
             if grid.is_identity or not (own and scene.crs and is_coloured):
-                raise InputError(path, Unquoted("another one, or a scene at no place"), expected)
+                refuse(path, "another one, or a scene at no place", expected)
             edges = [(x, y) for x in (0, raster.width) for y in (0, raster.height)]
             corners_m = transform([grid @ edge for edge in edges], own, scene.crs)
             low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
@@ -193,7 +193,7 @@ class Tasks:
             west, south = np.maximum(low_m, centre_m - _AERIAL_M).tolist()
             east, north = np.minimum(high_m, centre_m + _AERIAL_M).tolist()
             if not (west < east and south < north):
-                raise InputError(path, Unquoted("an image of elsewhere"), expected)
+                refuse(path, "an image of elsewhere", expected)
             width, height = (int(np.ceil(span / step_m)) for span in (east - west, north - south))
             has_alpha = any(band.name == "alpha" for band in raster.colorinterp)
             with WarpedVRT(

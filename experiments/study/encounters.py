@@ -19,7 +19,7 @@ import shapely
 
 from geometry.actors import MovingActor, pick_actor
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, refuse
 from geometry.files import write_atomically
 from geometry.poses import Pose, to_world
 from geometry.scene import Body, Instance, Lane, Scene, Site, join_bodies
@@ -57,8 +57,7 @@ def lay_clips(folder: Path) -> dict[str, tuple[Track, ...]]:
     """
     paths = sorted(folder.glob("intersection_*_traj_ped_filtered.csv"))
     if not paths:
-        expected = "the dataset's intersection_NN_traj_ped_filtered.csv"
-        raise InputError(str(folder), Unquoted("no clip"), expected)
+        refuse(str(folder), "no clip", "the dataset's intersection_NN_traj_ped_filtered.csv")
     clips = {}
     for path in paths:
         cars = path.with_name(path.name.replace("_ped_", "_veh_"))

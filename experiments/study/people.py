@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from geometry.arrays import FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, refuse
 from geometry.files import read_text
 
 PROBABILITY = (0.01, *(0.1 * n for n in range(1, 10)), 0.99)
@@ -48,7 +48,7 @@ def _listed(values: object) -> str:
 def _speeds_mps(folder: Path) -> Iterator[FloatArray]:
     paths = sorted(folder.glob("*.csv"))
     if not paths:
-        raise InputError(str(folder), Unquoted("no .csv file"), "one for each person")
+        refuse(str(folder), "no .csv file", "one for each person")
     for path in paths:
         rows = [line.split(",") for line in read_text(path, "a CSV file").splitlines()[1:]]
         try:

@@ -395,7 +395,8 @@ def test_what_the_planner_refuses_is_known():
     texts = set()
     for path in sorted((ROOT / "planner").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError":
+            called = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+            if called in ("InputError", "refuse"):
                 texts |= {*map(words_of, node.args)}
             elif isinstance(node, ast.Assign):
                 named = getattr(node.targets[0], "id", "") in ("expected", "got")

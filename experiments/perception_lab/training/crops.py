@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import FloatArray, IntArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import refuse
 from geometry.image_boxes import mask_box
 from geometry.maps.importing import ImportOptions, import_scene
 from geometry.poses import Pose
@@ -126,7 +126,7 @@ def look_around(
     """
     runs = [run for run in setting.runs if vru_class(run.encounter.vru) in framing.kinds]
     if not runs:
-        raise InputError(setting.scene.name, Unquoted("no such runs"), " or ".join(framing.kinds))
+        refuse(setting.scene.name, "no such runs", " or ".join(framing.kinds))
     known = {} if backdrops is None else backdrops
     while True:
         run = runs[int(rng.integers(len(runs)))]

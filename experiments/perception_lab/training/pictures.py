@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.errors import InputError, Unquoted
+from geometry.errors import InputError, Unquoted, refuse
 from geometry.image_boxes import box_height_px, iou
 from placement.detectors import load_detector, load_min_iou
 from placement.detectors.fitting import poisson, wilson
@@ -134,7 +134,7 @@ def _stored(
     names = [name for name in rng.permutation(list(rows)).tolist() if len(rows[name])]
     if not names:
         expected = f"crops of {_WORDS[kind]}s, {WEATHERS[weather]}, made by {_TRAINING}"
-        raise InputError(str(folder), Unquoted("none"), expected)
+        refuse(str(folder), "none", expected)
     for turn in count():
         name = names[turn % len(names)]
         row = int(rows[name][turn // len(names) % len(rows[name])])
@@ -156,7 +156,7 @@ def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None
                 break
             n_dark += 1
         else:
-            raise InputError("pictures", Unquoted("only dark ones"), "some that light reaches")
+            refuse("pictures", "only dark ones", "some that light reaches")
     side = len(tiles[0][1]["rgb"])
     size = (_COLUMNS * side, _TILES // _COLUMNS * (side + _CAPTION_PX))
     sheet = Image.new("RGB", size, "white")
@@ -310,7 +310,7 @@ def photographs_text(folder: Path, network: NetworkDetector) -> str:
     """
     labels = sorted((folder / "label_2").glob("*.txt"))
     if not labels:
-        raise InputError(str(folder / "label_2"), Unquoted("no labels"), "files NAME.txt")
+        refuse(str(folder / "label_2"), "no labels", "files NAME.txt")
     height: dict[str, list[float]] = {name: [] for name in _FINDERS}
     found: dict[str, list[bool]] = {name: [] for name in _FINDERS}
     n_boxes = n_alarms = 0
@@ -358,7 +358,7 @@ def _photograph(folder: Path, stem: str) -> NDArray[np.uint8]:
                     return np.asarray(picture.convert("RGB"))
             except (OSError, ValueError, Image.DecompressionBombError) as error:
                 raise InputError(str(path), Unquoted(error), "a picture") from None
-    raise InputError(str(folder / stem), Unquoted("no picture"), f"{stem}.jpg or {stem}.png")
+    refuse(str(folder / stem), "no picture", f"{stem}.jpg or {stem}.png")
 
 
 _MAPS = click.option(
