@@ -250,21 +250,16 @@ def load_layout(
     """
     path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml", ".xml"):
-        return _from_calibrations(path)
+        units = []
+        for name, camera in read_cameras(path).items():
+            sensor, pose = calibrated_sensor(name, camera)
+            units.append(CandidatePose(id=name, site_id="", pose=pose, sensor=sensor))
+        return Layout(name=path.stem, units=tuple(units))
     if path.suffix.lower() == ".csv":
         rows = read_layout_rows(path)
         return _from_list(path.stem, rows, str(path), scene, sensors or {})
     text = read_text(path, "JSON")
     return read_layout(text, where=str(path), name=path.stem, scene=scene, sensors=sensors)
-
-
-def _from_calibrations(path: Path) -> Layout:
-    """Layout of the cameras of a calibration, with their lenses, at no known site."""
-    units = []
-    for name, camera in read_cameras(path).items():
-        sensor, pose = calibrated_sensor(name, camera)
-        units.append(CandidatePose(id=name, site_id="", pose=pose, sensor=sensor))
-    return Layout(name=path.stem, units=tuple(units))
 
 
 def _from_list(

@@ -3,10 +3,10 @@
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from geometry.actors import pick_actor
 from geometry.arrays import BoolArray
@@ -122,10 +122,7 @@ def build_rule(question: Question) -> AebRule:
     """
     changes = {
         name: getattr(question, name)
-        for name in (
-            *("deceleration_mps2", "build_up_s", "latency_s", "n_confirmations"),
-            "track_memory_s",
-        )
+        for name in (one.name for one in fields(AebRule) if one.name in Question.__slots__)
         if getattr(question, name) is not None
     }
     # By default tracks live for ever in the study's cases, as the study reads it.
@@ -171,8 +168,7 @@ def _select(question: Question) -> Selection:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Drives:
+class Drives(NamedTuple):
     """The runs that a question lays on a scene."""
 
     runs: tuple[Run, ...]  # what is driven

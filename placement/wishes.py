@@ -176,8 +176,14 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
     if lost:
         raise InputError("keep", sorted(lost)[0], "units that are candidates")
     existing_at = np.bincount(site_index[is_existing], minlength=len(order))
+    rivals = np.zeros((0, 2), dtype=np.int64)
     if wishes.separation_m > 0.0:
         capacity = np.minimum(capacity, 1)
+        position_m: FloatArray = np.array([c.pose.position_m[:2] for c in candidates])
+        where_m = np.array([position_m[site_index == i].mean(axis=0) for i in range(len(order))])
+        distance_m = np.linalg.norm(where_m[:, None, :] - where_m[None, :, :], axis=2)
+        pairs = np.argwhere(np.triu(distance_m < wishes.separation_m, k=1))
+        rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]  # existing units may stay
     capacity = np.maximum(capacity, existing_at)  # existing units have found room
     cost[existing_at > 0] = 0.0
     usable = site_index[~is_forbidden_site[site_index] | is_existing]
@@ -193,7 +199,7 @@ def build_limits(wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePos
         is_forced=is_existing,
         is_forbidden=is_forbidden_site[site_index] & ~is_existing,
         is_forced_site=is_forced_site,
-        rivals=_too_near(candidates, site_index, wishes.separation_m, existing_at > 0),
+        rivals=rivals,
         failing=wishes.failing,
     )
     _check_room(wishes, scene, most)
@@ -268,24 +274,6 @@ def build_problem(
 
 def _is_case(cases: Sequence[str], case: str) -> BoolArray:
     return np.array([name == case for name in cases])
-
-
-def _too_near(
-    candidates: Sequence[CandidatePose],
-    site_index: IntArray,
-    separation_m: float,
-    is_existing_site: BoolArray,
-) -> IntArray:
-    """Pairs of sites nearer than a distance on the ground; existing units may stay."""
-    if separation_m <= 0.0:
-        return np.zeros((0, 2), dtype=np.int64)
-    n_sites = len(is_existing_site)
-    positions: FloatArray = np.array([c.pose.position_m[:2] for c in candidates])
-    where = np.array([positions[site_index == site].mean(axis=0) for site in range(n_sites)])
-    distance = np.linalg.norm(where[:, None, :] - where[None, :, :], axis=2)
-    first, second = np.nonzero(np.triu(distance < separation_m, k=1))
-    free = ~(is_existing_site[first] & is_existing_site[second])
-    return np.column_stack([first[free], second[free]])
 
 
 # ---------- from the words of a question

@@ -61,29 +61,6 @@ class _Numbering:
     is_coco91: bool = False
 
 
-def recognise_export(outputs: Outputs, *, path: Path, names: str | None) -> Export:
-    """How the outputs of a trial run, and of all further ones, are to be read.
-
-    `names` are the class names in the file's metadata. Raises InputError if this is no detector or
-    no class is known.
-    """
-    where = f"{path}: metadata 'names'"
-    numberings = _numberings(names, where)
-    if len(outputs) >= 3:
-        export = _labelled(outputs, numberings)
-    else:
-        family = _queries if len(outputs) == 2 else _table
-        exports = (family(outputs, numbering) for numbering in numberings)
-        export = next((export for export in exports if export is not None), None)
-    if export is None:
-        shapes = ", ".join(f"{name} {value.shape}" for name, value in outputs.items())
-        refuse(str(path), f"outputs {shapes}", _EXPECTED)
-    if not export.kinds:
-        expected = "among them one of " + ", ".join(sorted(kind_of_name()))
-        raise InputError(where, names, expected)
-    return export
-
-
 @cache
 def onnx_setting(key: str) -> Any:
     """Value in ``data/onnx.toml``."""
@@ -360,8 +337,8 @@ def load_onnx_model(path: Path) -> OnnxModel:
     A grey image is shown to the network once, to see what it gives. YOLOX cannot be distinguished
     from YOLOv5, but expects blue first and 0 .. 255, and gives steps of its grid instead of pixels:
     its boxes come out wrong. Without class names in the file's metadata, COCO's 80 or 91 classes
-    are decided by their number, 91 where the file gives labels only. Raises InputError, or
-    MissingExtraError if onnxruntime is not installed.
+    are decided by their number, 91 where the file gives labels only. Raises InputError, also if it
+    is no detector or no class is known, or MissingExtraError if onnxruntime is not installed.
     """
     if not path.is_file():
         refuse(str(path), "no such file", "an ONNX file")
@@ -370,7 +347,20 @@ def load_onnx_model(path: Path) -> OnnxModel:
     shape = (session.height_px or side, session.width_px or side, 3)
     grey = np.full(shape, onnx_setting("fill"), dtype=np.uint8)
     outputs = session.run(grey, is_imagenet=False)
-    export = recognise_export(outputs, path=path, names=session.class_names)
+    where = f"{path}: metadata 'names'"
+    numberings = _numberings(session.class_names, where)
+    if len(outputs) >= 3:
+        export = _labelled(outputs, numberings)
+    else:
+        family = _queries if len(outputs) == 2 else _table
+        exports = (family(outputs, numbering) for numbering in numberings)
+        export = next((export for export in exports if export is not None), None)
+    if export is None:
+        shapes = ", ".join(f"{name} {value.shape}" for name, value in outputs.items())
+        refuse(str(path), f"outputs {shapes}", _EXPECTED)
+    if not export.kinds:
+        expected = "among them one of " + ", ".join(sorted(kind_of_name()))
+        raise InputError(where, session.class_names, expected)
     return OnnxModel(path=path, session=session, export=export)
 
 

@@ -1,7 +1,8 @@
 """Agreement of detection table and evaluator: the runs on which they differ, and why."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Annotated
 
 import numpy as np
@@ -16,7 +17,7 @@ from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
 from ..detectors import Evidence
-from ..evaluation import Evaluation
+from ..evaluation import Evaluation, Verdict
 from ..live import table_verdict
 from ..setting import Setting
 from ..visibility import table_fingerprint
@@ -54,65 +55,49 @@ def find_disagreements(
 
     `pose_index` are the table's rows of the layout's units, in their order.
     """
-    detected = table.detected(list(pose_index))
+    units, axis, detected = evaluation.layout.units, setting.axis, table.detected(list(pose_index))
     folder = None if setting.detector.needs_pictures else compute.cache_folder
     seen = ""
     if folder is not None:
-        runs, planner, units = setting.runs, setting.table_detector, evaluation.layout.units
+        runs, planner = setting.runs, setting.table_detector
         seen = table_fingerprint(setting.scene, units, runs, planner, seed=compute.seed)
+    on_table = dict(zip((unit.id for unit in units), detected, strict=True))
+
+    def differing_frames(unit: CandidatePose, run: int) -> IntArray:
+        frames = np.arange(axis.n_frames)[axis.frames_of(run)]
+        counts = axis.time_s[frames] <= axis.last_brake_time_s[run]
+        differs = on_table[unit.id][frames] != evaluation.units[unit.id].detected[frames]
+        return np.asarray(frames[counts & differs])
+
+    def compare(parties: Sequence[CandidatePose], verdict: Verdict) -> Iterator[Disagreement]:
+        is_fused = verdict is evaluation.headline
+        with_vut = is_fused and evaluation.cars == 1.0
+        rows = np.array([on_table[unit.id] for unit in parties])
+        avoided = table_verdict(parties, rows, setting, with_vut=with_vut).is_avoided
+        for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
+            differing = [(unit, differing_frames(unit, run)) for unit in parties]
+            yield Disagreement(
+                party=FUSED if is_fused else parties[0].id,
+                run_id=axis.run_ids[run],
+                on_table=bool(avoided[run]),
+                n_frames=len(np.unique(np.concatenate([frames for _, frames in differing]))),
+                cause=_cause(setting, differing, on_table),
+            )
+
+    def find() -> tuple[Disagreement, ...]:
+        alone = (compare([unit], evaluation.units[unit.id]) for unit in units)
+        return tuple(chain(*alone, compare(units, evaluation.headline)))
+
     return cached_value(
         folder,
         "disagreements",
-        lambda: _find_disagreements(setting, detected, evaluation),
+        find,
         kind=tuple[Disagreement, ...],
         made_from=(
             *(seen, setting.detector, setting.rule, detected, evaluation),
             *(() if setting.seen_by_vut is None else [setting.seen_by_vut]),
         ),
     )
-
-
-def _find_disagreements(
-    setting: Setting, detected: BoolArray, evaluation: Evaluation
-) -> tuple[Disagreement, ...]:
-    """Compare anew; `detected`, (n_units, n_frames), are rows of the table."""
-    units = evaluation.layout.units
-    on_table = dict(zip((unit.id for unit in units), detected, strict=True))
-    found: list[Disagreement] = []
-    for parties, verdict in (
-        *(((unit,), evaluation.units[unit.id]) for unit in units),
-        (units, evaluation.headline),
-    ):
-        is_fused = verdict is evaluation.headline
-        with_vut = is_fused and evaluation.cars == 1.0
-        rows = np.array([on_table[unit.id] for unit in parties])
-        avoided = table_verdict(parties, rows, setting, with_vut=with_vut).is_avoided
-        for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
-            differing = [
-                (unit, _differing_frames(setting, run, on_table[unit.id], evaluation, unit))
-                for unit in parties
-            ]
-            found.append(
-                Disagreement(
-                    party=FUSED if is_fused else parties[0].id,
-                    run_id=setting.axis.run_ids[run],
-                    on_table=bool(avoided[run]),
-                    n_frames=len(np.unique(np.concatenate([frames for _, frames in differing]))),
-                    cause=_cause(setting, differing, on_table),
-                )
-            )
-    return tuple(found)
-
-
-def _differing_frames(
-    setting: Setting, run: int, on_table: BoolArray, evaluation: Evaluation, unit: CandidatePose
-) -> IntArray:
-    """Frames of a run, before its last brake time, in which table and evaluator differ."""
-    axis = setting.axis
-    frames = np.arange(axis.n_frames)[axis.frames_of(run)]
-    counts = axis.time_s[frames] <= axis.last_brake_time_s[run]
-    differs = on_table[frames] != evaluation.units[unit.id].detected[frames]
-    return np.asarray(frames[counts & differs])
 
 
 def _cause(

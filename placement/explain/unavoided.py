@@ -308,8 +308,13 @@ def _find_miss(
     )
     look = None
     if not is_hopeless:
-        units = [candidates[pose] for pose in chosen]
-        nearest = _who_should_see(setting.runs[run], units, np.flatnonzero(counts))
+        units, of_run = [candidates[pose] for pose in chosen], setting.runs[run]
+        middle_m = on_ground(of_run.vru_position_m[counts], of_run.terrain)
+        middle_m[:, 2] += 0.5 * of_run.encounter.vru.height_m
+        away_m = [np.hypot(*(unit.pose.position_m[:2] - middle_m[-1, :2])) for unit in units]
+        # If none has it in view, the nearest of all: another one may look elsewhere on purpose.
+        looks_elsewhere = [not is_in_view(unit, middle_m).any() for unit in units]
+        nearest = int(np.lexsort((away_m, looks_elsewhere))[0])
         missed = np.flatnonzero(counts & ~detected[nearest])
         look = Look(unit=units[nearest], run_index=run, frame_index=missed)
     late_s = float(braking_s - last_brake_s) if np.isfinite(last_brake_s) else np.inf
@@ -324,18 +329,6 @@ def _find_miss(
         rescue=None,
     )
     return miss, look
-
-
-def _who_should_see(run: Run, units: Sequence[CandidatePose], frames: IntArray) -> int:
-    """The unit nearest to the VRU in the last frame, of those that have it in view in some frame.
-
-    If none has, the nearest of all: another one may look elsewhere on purpose.
-    """
-    middle_m = on_ground(run.vru_position_m[frames], run.terrain)
-    middle_m[:, 2] += 0.5 * run.encounter.vru.height_m
-    away_m = [np.hypot(*(unit.pose.position_m[:2] - middle_m[-1, :2])) for unit in units]
-    looks_elsewhere = [not is_in_view(unit, middle_m).any() for unit in units]
-    return int(np.lexsort((away_m, looks_elsewhere))[0])
 
 
 def _find_joining(

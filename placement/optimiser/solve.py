@@ -6,6 +6,7 @@ those that gain most by its prices.
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,8 +164,15 @@ def solve_placement(
     deadline = deadline_in(effort.time_limit_s)
     check_limits(problem.limits, problem.table.pose_ids)
     if problem.limits.failing == "site":
-        found = _solve_as_if_units_failed(problem, effort, deadline, starts, n_stages, on_stage)
-        if found is not None:
+        # No set is worth more where sites fail, and one whose units stand apart as much: if it is
+        # best where units fail, it is best here. That is far quicker to find: there, a pose may be
+        # replaced by one at another site.
+        by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
+        part = effort.until(deadline.of("as if units failed"))
+        with suppress(UnmetError):  # where sites fail, more is possible, or time was too short
+            found = solve_placement(
+                by_unit, effort=part, starts=starts, n_stages=n_stages, on_stage=on_stage
+            )
             sites = problem.limits.site_index[list(found.pose_index)]
             if len(np.unique(sites)) == len(sites):
                 return found
@@ -239,30 +247,6 @@ def solve_sturdily(
         on_stage=on_stage,
     )
     return highest, sturdy
-
-
-def _solve_as_if_units_failed(
-    problem: PlacementProblem,
-    effort: Effort,
-    deadline: Deadline,
-    starts: Sequence[IntArray],
-    n_stages: int | None,
-    on_stage: Callable[[str], None] | None,
-) -> Solution | None:
-    """The best where units fail, not sites; None where no set meets the wishes then.
-
-    No set is worth more where sites fail, and one whose units stand apart as much: if it is best
-    here, it is best there, and bounds hold. It is far quicker to find: a pose may be replaced by
-    one at another site.
-    """
-    by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
-    effort = effort.until(deadline.of("as if units failed"))
-    try:
-        return solve_placement(
-            by_unit, effort=effort, starts=starts, n_stages=n_stages, on_stage=on_stage
-        )
-    except UnmetError:  # where sites fail, more is possible, or there was too little time
-        return None
 
 
 def units_of(reduced: ReducedProblem, poses: IntArray) -> IntArray:

@@ -63,21 +63,19 @@ def _check_range(name: str, value: Any, least: float, most: float, unit: str) ->
         raise InputError(name, value, f"{least:g} to {most:g} {unit}".rstrip())
 
 
+_SD_DEG = "Standard deviation, in degrees; errors are normal, cut off at three of them."
+_SD_M = "Standard deviation, in metres; three values stand for a normal distribution."
+_OUT = "Probability, in each run, that a unit is out of order, and that a pole is with all of its"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """Errors of units after installation.
+    """Errors of units after installation."""
 
-    Attributes
-    ----------
-    yaw_sd_deg, pitch_sd_deg : float
-        Standard deviation, in degrees; errors are normal, cut off at three of them.
-    height_sd_m : float
-        Standard deviation, in metres; three values stand for a normal distribution.
-    """
-
-    yaw_sd_deg: float = _up_to(30.0, "degrees")
-    pitch_sd_deg: float = _up_to(30.0, "degrees")
-    height_sd_m: float = _up_to(0.5, "metres")  # the same poles, the same view
+    yaw_sd_deg: Annotated[float, says(_SD_DEG)] = _up_to(30.0, "degrees")
+    pitch_sd_deg: Annotated[float, says(_SD_DEG)] = _up_to(30.0, "degrees")
+    # the same poles, the same view
+    height_sd_m: Annotated[float, says(_SD_M)] = _up_to(0.5, "metres")
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -129,17 +127,10 @@ class LatencyJitter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outages:
-    """How often a unit tells nothing for a whole run.
+    """How often a unit tells nothing for a whole run."""
 
-    Attributes
-    ----------
-    unit_share, pole_share : float
-        Probability, in each run, that a unit is out of order, and that a pole is with all of its
-        units. 0 .. 1
-    """
-
-    unit_share: float = _up_to(1.0)
-    pole_share: float = _up_to(1.0)
+    unit_share: Annotated[float, says(f"{_OUT} units. 0 .. 1.")] = _up_to(1.0)
+    pole_share: Annotated[float, says(f"{_OUT} units. 0 .. 1.")] = _up_to(1.0)
 
     def __post_init__(self) -> None:
         _check_numbers(self)
