@@ -40,7 +40,7 @@ from scenarios.aeb import AebRule
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import RefusalRecord, versions
-from ..results.folders import MARKER, check_result_folder, new_result_folder
+from ..results.folders import MARKER, expect_results, new_result_folder
 from ..results.numbers import finite_or_none
 from ..results.record import PartyAprRecord, Record, StageRecord, build_stage_records, to_plain
 
@@ -313,8 +313,7 @@ def _evaluate(
     """Read and evaluate a recording, by default as the study reads it: no track dies."""
     endless = math.inf if question.track_memory_s is None else question.track_memory_s
     rule = build_rule(replace_field(question, track_memory_s=endless))
-    if out is not None:
-        check_result_folder(out)
+    expect_results(out, progress)
     progress("read recording", 0, 0)
     recording = read_recording(folder)
     progress("evaluate", 0, 0)
