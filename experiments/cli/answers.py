@@ -33,7 +33,6 @@ from ..parts.baselines import Score
 from ..parts.comparison import HIGHEST, Compared
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
-from ..parts.study_cases import StudyCases
 from ..results.numbers import first_of, grouped, layout_words, number, percent, shortened
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
 from .terminal import basis, first_reasons
@@ -182,12 +181,14 @@ def _judged(
 def _besides(result: PlacementResult | ComparisonResult) -> list[Part]:
     """What was asked for besides, and baselines."""
     without = baselines.words(result.baselines, n_units=len(result.layout))
+    study = result.study_cases and study_cases.table(result.study_cases)
+    by_study = tr("On the study's cases, as the study reads them, by the evaluator:")
     return [
         _said(*answer.private_ground(result)),
         _said(*answer.refinement(result)),
         *_sampled(result),
         *([Part(title=tr("Without an optimiser:"), words=without)] if without else []),
-        *([_study_part(result.study_cases)] if result.study_cases else []),
+        *([Part(title=by_study, table=study)] if study else []),
     ]
 
 
@@ -270,14 +271,6 @@ def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
     words, n_first = answer.uncertainty(result), 1 if result.sampled.growth is None else 2
     table = sampled_worlds.table(result.sampled)
     return [_said(*words[:n_first]), Part(words=words[n_first:], table=table)]
-
-
-def _study_part(found: StudyCases) -> Part:
-    """Layouts on the study's cases."""
-    return Part(
-        title=tr("On the study's cases, as the study reads them, by the evaluator:"),
-        table=study_cases.table(found),
-    )
 
 
 def _last(out: Path | None) -> Part:

@@ -1,7 +1,7 @@
 """``place-rsus certify``: a layout for the mean over worlds, and what it may lack of the best."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -28,7 +28,7 @@ _SOUGHT = ("solver", "time_limit_s", "gap", "fusion", "samples", "uncertainty", 
 )
 @options.folder_option("layout.json and certified.json")
 @options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
-def certify(job: Job, *, n_blocks: int, n_judged: int, out: Path | None) -> None:
+def certify(job: Job, *, out: Path | None, **asked: Any) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.
 
     Worlds differ in mounting errors, traffic, misses and lost messages. In each of some blocks of
@@ -38,14 +38,7 @@ def certify(job: Job, *, n_blocks: int, n_judged: int, out: Path | None) -> None
     job = job.begin()
     from ..parts.certified import run_certify
 
-    result = run_certify(
-        job.question,
-        n_blocks=n_blocks,
-        n_judged=n_judged,
-        out=out,
-        command=command_line(),
-        **job.means,
-    )
+    result = run_certify(job.question, out=out, command=command_line(), **asked, **job.means)
     job.print(result, lambda: certified_text(result, out))
 
 

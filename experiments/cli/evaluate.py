@@ -31,7 +31,7 @@ def evaluate(
 ) -> None:
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
     if recording is not None:
-        evaluate_recording(job, recording, min_confidence, out)
+        evaluate_recording(job, folder=recording, min_confidence=min_confidence, out=out)
         return
     job = job.begin()
     layout = job.layout(layout_names)

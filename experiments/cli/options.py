@@ -391,14 +391,11 @@ def asking(
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def with_job(
-            *, question: Question, compute: Compute, as_json: bool, quiet: bool, **values: Any
-        ) -> Any:
+        def with_job(**values: Any) -> Any:
+            of_job = ("question", "compute", "as_json", "quiet")
+            asked = {name: values.pop(name) for name in of_job}
             progress = click.get_current_context().find_root().obj
-            job = Job(
-                progress=progress, question=question, compute=compute, as_json=as_json, quiet=quiet
-            )
-            return command(job, **values)
+            return command(Job(progress=progress, **asked), **values)
 
         asked = question_options(*names, defaults=defaults)
         computing = compute_options(has_cache=has_cache)

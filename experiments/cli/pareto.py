@@ -91,9 +91,7 @@ _ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "withi
 @options.from_table("retrofit")
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
-def retrofit(
-    job: Job, *, layout_names: tuple[str, ...], visit_eur: float | None, out: Path | None
-) -> None:
+def retrofit(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any) -> None:
     """What to change about units that are mounted: remove, re-aim or add one, each priced.
 
     A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
@@ -103,14 +101,8 @@ def retrofit(
     layout = job.layout(layout_names)
     from ..parts.retrofit import run_retrofit
 
-    summary = run_retrofit(
-        job.question,
-        layout=layout,
-        visit_eur=visit_eur,
-        out=out,
-        command=command_line(),
-        **job.means,
-    )
+    asked |= {"layout": layout, "command": command_line()}
+    summary = run_retrofit(job.question, out=out, **asked, **job.means)
     job.print(summary, lambda: retrofit_text(summary, out))
 
 

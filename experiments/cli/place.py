@@ -43,8 +43,8 @@ def cli(
             "--budget-cost)"
         )
     if recording is not None:
-        to = out if options.is_given("out") else None
-        evaluate_recording(job, recording, min_confidence, to, chooses=True)
+        asked = {"folder": recording, "min_confidence": min_confidence, "chooses": True}
+        evaluate_recording(job, out=out if options.is_given("out") else None, **asked)
         return
     browser = None
     if pdf is not None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,10 +24,8 @@ _WITH_RECORDING = frozenset(
 )
 
 
-def evaluate_recording(
-    job: Job, folder: Path, min_confidence: float, out: Path | None, *, chooses: bool = False
-) -> None:
-    """Judge the units of a recording, or with `chooses` find the best of them; end the command.
+def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
+    """Judge the units of a recording, as :func:`.recording.run_recording`, and end the command.
 
     Options that say nothing next to a recording are refused, by click.UsageError.
     """
@@ -40,14 +38,7 @@ def evaluate_recording(
     job.start()
     from ..parts.recording import run_recording
 
-    summary = run_recording(
-        job.question,
-        folder=folder,
-        min_confidence=min_confidence,
-        chooses=chooses,
-        out=out,
-        progress=job.progress,
-    )
+    summary = run_recording(job.question, out=out, progress=job.progress, **asked)
     job.print(summary, lambda: recording_text(summary, out))
 
 

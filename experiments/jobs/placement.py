@@ -99,7 +99,7 @@ def begin_job(
 ) -> Iterator[Job]:
     """Make the setting, if not known; begin a second process unless `side` has one, if it pays."""
     if setting is None:
-        _check_out(out, progress)
+        folders.expect_results(out, progress)
         progress("setting", 0, 0)
         setting = build_setting(question, scene, compute=compute)
     setting = with_sight(setting, compute=compute)
@@ -147,7 +147,7 @@ def run_placement(
     `side` may have a second process, which was begun while this one was loading. Raises InputError
     if a wish cannot be met, or `out` cannot be written.
     """
-    _check_out(out, progress)
+    folders.expect_results(out, progress)
     scene = load_scene(question.scene)
     grown = grow(question, scene=scene, compute=compute) if question.samples == AUTO else None
     question = replace(question, samples=grown.growth.taken) if grown else question
@@ -356,12 +356,6 @@ def judge_study_cases(job: Job, evaluations: Mapping[str, Evaluation]) -> StudyC
     except InputError as error:  # the words of the question are known to be right
         _log.info("the study's cases: %s", error)
         return None
-
-
-def _check_out(out: Path | None, progress: StageProgress) -> None:
-    if out is not None:
-        folders.check_result_folder(out)
-        progress.kept = folders.left_as_it_was(out)
 
 
 def write_results(

@@ -46,13 +46,9 @@ def count_sensors(layout: Layout) -> str:
 def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
     """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
-    meaning = say("accidents.meaning")
-    if is_weighted(axis):
-        meaning = say("accidents.meaning_by_weight")
-    source = say("accidents.source")
-    if is_optimised:
-        source = say("accidents.source_of_optimised")
-    text = f"{meaning} {source}"
+    meaning = "meaning_by_weight" if is_weighted(axis) else "meaning"
+    source = "source_of_optimised" if is_optimised else "source"
+    text = " ".join(say(f"accidents.{key}") for key in (meaning, source))
     blocks: list[Block] = [text, apr_table(evaluations), *apr_group_tables(evaluations)]
     return Section("accidents", tr("Accidents prevented"), blocks)
 

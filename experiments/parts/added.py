@@ -121,10 +121,8 @@ def words(record: Added | None) -> list[str]:
         told.append(tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=in_points(rest)))
     gain, by_unit = in_points(everything.gain), ", ".join(told)
     if len(units) > 1:
-        text = say("added.by_unit", gain=gain, by_unit=by_unit)
-    else:
-        text = tr("To a car that sees, these units add {gain} points.", gain=gain)
-    return [text]
+        return [say("added.by_unit", gain=gain, by_unit=by_unit)]
+    return [tr("To a car that sees, these units add {gain} points.", gain=gain)]
 
 
 def section(record: Added | None) -> Section | None:

@@ -93,20 +93,14 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
         if is_of_blind:
             return [say("dangers.none_left_by_blind", n=n_runs)]
         return [tr("No simulated encounter (run) is left: all {n} are avoided.", n=n_runs)]
-    where = _most_left(dangers.by_case, _in_case, tr("in other cases"))
+    others = tr("in other cases")
+    where = _most_left(dangers.by_case, lambda name: tr("in {case}", case=name), others)
     if dangers.by_position:
         places = _most_left(dangers.by_position, position_words, tr("elsewhere"))
         where = tr("{cases}. By place: {places}", cases=where, places=places)
     all_runs = trn("{n} simulated encounter (run)", "{n} simulated encounters (runs)", n_runs)
-    if is_of_blind:
-        said = say("dangers.not_avoided_by_blind", n_left, runs=all_runs, where=where)
-    else:
-        said = say("dangers.not_avoided", n_left, runs=all_runs, where=where)
-    return [said]
-
-
-def _in_case(name: str) -> str:
-    return tr("in {case}", case=name)
+    key = "not_avoided_by_blind" if is_of_blind else "not_avoided"
+    return [say(f"dangers.{key}", n_left, runs=all_runs, where=where)]
 
 
 def position_words(name: str) -> str:

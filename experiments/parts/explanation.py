@@ -153,10 +153,8 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
             most = mark("The most frequent cause: {cause}, in {runs}.")
             sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
-    if n_saved == len(missed):
-        saved = say("explanation.could_be_saved", n_saved)
-    else:
-        saved = say("explanation.some_could_be_saved", n_saved)
+    key = "could_be_saved" if n_saved == len(missed) else "some_could_be_saved"
+    saved = say(f"explanation.{key}", n_saved)
     return [*sentences, *([saved] if n_saved else [])]
 
 

@@ -40,7 +40,7 @@ from scenarios.aeb import AebRule
 from ..export.json import to_json_text
 from ..progress import WRITING, StageProgress
 from ..results.drives import RefusalRecord, versions
-from ..results.folders import MARKER, check_result_folder, new_result_folder
+from ..results.folders import MARKER, expect_results, new_result_folder
 from ..results.numbers import finite_or_none
 from ..results.record import PartyAprRecord, Record, StageRecord, build_stage_records, to_plain
 
@@ -251,7 +251,14 @@ def run_recording(
     recording is not what it should be, the budget is more than the units recorded, or `out` cannot
     be written.
     """
-    rule, recording, everything = _evaluate(question, folder, min_confidence, out, progress)
+    # By default as the study reads a recording: no track dies.
+    endless = math.inf if question.track_memory_s is None else question.track_memory_s
+    rule = build_rule(replace_field(question, track_memory_s=endless))
+    expect_results(out, progress)
+    progress("read recording", 0, 0)
+    recording = read_recording(folder)
+    progress("evaluate", 0, 0)
+    everything = evaluate_recording(recording, rule, min_confidence=min_confidence)
     if not chooses:
         return _finish(_build_result(recording, everything, rule), out, progress)
     n_units = len(recording.units)
@@ -301,24 +308,6 @@ def run_recording(
         versions=result.versions,
     )
     return _finish(result, out, progress, lambda new: save_certificate(new, document, problem))
-
-
-def _evaluate(
-    question: Question,
-    folder: Path,
-    min_confidence: float,
-    out: Path | None,
-    progress: StageProgress,
-) -> tuple[AebRule, Recording, RecordedEvaluation]:
-    """Read and evaluate a recording, by default as the study reads it: no track dies."""
-    endless = math.inf if question.track_memory_s is None else question.track_memory_s
-    rule = build_rule(replace_field(question, track_memory_s=endless))
-    if out is not None:
-        check_result_folder(out)
-    progress("read recording", 0, 0)
-    recording = read_recording(folder)
-    progress("evaluate", 0, 0)
-    return rule, recording, evaluate_recording(recording, rule, min_confidence=min_confidence)
 
 
 def _finish(

@@ -34,23 +34,14 @@ class Table:
 
 
 def tabulate(
-    caption: str,
-    items: Iterable[_T],
-    columns: Mapping[str, Callable[[_T], object]],
-    *,
-    numeric: Collection[int] = (),
-    summary: str = "",
-    is_open: bool = False,
+    caption: str, items: Iterable[_T], columns: Mapping[str, Callable[[_T], object]], **more: Any
 ) -> Table:
-    """A table with a row per item: each column has a head, and what it says of an item."""
-    return Table(
-        caption=caption,
-        columns=[*columns],
-        rows=[[cell(item) for cell in columns.values()] for item in items],
-        numeric=numeric,
-        summary=summary,
-        is_open=is_open,
-    )
+    """A table with a row per item: each column has a head, and what it says of an item.
+
+    `more` are further fields of the table by name.
+    """
+    rows = [[cell(item) for cell in columns.values()] for item in items]
+    return Table(caption=caption, columns=[*columns], rows=rows, **more)
 
 
 @dataclass(frozen=True, slots=True)

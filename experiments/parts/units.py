@@ -31,12 +31,8 @@ MAX_UNITS, MAX_AREAS = 12, 60
 def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene) -> Section:
     """Places and directions of the units of layouts, by display name, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
-    is_flat = terrain_of(scene) is None
-    where = say("units.heights")
-    if not is_flat:
-        where = say("units.heights_above_ground")
-    directions = say("units.angles")
-    note = f"{where} {directions}"
+    heights = "heights" if terrain_of(scene) is None else "heights_above_ground"
+    note = " ".join(say(f"units.{key}") for key in (heights, "angles"))
     tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
     return Section(
         "units", tr("The units"), [*tables, note, Box("beside" if is_beside else "", plans)]

@@ -239,11 +239,13 @@ def remove_abandoned(parent: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def left_as_it_was(folder: Path) -> str:
-    """State of the disk before anything is written, in words."""
-    if (folder / MARKER).exists():
-        return f"the earlier results in {folder} are unchanged"
-    return f"nothing was written to {folder}"
+def expect_results(out: Path | None, progress: StageProgress) -> None:
+    """Check a folder before a job that replaces it by :func:`new_result_folder`, if asked to."""
+    if out is not None:
+        check_result_folder(out)
+        progress.kept = f"nothing was written to {out}"
+        if (out / MARKER).exists():
+            progress.kept = f"the earlier results in {out} are unchanged"
 
 
 def unwritable(folder: Path, error: Exception, more: str = "") -> InputError:
