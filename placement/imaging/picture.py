@@ -150,30 +150,10 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
 
     Where a lens shows nothing rays are zeros, and it is dark.
     """
-    if not shot.camera.is_pinhole:
-        lit = np.flatnonzero(ways.any(axis=1))
-        if len(lit) < len(ways):
-            return _among_dark(lit, len(ways), *_shade_lit(shot, ways[lit]))
-    return _shade_lit(shot, ways)
-
-
-def _among_dark(
-    lit: IntArray, n: int, shades: Shades, surfaces: Surfaces
-) -> tuple[Shades, Surfaces]:
-    """Shades and surfaces of `n` rays, of which those that are `lit` have some."""
-    dark = Shades(
-        np.zeros((n, 3), dtype=np.float32),
-        np.full(n, -1, dtype=np.int32),
-        np.full(n, np.inf, dtype=np.float32),
-    )
-    blank = blank_surfaces(n)
-    for whole, part in zip((*dark, *blank), (*shades, *surfaces), strict=True):
-        whole[lit] = part
-    return dark, blank
-
-
-def _shade_lit(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
-    """Shades and surfaces of rays (n, 3), of which none is zero."""
+    dark = np.flatnonzero(~ways.any(axis=1))
+    if len(dark):
+        ways = ways.copy()
+        ways[dark, 2] = 1.0  # up, for now
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
     near = np.float32(camera.near_m) / length  # rays start where drawing starts
@@ -199,6 +179,9 @@ def _shade_lit(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
             whole[index] = part
         sky.fade(light, distance)
         radiance[index] = light
+    radiance[dark], instance[dark], depth[dark] = 0.0, -1, np.inf
+    for whole in surfaces:
+        whole[dark] = 0.0
     return Shades(radiance, instance, depth), surfaces
 
 
