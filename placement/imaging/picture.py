@@ -499,18 +499,31 @@ def smooth_image(
         list(each(smooth, np.array_split(pixels, 1 + len(pixels) // _EDGES)))
 
 
+def add_glare_and_rain(
+    shot: Shot,
+    radiance: FloatRays,
+    rng: np.random.Generator,
+    *,
+    corner_px: tuple[int, int] = (0, 0),
+) -> None:
+    """Add them to an image (h, w, 3), or to a part that begins at a column and row, in place."""
+    camera, pose = shot.camera, shot.pose
+    exposure.add_glare(radiance, pose, camera, shot.lamps, shot.mesh.caster, corner_px=corner_px)
+    exposure.add_rain(
+        *(radiance, shot.weather, shot.sky),
+        focal_px=camera.focal_length_px,
+        pitch_deg=pose.pitch_deg,
+        exposure_s=exposure.load_imager()["rain_exposure_s"],
+        rng=rng,
+    )
+
+
 def expose_image(
     shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
     size, imager = radiance.shape[:2], exposure.load_imager()
-    exposure.add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
-    exposure.add_rain(
-        *(radiance, shot.camera, shot.weather, shot.sky),
-        pitch_deg=shot.pose.pitch_deg,
-        exposure_s=imager["rain_exposure_s"],
-        rng=np.random.default_rng([*seed, *size]),
-    )
+    add_glare_and_rain(shot, radiance, np.random.default_rng([*seed, *size]))
     metered = radiance
     if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
         metered = radiance[None, np.isfinite(pixel_grid(shot.camera)[..., 0])]

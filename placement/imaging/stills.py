@@ -10,7 +10,7 @@ set by fewer pixels of the whole image.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from geometry.weather import Weather
 from scenarios.runs import Run
 
 from ..compute import DEFAULT_COMPUTE, Compute
-from .exposure import add_glare, add_rain, develop, find_edges, load_imager, white_luminance
+from .exposure import develop, find_edges, load_imager, white_luminance
 from .light import HeadLamp, add_headlights
 from .materials import Hits, Materials
 from .mesh import (
@@ -45,6 +45,7 @@ from .picture import (
     Shot,
     Surfaces,
     Window,
+    add_glare_and_rain,
     blank_surfaces,
     build_shot,
     expose_image,
@@ -443,18 +444,10 @@ def _expose(
 ) -> Picture:
     """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
     rng, radiance = np.random.default_rng([*seeds, *window]), image.radiance
-    corner = (window.left, window.top)
-    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
-    imager = load_imager()
-    add_rain(
-        *(radiance, _window_camera(shot.camera, window), shot.weather, shot.sky),
-        pitch_deg=shot.pose.pitch_deg,
-        exposure_s=imager["rain_exposure_s"],
-        rng=rng,
-    )
+    add_glare_and_rain(shot, radiance, rng, corner_px=(window.left, window.top))
     white = _meter(shot) if white_cd_m2 is None else white_cd_m2
     return Picture(
-        rgb=develop(radiance, white, imager, rng),
+        rgb=develop(radiance, white, load_imager(), rng),
         instance=image.instance,
         depth_m=image.depth_m,
         names=names_of(shot.mesh),
@@ -490,16 +483,3 @@ def _meter(shot: Shot) -> float:
     seen = seen[ways.any(axis=1)]  # what a lens leaves dark does not count
     n_rows = n_rows if len(seen) == len(ways) else 1
     return white_luminance(seen.reshape(n_rows, -1, 3), load_imager(), every=1)
-
-
-def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
-    """A camera with the same focal length whose whole image has the window's size."""
-    half = math.atan(0.5 * window.width / camera.focal_length_px)
-    return replace(
-        camera,
-        width_px=window.width,
-        height_px=window.height,
-        horizontal_fov_deg=math.degrees(2.0 * half),
-        fov_range_deg=None,
-        lens=None,
-    )
