@@ -10,12 +10,11 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from .arrays import FloatArray, IntArray
+from .arrays import FloatArray
 from .errors import check_field
 from .files import Table, load_data, read_table, read_tables
 from .sensors import load_limits
 
-_INDEX_SLACK = 1.0e-9
 _FILE = "lidars.toml"
 
 
@@ -107,28 +106,6 @@ def beam_directions(lidar: LidarModel) -> FloatArray:
     level = np.cos(elevation)
     up = np.broadcast_to(np.sin(elevation), (lidar.n_lines, lidar.n_columns))
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], -1)
-
-
-def beam_window(lidar: LidarModel, low_deg: ArrayLike, high_deg: ArrayLike) -> IntArray:
-    """Beams within boxes of angles, (..., 2) azimuth to the left and elevation; limits included.
-
-    A box over the seam behind a LiDAR that scans all round has limits beyond 180 degrees, such as
-    170 to 190. Returns (..., 4): first line and column, and those after the last; equal where there
-    are none. Of a LiDAR that scans all round columns count modulo ``n_columns``: the first one is
-    in the circle, the end may be beyond it, and none is in the window twice.
-    """
-    counts = np.array([lidar.n_lines, lidar.n_columns])
-    fov_deg = np.array([lidar.vertical_fov_deg, lidar.horizontal_fov_deg])
-    low, high = (
-        (np.asarray(limit, dtype=np.float64)[..., ::-1] / fov_deg + 0.5) * counts - 0.5
-        for limit in (low_deg, high_deg)
-    )
-    # Angles of beams are rounded in their last digits: a limit on a beam is not to lose it.
-    first, end = np.ceil(low - _INDEX_SLACK), np.floor(high + _INDEX_SLACK) + 1.0
-    is_open = np.array([True, not lidar.scans_all_round])
-    start = np.where(is_open, np.clip(first, 0, counts), first % counts)
-    length = np.where(is_open, np.clip(end, start, counts) - start, np.clip(end - first, 0, counts))
-    return np.concatenate([start, start + length], axis=-1).astype(np.int64)
 
 
 def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:

@@ -1,18 +1,19 @@
 """Parked cars and walls that hide the VRU, and room for them and for all ways."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from geometry.actors import Actor, PlacedActor, box_shape, park_row
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.junction import CONNECTING
 from geometry.poses import Pose
-from geometry.raycast import RayCaster, build_caster
+from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene, area_of, strips_of
 from geometry.terrain import GROUND, houses_of, on_ground, terrain_of
 
@@ -51,9 +52,9 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     does not show does not stand in the way.
     """
     encounter = staging.encounter
-    solid = _Solid(scene=scene, has_poles=True)
+    solid = _solid(scene, has_poles=True)
     whose = "the target" if is_vehicle(encounter.vru) else "the VRU"
-    others = _Solid(scene=scene, has_poles=False)
+    others = _solid(scene, has_poles=False)
     _check(others, _way(encounter.vru_motion, encounter.vru), f"{whose}'s way")
     _check(solid, _way(encounter.vut_motion, encounter.vut), "the VUT's way")
     if not staging.obstruction:
@@ -81,7 +82,7 @@ def is_way_free(
 ) -> bool:
     """True if no thing of the scene but poles, and nothing parked, is in a way to the impact."""
     segments = _way(motion, body)
-    if not _is_free(_Solid(scene=scene, has_poles=False), segments):
+    if not _is_free(_solid(scene, has_poles=False), segments):
         return False
     parked = shapely.polygons(np.array([one.footprint_m for one in obstruction]).reshape(-1, 4, 2))
     return not bool(shapely.intersects(shapely.multilinestrings(segments), parked).any())
@@ -109,7 +110,7 @@ def _find_room(
     off_road = off_road[~on_island]
     # Rays do not meet the house that is all around them.
     is_indoors = shapely.contains(areas.houses, outlines).any(axis=1)
-    solid = _Solid(scene=scene, has_poles=True)
+    solid = _solid(scene, has_poles=True)
     for index in off_road:
         if not is_indoors[index] and _is_free(solid, _sides(places[index])):
             return float(moves[index, 0]), float(moves[index, 1])
@@ -196,70 +197,45 @@ def _areas(scene: Scene) -> _Areas:
     return areas
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Solid:
-    """Instances of a scene that may stand in a way."""
+class _Solid(NamedTuple):
+    """Things of a scene that may stand in a way."""
 
     scene: Scene
-    has_poles: bool
+    caster: RayCaster  # near the origin: rays have single precision
+    origin_m: FloatArray  # (2,)
+    instance: NDArray[np.int32]  # (n,): of each triangle
 
-
-def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
-    caster, origin = _caster(solid)
-    return not _is_blocked(caster, _lifted(segments_m, origin, solid.scene))
-
-
-def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
-    if not _is_free(solid, segments_m):
-        raise CannotCarryError(f"{_blocker(solid, segments_m)} stands in {what}")
-
-
-def _lifted(segments_m: FloatArray, origin_m: FloatArray, scene: Scene) -> FloatArray:
-    """Starts and ends (2, n, 3) of segments at each height above the ground."""
-    on_road = np.swapaxes(on_ground(segments_m, terrain_of(scene)) - [*origin_m, 0.0], 0, 1)
-    return np.concatenate([on_road + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M], axis=1)
+    def rays(self, segments_m: FloatArray) -> tuple[FloatRays, FloatRays]:
+        """Starts and ways (n, 3) of segments at each height above the ground."""
+        terrain = terrain_of(self.scene)
+        starts, ends = np.swapaxes(on_ground(segments_m, terrain) - [*self.origin_m, 0.0], 0, 1)
+        lifted = np.concatenate([starts + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M])
+        ways = np.tile(ends - starts, (len(_HEIGHTS_M), 1))
+        return lifted.astype(np.float32), ways.astype(np.float32)
 
 
 @lru_cache(maxsize=8)
-def _caster(solid: _Solid) -> tuple[RayCaster, FloatArray]:
-    """Rays against all of it, near the origin: they are cast in single precision."""
-    origin = solid.scene.outline_m.mean(axis=0)
-    return _caster_of(solid.scene, _counting(solid), origin), origin
-
-
-def _counting(solid: _Solid) -> list[int]:
-    passed = (GROUND,) if solid.has_poles else (GROUND, *_POLES)
-    things = enumerate(solid.scene.instances)
-    return [index for index, thing in things if thing.class_name not in passed]
-
-
-def _caster_of(scene: Scene, instances: Sequence[int], origin_m: FloatArray) -> RayCaster:
-    triangles = np.asarray(scene.triangles)[np.isin(scene.triangle_instance, instances)]
+def _solid(scene: Scene, *, has_poles: bool) -> _Solid:
+    passed = (GROUND,) if has_poles else (GROUND, *_POLES)
+    counts = np.array([thing.class_name not in passed for thing in scene.instances], dtype=bool)
+    kept, origin = counts[scene.triangle_instance], scene.outline_m.mean(axis=0)
     # A few thousand rays: not worth the second that Open3D takes to load.
-    return build_caster(scene.vertices_m - [*origin_m, 0.0], triangles, library="embree")
+    near_m = scene.vertices_m - [*origin, 0.0]
+    caster = build_caster(near_m, scene.triangles[kept], library="embree")
+    return _Solid(scene, caster, origin, scene.triangle_instance[kept])
 
 
-def _blocker(solid: _Solid, segments_m: FloatArray) -> str:
-    """The first instance in which segments end or that they cross."""
-    _, origin_m = _caster(solid)
-    rays_m = _lifted(segments_m, origin_m, solid.scene)
-    ends = rays_m.reshape(-1, 3)[:, :2] + origin_m
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    scene = solid.scene
-    for index in _counting(solid):
-        corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]][..., :2]
-        is_apart = (corners > high).all(axis=(0, 1)) | (corners < low).all(axis=(0, 1))
-        if is_apart.any():
-            continue
-        if _is_blocked(_caster_of(solid.scene, [index], origin_m), rays_m):
-            return solid.scene.instances[index].id
-    return "the scene"
+def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
+    return not solid.caster.is_blocked(*solid.rays(segments_m)).any()
 
 
-def _is_blocked(caster: RayCaster, rays_m: FloatArray) -> bool:
-    starts_m, ends_m = rays_m
-    vectors = (ends_m - starts_m).astype(np.float32)
-    return bool(caster.is_blocked(starts_m.astype(np.float32), vectors).any())
+def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
+    """Raise if segments end in a thing or cross it; of several that are met first, names one."""
+    rays = solid.rays(segments_m)
+    if solid.caster.is_blocked(*rays).any():
+        share, triangle = solid.caster.first_triangle(*rays)
+        met = solid.instance[triangle[share <= max(1.0, share.min())]]
+        raise CannotCarryError(f"{solid.scene.instances[met.min()].id} stands in {what}")
 
 
 def _way(motion: Motion, body: Actor) -> FloatArray:

@@ -67,7 +67,7 @@ def see_through_lens(
             left = free
             for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
                 vehicle = vehicles[sights.vehicle_kind[row]]
-                if len(left.columns) and _may_hide(vehicle, sights.vehicles, row, left):
+                if len(left.columns):
                     is_hidden = _is_hidden(camera, vehicle, sights.vehicles, row, left)
                     left = left.take(~is_hidden)
             if len(left.columns) < len(free.columns):
@@ -145,16 +145,6 @@ def _is_hidden(
 ) -> BoolArray:
     """Rays (n,) that meet a body before they meet the VRU."""
     return _cast(camera, solid, placed, row, rays.ways) < rays.depth_m - _TOUCH_M
-
-
-def _may_hide(solid: Solid, placed: Placed, row: int, rays: _Rays) -> bool:
-    """False if no ray comes near a body, or none before it meets the VRU."""
-    reach_m = float(np.linalg.norm(solid.hull_m, axis=1).max())
-    length = np.linalg.norm(rays.ways, axis=1)
-    along = rays.ways @ placed.shift[row] / length
-    aside = placed.shift[row] @ placed.shift[row] - along**2
-    is_near = (aside <= reach_m**2) & (along - reach_m <= rays.depth_m * length)
-    return bool(is_near.any())
 
 
 def _box(rays: _Rays) -> FloatArray:

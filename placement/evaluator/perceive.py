@@ -5,18 +5,19 @@ Seen from there many instants look the same but for the VUT and other vehicles t
 sight is drawn, or scanned, once.
 """
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.lidar import (
     LidarModel,
     beam_directions,
-    beam_window,
     load_lidar_detection,
     return_probability,
 )
@@ -37,6 +38,7 @@ from .surroundings import (
 )
 
 _SIGHTS_AT_ONCE = 256
+_SLACK = 1.0e-9  # of a chord: no beam at the edge is left out
 
 
 # ---------- frames as a sensor has them before it
@@ -102,7 +104,7 @@ def _same_bodies(surroundings: Surroundings, station: _Station) -> Iterator[tupl
     """Sights with the same static world and the same body, and the numbers of these two."""
     kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)[station.first]
     changes = np.flatnonzero((np.diff(kinds, axis=0, prepend=-1) != 0).any(axis=1)).tolist()
-    for begin, end in itertools.pairwise([*changes, len(kinds)]):
+    for begin, end in pairwise([*changes, len(kinds)]):
         yield slice(begin, end), *kinds[begin].tolist()
 
 
@@ -277,9 +279,8 @@ def _look(
     half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
     near = np.flatnonzero(distance - radius_m <= lidar.range_m)
     towards_lidar = np.einsum("ni,nij->nj", towards, turns)
-    windows = list(_beams_around(lidar, towards_lidar[near], half_angle[near]))
-    sight = np.repeat(near, [len(window) for window in windows])
-    beam = np.concatenate([*windows, np.empty(0, dtype=np.int64)])
+    cone, beam = _beams_around(lidar, towards_lidar[near], half_angle[near])
+    sight = near[cone]
     cosine = np.einsum("ni,ni->n", towards_lidar[sight], beams[beam])
     is_close = cosine >= np.cos(half_angle[sight])
     sight, beam = sight[is_close], beam[is_close]
@@ -293,41 +294,35 @@ def _look(
     normals = np.einsum("nij,nj->ni", body_rotation(vru_poses[sight, 2]), vru.normals[triangle])
     cosine = np.abs(np.einsum("ni,ni->n", normals, directions))
     ends = np.searchsorted(sight, np.arange(len(poses) + 1))
-    for start, end in itertools.pairwise(ends):
+    for start, end in pairwise(ends):
         yield _Echoes(directions[start:end], depth[start:end], cosine[start:end])
+
+
+@lru_cache(maxsize=8)
+def _beam_tree(lidar: LidarModel) -> cKDTree:
+    """All beams of a frame as unit vectors, to look up those around a direction."""
+    return cKDTree(beam_directions(lidar).reshape(-1, 3))
 
 
 def _beams_around(
     lidar: LidarModel, towards: FloatArray, half_angle_rad: FloatArray
-) -> Iterator[IntArray]:
-    """Beams in boxes of angles around cones, cone by cone: line by line, each from right to left.
+) -> tuple[IntArray, IntArray]:
+    """Cones and beams (n,) in them, cone by cone: line by line, each from right to left.
 
     Cones have axes (n, 3), unit vectors in the LiDAR's frame. Beams are indices into the flattened
     scan pattern. Over the seam of a LiDAR that scans all round they go on: a cone has the same
     beams in the same order however the LiDAR is turned.
     """
-    azimuth = np.arctan2(towards[:, 1], towards[:, 0])
-    elevation = np.arcsin(np.clip(towards[:, 2], -1.0, 1.0))
-    # A cone around the pole has every azimuth; another one is widest where a meridian touches it.
-    has_pole = np.abs(elevation) + half_angle_rad >= 0.5 * np.pi
-    ratio = np.sin(half_angle_rad) / np.where(has_pole, 1.0, np.cos(elevation))
-    half_width = np.where(has_pole, np.pi, np.arcsin(np.minimum(ratio, 1.0)))
-    middle = np.degrees(np.stack([azimuth, elevation], axis=1))
-    half = np.degrees(np.stack([half_width, half_angle_rad], axis=1))
-    # A cone that ends at an edge may come in again at the other one, if it is wide enough.
-    turns_deg = (0.0,) if lidar.scans_all_round else (-360.0, 0.0, 360.0)
-    windows = [
-        beam_window(lidar, middle - half + [turn_deg, 0.0], middle + half + [turn_deg, 0.0])
-        for turn_deg in turns_deg
-    ]
-    for parts in zip(*windows, strict=True):
-        columns = np.concatenate([np.arange(first, end) for _, first, _, end in parts])
-        if lidar.scans_all_round:
-            columns %= lidar.n_columns
-        else:
-            columns = np.unique(columns)
-        lines = np.arange(parts[0][0], parts[0][2])
-        yield (lines[:, None] * lidar.n_columns + columns).ravel()
+    chord = 2.0 * np.sin(0.5 * half_angle_rad) + _SLACK
+    found = _beam_tree(lidar).query_ball_point(towards, chord)
+    cone = np.repeat(np.arange(len(towards)), [len(beams) for beams in found])
+    beam = np.fromiter(chain.from_iterable(found), np.int64, len(cone))
+    if lidar.scans_all_round:  # columns count from behind
+        ahead = np.arctan2(towards[:, 1], towards[:, 0]) / (2.0 * np.pi)
+        behind = np.ceil(ahead * lidar.n_columns - 0.5).astype(np.int64)
+        line, column = np.divmod(beam, lidar.n_columns)
+        beam = beam[np.lexsort([(column - behind[cone]) % lidar.n_columns, line, cone])]
+    return cone, beam
 
 
 def _cast(

@@ -163,17 +163,18 @@ def _window(
 
 def add_rain(
     radiance: FloatRays,
-    camera: CameraModel,
     weather: Weather,
     sky: Sky,
     *,
+    focal_px: float,
     pitch_deg: float,
     exposure_s: float,
     rng: np.random.Generator,
 ) -> None:
     """Draw near drops as streaks, in place; a drop shows the sky.
 
-    `radiance` is the image (h, w, 3) in cd/m^2. A pitched camera sees the fall foreshortened.
+    `radiance` is the image (h, w, 3) in cd/m^2, or a part of it. A pitched camera sees the fall
+    foreshortened.
 
     References
     ----------
@@ -189,17 +190,17 @@ def add_rain(
     slope_per_m = 4100.0 * weather.rain_rate_mmph**-0.21
     per_m3 = _MARSHALL_PALMER_PER_M4 / slope_per_m * np.exp(-slope_per_m * _LEAST_DROP_M)
     near, far = _DROP_RANGE_M
-    focal = camera.focal_length_px
-    area_at_1m = camera.width_px * camera.height_px / focal**2
+    height_px, width_px = radiance.shape[:2]
+    area_at_1m = width_px * height_px / focal_px**2
     n_drops = int(rng.poisson(per_m3 * area_at_1m * (far**3 - near**3) / 3.0))
     depth = np.cbrt(rng.uniform(near**3, far**3, n_drops))
     drop_m = _LEAST_DROP_M + rng.exponential(1.0 / slope_per_m, n_drops)
     speed = 9.65 - 10.3 * np.exp(-600.0 * drop_m)
-    length_px = speed * exposure_s * np.cos(np.radians(pitch_deg)) * focal / depth
-    width_px = drop_m * focal / depth
-    opacity = np.minimum(drop_m / (speed * exposure_s), 1.0) * np.minimum(width_px, 1.0)
-    column = rng.uniform(0.0, camera.width_px, n_drops)
-    row = rng.uniform(-0.1, 1.0, n_drops) * camera.height_px
+    length_px = speed * exposure_s * np.cos(np.radians(pitch_deg)) * focal_px / depth
+    thin_px = np.minimum(drop_m * focal_px / depth, 1.0)
+    opacity = np.minimum(drop_m / (speed * exposure_s), 1.0) * thin_px
+    column = rng.uniform(0.0, width_px, n_drops)
+    row = rng.uniform(-0.1, 1.0, n_drops) * height_px
     _streak(radiance, column, row, length_px, opacity, sky.sky_lux / np.pi)
 
 

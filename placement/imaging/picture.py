@@ -149,30 +149,10 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
 
     Where a lens shows nothing rays are zeros, and it is dark.
     """
-    if not shot.camera.is_pinhole:
-        lit = np.flatnonzero(ways.any(axis=1))
-        if len(lit) < len(ways):
-            return _among_dark(lit, len(ways), *_shade_lit(shot, ways[lit]))
-    return _shade_lit(shot, ways)
-
-
-def _among_dark(
-    lit: IntArray, n: int, shades: Shades, surfaces: Surfaces
-) -> tuple[Shades, Surfaces]:
-    """Shades and surfaces of `n` rays, of which those that are `lit` have some."""
-    dark = Shades(
-        np.zeros((n, 3), dtype=np.float32),
-        np.full(n, -1, dtype=np.int32),
-        np.full(n, np.inf, dtype=np.float32),
-    )
-    blank = blank_surfaces(n)
-    for whole, part in zip((*dark, *blank), (*shades, *surfaces), strict=True):
-        whole[lit] = part
-    return dark, blank
-
-
-def _shade_lit(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
-    """Shades and surfaces of rays (n, 3), of which none is zero."""
+    dark = np.flatnonzero(~ways.any(axis=1))
+    if len(dark):
+        ways = ways.copy()
+        ways[dark, 2] = 1.0  # up, for now
     camera, mesh, sky = shot.camera, shot.mesh, shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
     near = np.float32(camera.near_m) / length  # rays start where drawing starts
@@ -198,6 +178,9 @@ def _shade_lit(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
             whole[index] = part
         sky.fade(light, distance)
         radiance[index] = light
+    radiance[dark], instance[dark], depth[dark] = 0.0, -1, np.inf
+    for whole in surfaces:
+        whole[dark] = 0.0
     return Shades(radiance, instance, depth), surfaces
 
 
@@ -518,18 +501,31 @@ def smooth_image(
         list(each(smooth, np.array_split(pixels, 1 + len(pixels) // _EDGES)))
 
 
+def add_glare_and_rain(
+    shot: Shot,
+    radiance: FloatRays,
+    rng: np.random.Generator,
+    *,
+    corner_px: tuple[int, int] = (0, 0),
+) -> None:
+    """Add them to an image (h, w, 3), or to a part that begins at a column and row, in place."""
+    camera, pose = shot.camera, shot.pose
+    exposure.add_glare(radiance, pose, camera, shot.lamps, shot.mesh.caster, corner_px=corner_px)
+    exposure.add_rain(
+        *(radiance, shot.weather, shot.sky),
+        focal_px=camera.focal_length_px,
+        pitch_deg=pose.pitch_deg,
+        exposure_s=exposure.load_imager()["rain_exposure_s"],
+        rng=rng,
+    )
+
+
 def expose_image(
     shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
     size, imager = radiance.shape[:2], exposure.load_imager()
-    exposure.add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster)
-    exposure.add_rain(
-        *(radiance, shot.camera, shot.weather, shot.sky),
-        pitch_deg=shot.pose.pitch_deg,
-        exposure_s=imager["rain_exposure_s"],
-        rng=np.random.default_rng([*seed, *size]),
-    )
+    add_glare_and_rain(shot, radiance, np.random.default_rng([*seed, *size]))
     metered = radiance
     if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
         metered = radiance[None, np.isfinite(pixel_grid(shot.camera)[..., 0])]

@@ -10,7 +10,7 @@ set by fewer pixels of the whole image.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from geometry.weather import Weather
 from scenarios.runs import Run
 
 from ..compute import DEFAULT_COMPUTE, Compute
-from .exposure import add_glare, add_rain, develop, find_edges, load_imager, white_luminance
+from .exposure import develop, find_edges, load_imager, white_luminance
 from .light import HeadLamp, add_headlights
 from .materials import Hits, Materials
 from .mesh import (
@@ -45,6 +45,7 @@ from .picture import (
     Shot,
     Surfaces,
     Window,
+    add_glare_and_rain,
     blank_surfaces,
     build_shot,
     expose_image,
@@ -62,7 +63,8 @@ from .picture import (
 _MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150 m
 _CHUNK = 40_000  # pixels drawn at a time: fit into a cache
 _BLOCK_PX = 12  # sides of the blocks of pixels that are tried as a whole
-_SKY_M, _SUN_M = 2.0e3, 1.0e6  # so far they are taken to be: beyond all, and its rays parallel
+_SUN_M = 1.0e6  # so far it is taken to be: its rays are parallel to a hair
+_FAR_M = 1.0e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,7 +81,8 @@ class Still:
     mirrors: IntArray  # (n,): pixels with a mirrored ray, row * w + column, ascending
     mirror_m: FloatRays  # (n, 3): where it begins, from the camera
     mirrored: FloatRays  # (n, 3): where it goes
-    blocks: "_Blocks"  # of pixels
+    ways: "_Spheres"  # around the rays of blocks of pixels, one metre deep
+    things: "_Spheres"  # around what they see, but for the sky
 
 
 def draw_still(
@@ -103,6 +106,7 @@ def draw_still(
     mirrored = surfaces.mirrored.reshape(-1, 3)
     mirrors = np.flatnonzero(mirrored.any(axis=1))
     rays, mirrored = tile_rays(pose, camera, window.rows, window.columns), mirrored[mirrors]
+    depth_m = np.where(np.isinf(raw.depth_m), np.float32(0.0), raw.depth_m).reshape(-1, 1)
     return Still(
         backdrop=backdrop,
         shot=shot,
@@ -112,9 +116,10 @@ def draw_still(
         is_edge=is_edge,
         smooth=smooth,
         mirrors=mirrors,
-        mirror_m=rays[mirrors] * raw.depth_m.reshape(-1, 1)[mirrors],
+        mirror_m=rays[mirrors] * depth_m[mirrors],
         mirrored=mirrored,
-        blocks=_build_blocks(rays.reshape(*raw.depth_m.shape, 3), raw.depth_m),
+        ways=_bound(rays.reshape(raw.radiance.shape), np.ones_like(is_edge)),
+        things=_bound((rays * depth_m).reshape(raw.radiance.shape), np.isfinite(raw.depth_m)),
     )
 
 
@@ -182,7 +187,7 @@ def _add_moving(
     changed = _find_changed(still, shot, moving, each)
     _in_parts(each, shade, np.flatnonzero(changed))
     lit = np.zeros(changed.shape, dtype=np.bool_)
-    may_be_lit = _of_blocks(_find_lit(shot, *still.blocks), changed)
+    may_be_lit = _of_blocks(_find_lit(shot, *still.things), changed)
     _in_parts(each, shine, np.flatnonzero(may_be_lit & ~changed & np.isfinite(raw.depth_m)))
     around = _grown(changed)
     smooth[around] = image.radiance[around]
@@ -242,23 +247,23 @@ class _Box(NamedTuple):
     radius_m: FloatRays  # ()
 
 
-class _Blocks(NamedTuple):
-    """Spheres around what blocks of pixels see, from the camera."""
+class _Spheres(NamedTuple):
+    """Spheres around points that belong to the pixels of each block, row by row."""
 
-    middle_m: FloatRays  # (n, 3)
+    middle_m: FloatRays  # (n, 3): from the camera
     radius_m: FloatRays  # (n,)
 
 
-def _build_blocks(rays: FloatRays, depth_m: FloatRays) -> _Blocks:
-    """Blocks of pixels (h, w), row by row, by rays one metre deep and depths."""
-    seen = rays * np.minimum(depth_m, np.float32(_SKY_M))[..., None]
-    rows, columns = (np.arange(0, side, _BLOCK_PX) for side in depth_m.shape)
+def _bound(points_m: FloatRays, is_there: BoolArray) -> _Spheres:
+    """Spheres around the points (h, w, 3) that are there; far away where none is."""
+    rows, columns = (np.arange(0, side, _BLOCK_PX) for side in is_there.shape)
     low, high = (
-        bound.reduceat(bound.reduceat(seen, rows, axis=0), columns, axis=1).reshape(-1, 3)
-        for bound in (np.minimum, np.maximum)
+        bound.reduceat(bound.reduceat(values, rows, axis=0), columns, axis=1).reshape(-1, 3)
+        for bound, none in ((np.minimum, _FAR_M), (np.maximum, -_FAR_M))
+        for values in [np.where(is_there[..., None], points_m, np.float32(none))]
     )
-    half: FloatRays = np.float32(0.5) * (high - low)
-    return _Blocks(low + half, np.sqrt(_dot(half, half)) + np.float32(1e-3))
+    half: FloatRays = np.float32(0.5) * np.maximum(high - low, np.float32(0.0))
+    return _Spheres(low + half, np.sqrt(_dot(half, half)) + np.float32(1e-3))
 
 
 def _box(mesh: Mesh, origin_m: FloatArray) -> _Box:
@@ -318,8 +323,10 @@ def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], each: Each) 
     Those where a box around it is seen, throws a shadow, or is mirrored. Blocks of pixels are tried
     as a whole first: what moves changes few of them.
     """
-    boxes, (middle, radius) = [_box(mesh, shot.mesh.origin_m) for mesh in moving], still.blocks
-    may_show = np.array([_may_meet(box, middle, -middle, radius) for box in boxes])
+    boxes, (middle, radius) = [_box(mesh, shot.mesh.origin_m) for mesh in moving], still.things
+    far_m = max(1.0, *(float(np.linalg.norm(b.middle_m) + b.radius_m) for b in boxes))
+    ahead, spread = (np.float32(1.01 * far_m) * one for one in still.ways)  # beyond all boxes
+    may_show = np.array([_may_meet(box, ahead, -ahead, spread) for box in boxes])
     shades = []  # lights, and the blocks that each of the boxes may keep theirs from
     for place, reach_m in _lights(shot):
         ways, may_shade = place - middle, np.zeros(may_show.shape, dtype=np.bool_)
@@ -437,18 +444,10 @@ def _expose(
 ) -> Picture:
     """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
     rng, radiance = np.random.default_rng([*seeds, *window]), image.radiance
-    corner = (window.left, window.top)
-    add_glare(radiance, shot.pose, shot.camera, shot.lamps, shot.mesh.caster, corner_px=corner)
-    imager = load_imager()
-    add_rain(
-        *(radiance, _window_camera(shot.camera, window), shot.weather, shot.sky),
-        pitch_deg=shot.pose.pitch_deg,
-        exposure_s=imager["rain_exposure_s"],
-        rng=rng,
-    )
+    add_glare_and_rain(shot, radiance, rng, corner_px=(window.left, window.top))
     white = _meter(shot) if white_cd_m2 is None else white_cd_m2
     return Picture(
-        rgb=develop(radiance, white, imager, rng),
+        rgb=develop(radiance, white, load_imager(), rng),
         instance=image.instance,
         depth_m=image.depth_m,
         names=names_of(shot.mesh),
@@ -484,16 +483,3 @@ def _meter(shot: Shot) -> float:
     seen = seen[ways.any(axis=1)]  # what a lens leaves dark does not count
     n_rows = n_rows if len(seen) == len(ways) else 1
     return white_luminance(seen.reshape(n_rows, -1, 3), load_imager(), every=1)
-
-
-def _window_camera(camera: CameraModel, window: Window) -> CameraModel:
-    """A camera with the same focal length whose whole image has the window's size."""
-    half = math.atan(0.5 * window.width / camera.focal_length_px)
-    return replace(
-        camera,
-        width_px=window.width,
-        height_px=window.height,
-        horizontal_fov_deg=math.degrees(2.0 * half),
-        fov_range_deg=None,
-        lens=None,
-    )

@@ -13,7 +13,6 @@ from geometry.errors import InputError
 from geometry.lidar import (
     LidarModel,
     beam_directions,
-    beam_window,
     beams_per_steradian,
     load_lidar_detection,
     load_lidars,
@@ -126,57 +125,6 @@ def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
     azimuth = np.sort(angles_deg(beams[:1])[0][0])
     steps = np.diff(np.append(azimuth, azimuth[0] + 360.0))
     np.testing.assert_allclose(steps, 360.0 / ring.n_columns, atol=1e-9)
-
-
-LIMITS = st.tuples(*[numbers(-250.0, 250.0)] * 2, *[numbers(-100.0, 100.0)] * 2)
-
-
-@given(lidars(), LIMITS)
-def test_a_window_holds_exactly_the_beams_within_its_angles(lidar, limits):
-    low, high = np.sort(np.array(limits).reshape(2, 2), axis=1).T
-    first_line, first_column, end_line, end_column = beam_window(lidar, low, high)
-    azimuth, elevation = angles_deg(beam_directions(lidar))
-    columns = np.arange(first_column, end_column)
-    if lidar.scans_all_round:
-        columns %= lidar.n_columns
-        assert 0 <= first_column < lidar.n_columns
-    assert len(np.unique(columns)) == len(columns)
-    inside = np.zeros(azimuth.shape, dtype=bool)
-    inside[first_line:end_line, columns] = True
-
-    def is_within(slack):  # beams on a limit may be rounded to either side
-        # Behind a ring azimuths go on: 190 degrees are -170.
-        turns = (-360.0, 0.0, 360.0) if lidar.scans_all_round else (0.0,)
-        is_beside = [
-            (azimuth + turn > low[0] - slack) & (azimuth + turn < high[0] + slack) for turn in turns
-        ]
-        is_level = (elevation > low[1] - slack) & (elevation < high[1] + slack)
-        return np.any(is_beside, axis=0) & is_level
-
-    assert (is_within(-1e-6) <= inside).all()
-    assert (inside <= is_within(1e-6)).all()
-
-
-def test_a_window_goes_on_over_the_seam():
-    ring = dataclasses.replace(RING, n_lines=1, points_per_second=360.0 * 10.0)
-    assert ring.n_columns == 360  # at -179.5 .. 179.5 degrees
-    windows = beam_window(
-        ring, [[177.9, 0], [-182.1, 0], [-500, 0]], [[182.1, 0], [-177.9, 0], [500, 0]]
-    )
-    assert windows[:2].tolist() == [[0, 358, 1, 362]] * 2
-    assert windows[2, 3] - windows[2, 1] == 360
-
-
-def test_windows_come_many_at_once_and_include_their_limits():
-    lidar = dataclasses.replace(
-        STUDY, horizontal_fov_deg=8.0, vertical_fov_deg=4.0, n_lines=4, points_per_second=320.0
-    )  # 8 columns at -3.5 .. 3.5 degrees, 4 lines at -1.5 .. 1.5
-    windows = beam_window(
-        lidar,
-        [[-90.0, -90.0], [-0.5, 0.5], [0.6, -0.4], [50.0, -1.0]],
-        [[90.0, 90.0], [1.5, 1.5], [1.4, 0.4], [60.0, 1.0]],
-    )
-    assert windows.tolist() == [[0, 0, 4, 8], [2, 3, 4, 6], [2, 5, 2, 5], [1, 8, 3, 8]]
 
 
 @given(lidars())
