@@ -30,7 +30,7 @@ def backdrop(study_run):
     return build_backdrop(load_study_scene(), study_run.obstruction)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def draw(backdrop, study_run):
     def draw_frame(camera):
         frame = len(study_run.time_s) - 6
@@ -42,12 +42,21 @@ def draw(backdrop, study_run):
     return draw_frame
 
 
+@pytest.fixture(scope="module")
+def through_pinhole(draw, small):
+    """A camera of many pixels, and what it shows."""
+    pinhole = replace(small, width_px=1200, height_px=1200, horizontal_fov_deg=130.0)
+    return pinhole, draw(pinhole)
+
+
 @pytest.mark.parametrize("model", LENSES)
-def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(draw, small, model):
+def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
+    draw, through_pinhole, small, model
+):
     lens, fov_deg = LENSES[model]
     camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens, roll_deg=4.0)
-    pinhole = replace(small, width_px=1200, height_px=1200, horizontal_fov_deg=130.0)
-    bent, straight = draw(camera), draw(pinhole)
+    pinhole, straight = through_pinhole
+    bent = draw(camera)
     rows, columns = np.indices(bent.instance.shape).reshape(2, -1)
     ways = pixel_rays(columns, rows, CORNER, camera)
     column, row, _ = project_points(CORNER.position_m + ways, CORNER, pinhole).T
