@@ -565,7 +565,7 @@ def _headline(study: Study, rows: Sequence[Row]) -> str:
         f"In {study.n_judged} fresh worlds the answer is behind greedy choice, beyond chance, in "
         f"{len(behind)} of {len(told)} settings ({len(in_worlds)} of them chosen in worlds), and "
         f"ahead in {n_before}; in {sum(row.takes_greedy for row in told)} it is greedy choice's, "
-        f"which {N_JUDGED} other worlds surely preferred. The layout found is behind in "
+        f"which is better in {N_JUDGED} other worlds. The layout found is behind in "
         f"{sum(row.found_ahead[1] < 0.0 for row in told)}. By chance alone a difference of nothing "
         f"looks like one behind in 2.5 %. Where both are the same, nothing is compared."
     )
