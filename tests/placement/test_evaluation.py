@@ -71,7 +71,6 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
     )
     assert score(verdict, frame_axis, None) == apr(verdict, frame_axis) == 0.5
     assert score(verdict, frame_axis, levels) == 0.5 + 0.25 * 0.75 + 0.25 * 0.5
-    assert score(verdict, frame_axis, levels, np.array([False, True, False])) == 0.75
 
 
 @given(frame_axes(), st.data())
