@@ -502,7 +502,7 @@ def is_preferred(greedy: ArrayLike, found: ArrayLike) -> bool:
 
     Both are within the budget: the better estimate decides, be it beyond doubt or not.
     """
-    return float(np.mean(greedy)) > float(np.mean(found))
+    return bool(np.mean(np.subtract(greedy, found)) > 0.0)
 
 
 def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
