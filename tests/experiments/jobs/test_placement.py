@@ -132,7 +132,7 @@ def test_the_number_of_worlds_is_told_and_gives_the_same_answer(tmp_path, monkey
     ("samples", "cars", "detector"),
     [(0, "see", "geometric"), (2, "blind", "geometric"), (0, "blind", "response")],
 )
-def test_greedy_choice_is_the_answer_where_fresh_worlds_surely_prefer_it(
+def test_greedy_choice_is_the_answer_where_fresh_worlds_prefer_it(
     tmp_path, monkeypatch, small_setting, samples, cars, detector
 ):
     asked = {"samples": samples, "budget": 2, "cars": cars, "detector": detector}
