@@ -143,7 +143,8 @@ def opened(
 
 
 def middle(locator):
-    box = locator.bounding_box()
+    while (box := locator.bounding_box()) is None:
+        locator.wait_for()  # it is being drawn anew
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
