@@ -107,9 +107,8 @@ def _unsolved(task: JunctionTask, error: BaseException) -> JunctionAnswer:
         remedy = "more --worker-memory, or fewer poses"
         reason = f"its worker died{of}, {TRIES} times: {remedy}"
     else:
-        kind = (
-            f"{type(error).__name__}: " if isinstance(error, OSError) else ""
-        )  # others say theirs
+        # Other errors come with their kind in the text.
+        kind = f"{type(error).__name__}: " if isinstance(error, OSError) else ""
         text, cause = " ".join(f"{kind}{error}".split())[:200], ""
         reason = f"an unexpected error, {TRIES} times: {text}"
     return JunctionAnswer(_failed(task, reason, cause=cause, is_final=False), {})

@@ -299,13 +299,15 @@ class Pages:
         """
         values = request.query_params
         width_px = min(max(_whole_number(values, "width", _WIDEST_PX), 1), _WIDEST_PX)
-        asked = {
-            **{"run_id": values.get("run", ""), "frame": _whole_number(values, "frame", -1)},
-            **{"width_px": width_px, "is_smooth": values.get("smooth") != "0"},
-        }
+        frame = _whole_number(values, "frame", -1)
         try:
-            unit = values.get("unit", "")
-            found = await self._session.camera_picture(unit, **asked)
+            found = await self._session.camera_picture(
+                values.get("unit", ""),
+                run_id=values.get("run", ""),
+                frame=frame,
+                width_px=width_px,
+                is_smooth=values.get("smooth") != "0",
+            )
         except Cancelled:
             found = {"problem": tr(_STOPPED)}
         except InputError as error:
