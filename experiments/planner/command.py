@@ -33,9 +33,75 @@ _ASKED = (
 _LOCAL = "127.0.0.1"
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["plan"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus plan
+  place-rsus plan --layout carlancap-12 --cases study
+  place-rsus plan --scene scene --layout mine.json --save plan.json
+  place-rsus plan --scene city.osm --port 8042 --no-open"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
 @options.layout_option
-@options.from_table("plan")
+@options.option(
+    "--port",
+    type=click.IntRange(min=0, max=65535),
+    default=0,
+    metavar="N",
+    expected="a port, 0 to 65535",
+    help="Of the page; default: one that is free.",
+)
+@options.option(
+    "--open/--no-open",
+    "opens",
+    default=True,
+    help="Open the page in the browser.",
+)
+@options.option(
+    "--keep-open",
+    is_flag=True,
+    help="Go on after the page is closed; else all ends some seconds later.",
+)
+@options.option(
+    "--save",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help=("Keep the plan in this file, whenever it rests; opened again if it is there."),
+)
+@options.option(
+    "--host",
+    default="127.0.0.1",
+    is_common=False,
+    help="Address to listen at; another one lets others in, see --i-know.",
+)
+@options.option(
+    "--i-know",
+    is_flag=True,
+    is_common=False,
+    needs="host",
+    help=("With --host: whoever has the page's address can change the plan and send files."),
+)
+@options.option(
+    "--tiles",
+    default="",
+    metavar="ADDRESS",
+    help=(
+        "Tiles of a map or of aerial pictures behind the plan, such as "
+        "https://HOST/{z}/{x}/{y}.png: the browser asks HOST for them, and nothing "
+        "else. Default: none, and no request leaves the machine."
+    ),
+)
+@options.option(
+    "--tiles-attribution",
+    default="",
+    metavar="TEXT",
+    is_common=False,
+    needs="tiles",
+    help=(
+        "Whose tiles they are, as their server asks; it stands on the plan. Default: "
+        "the host's name."
+    ),
+)
 @options.question_options(*_ASKED)
 @options.language_option
 @options.quiet_option
