@@ -37,7 +37,7 @@ from experiments.language import (
 from experiments.parts import latency as latency_part
 from experiments.parts import section, sheet
 from experiments.parts.alternatives import doubt_sentences
-from experiments.planner.server import page_html, page_messages
+from experiments.planner.page_files import page_html, page_messages
 from experiments.report.page import page_environment
 from geometry.files import load_data
 from geometry.frames import to_geographic
