@@ -33,7 +33,10 @@ class LiePoint(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Lie(Struct, frozen=True, forbid_unknown_fields=True):
-    """How an image lies on the plan: its size, and two points."""
+    """How an image lies on the plan.
+
+    Two points say it: an image is moved, turned and scaled, not distorted.
+    """
 
     width_px: int
     height_px: int
@@ -72,9 +75,21 @@ def background_message(background: Background | None) -> dict[str, Any]:
 
 
 def build_background(content: bytes, lie: bytes, where: str) -> Background:
-    """A background from an image and the JSON of its :class:`Lie`.
+    """A background from what a browser sends.
 
-    Raises InputError if it is none that browsers draw, too large, or the points do not lay it.
+    Parameters
+    ----------
+    content : bytes
+        The image.
+    lie : bytes
+        JSON of its :class:`Lie`.
+    where : str
+        Name for messages.
+
+    Raises
+    ------
+    InputError
+        It is none that browsers draw, too large, or the points do not lay it.
     """
     try:
         found = msgspec.json.decode(lie, type=Lie)

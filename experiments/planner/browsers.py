@@ -20,7 +20,20 @@ Listener = Callable[[dict[str, Any]], None]
 
 
 class Browsers:
-    """The browsers that show the plan; for the thread of the event loop alone."""
+    """The browsers that show the plan; for the thread of the event loop alone.
+
+    Each is a :data:`Listener`, which passes messages on. Work in the background tells them its
+    stages; the newest one is told to a browser that comes later.
+
+    Attributes
+    ----------
+    listeners : set of Listener
+        Browsers that are there.
+    left_at_s : float or None
+        Monotonic time since which nobody looks; None: somebody does, or nobody came yet.
+    is_lost : bool
+        The last one was not closed: the connection to it is lost.
+    """
 
     def __init__(self) -> None:
         self.listeners: set[Listener] = set()
@@ -39,7 +52,17 @@ class Browsers:
             self.send({"type": "notice", "text": text})
 
     def tell_stage(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
-        """Show the stage of some work; empty: it has ended."""
+        """Show the stage of some work.
+
+        Parameters
+        ----------
+        who : str
+            Who works: "rays", "evaluator", "optimiser", "setting" or "scene".
+        stage : str
+            In English; it is translated here. Empty: the work has ended.
+        done, total : int
+            How much of how much is done; 0 of 0: nobody knows.
+        """
         self._doing = {
             "type": "doing",
             "who": who,
@@ -54,7 +77,15 @@ class Browsers:
         return partial(self.tell_stage, who)
 
     def join(self, listener: Listener, greetings: Sequence[dict[str, Any]]) -> None:
-        """Add a browser, and send it alone what it does not know yet."""
+        """Add a browser, and send it alone what it does not know yet.
+
+        Parameters
+        ----------
+        listener : Listener
+            The browser.
+        greetings : sequence of dict
+            Messages about what is shown.
+        """
         self.listeners.add(listener)
         self.left_at_s = None
         for message in greetings:
@@ -76,7 +107,17 @@ class Browsers:
 def scene_message(
     shown: Shown, *, map_name: str = "", tiles: TileServer | None = None
 ) -> dict[str, Any]:
-    """The constant part of a scene: plan, sites, runs, sensors, and limits of files."""
+    """The constant part of a scene: plan, sites, runs, sensors, and limits of files.
+
+    Parameters
+    ----------
+    shown : Shown
+        What is shown.
+    map_name : str
+        Name of the map that the scene is cut out of; empty: of none.
+    tiles : TileServer, optional
+        Tiles behind the plan.
+    """
     workspace = shown.workspace
     scene = shown.setting.scene
     record = scene_record(
@@ -110,7 +151,15 @@ def scene_message(
 
 
 def question_message(shown: Shown, begun: Question) -> dict[str, Any]:
-    """What is asked, and what the page lets choose; `begun`: what was asked at first."""
+    """What is asked, and what the page lets choose.
+
+    Parameters
+    ----------
+    shown : Shown
+        What is shown.
+    begun : Question
+        The question of the command line.
+    """
     return {"type": "question", **question_record(shown.workspace.work.question, begun)}
 
 

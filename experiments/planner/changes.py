@@ -19,7 +19,14 @@ from placement.candidates import CandidatePose, is_ring, load_candidate_grid
 from placement.retrofit import free_name
 
 from ..language import tr
-from .plan import PlanState, Variant, add_variant, begin_history, check_finite, printable_name
+from .plan import (
+    PlanState,
+    Variant,
+    add_variant,
+    begin_history,
+    check_finite,
+    printable_name,
+)
 from .poles import put_pole, remove_pole
 from .requests import (
     AddUnit,
@@ -44,17 +51,42 @@ _HIGHEST_M = 50.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Stock:
-    """The scene with its sites, and the sensor models that can be mounted, by name."""
+    """What a change may use.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene with its sites, those of one's own among them.
+    models : mapping of str to Sensor
+        Sensor models that can be mounted, by name.
+    """
 
     scene: Scene
     models: Mapping[str, Sensor]
 
 
 def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
-    """The state after a change.
+    """State of the plan after a change.
 
-    Raises InputError: there is no such unit, site, sensor or variant; a site is full or forbidden;
-    a number is not one that can be mounted.
+    Parameters
+    ----------
+    state : PlanState
+        Before it.
+    change : Change
+        The request of a browser.
+    stock : Stock
+        Sites and sensor models that may be used.
+
+    Returns
+    -------
+    PlanState
+        Another one; `state` stays as it is.
+
+    Raises
+    ------
+    InputError
+        There is no such unit, site, sensor or variant; a site is full or forbidden; or a
+        number is none that can be mounted.
     """
     units = state.variant.units
     match change:
@@ -85,6 +117,7 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
 
 
 def _rename_variant(state: PlanState, name: str) -> PlanState:
+    """The state with another name for the current variant; InputError: it is taken."""
     for variant in state.variants:
         if variant is not state.variant and variant.name == name:
             raise InputError("name", name, "a name that no other variant has")
@@ -93,6 +126,7 @@ def _rename_variant(state: PlanState, name: str) -> PlanState:
 
 
 def _remove_variant(state: PlanState) -> PlanState:
+    """The state without the current variant; InputError: it is the last one."""
     if len(state.variants) == 1:
         raise InputError("variant", state.variant.name, "another one: the last one stays")
     others = tuple(each for each in state.variants if each is not state.variant)
@@ -101,6 +135,7 @@ def _remove_variant(state: PlanState) -> PlanState:
 
 
 def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
+    """The state with one more unit in the current variant; see :class:`AddUnit`."""
     units = state.variant.units
     scene = stock.scene
     site = _free_site(change.site, units, scene)
@@ -143,7 +178,20 @@ def _default_pitch_deg(sensor: Sensor) -> float:
 
 
 def first_units(stock: Stock, sensor: str) -> tuple[CandidatePose, ...]:
-    """A unit alone at the first site that may carry one; none where there is no such site."""
+    """A unit alone, at the first site that may carry one.
+
+    Parameters
+    ----------
+    stock : Stock
+        Sites and sensor models.
+    sensor : str
+        Name of the model.
+
+    Returns
+    -------
+    tuple of CandidatePose
+        One unit; none where there is no such site.
+    """
     free = [site.id for site in stock.scene.sites if site.use != "forbidden"]
     if not free:
         return ()
@@ -153,6 +201,11 @@ def first_units(stock: Stock, sensor: str) -> tuple[CandidatePose, ...]:
 
 
 def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
+    """The state with one unit changed; see :class:`ChangeUnit`.
+
+    A sensor comes first, since its lens may be changed in the same request; then the site,
+    since heights are those of the new one; then what is said of the pose.
+    """
     units = state.variant.units
     scene = stock.scene
     index = _find(units, change.unit)
@@ -194,7 +247,19 @@ def _with_lens(sensor: Sensor, fov_deg: float) -> CameraModel:
 def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:
     """A pose at another place that looks at the same point of the ground.
 
-    One whose axis does not meet the ground keeps its tilt and turns to where it looked.
+    One whose axis does not meet the ground keeps its tilt, and turns to what lay ahead of it
+    as far away as a junction is wide.
+
+    Parameters
+    ----------
+    pose : Pose
+        Before it is moved.
+    position_m : ndarray, shape (3,)
+        Where it is moved to, in the world frame.
+    sensor : Sensor
+        What is mounted: one that scans all round has no axis.
+    scene : Scene
+        Says how high the ground is.
     """
     eye_m = pose.position_m
     up_m = float(eye_m[2] - ground_height_m(scene, eye_m[:2]))
@@ -234,7 +299,10 @@ def mount_range_m(pose: Pose, site_id: str, scene: Scene) -> tuple[float, float,
 
 
 def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
-    """A pose at another height above the foot of its site, or above the ground below it."""
+    """A pose at another height above the foot of its site, or above the ground below it.
+
+    Raises InputError if nothing can be mounted at that height.
+    """
     foot_m, low_m, high_m = mount_range_m(pose, site_id, scene)
     if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
         at = "above the ground"

@@ -242,7 +242,22 @@ def _map_file(question: Question) -> "MapFile | None":
 
 
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
-    """The first plan: the saved one, then layouts that it does not have yet."""
+    """The first plan: the saved one, then layouts that it does not have yet.
+
+    Parameters
+    ----------
+    layout_names : sequence of str
+        Of ``--layout``.
+    save : Path, optional
+        Of ``--save``; it may not exist yet.
+    scene : Scene
+        In which all must be mountable.
+
+    Raises
+    ------
+    InputError
+        One cannot be read, or not be mounted in this scene.
+    """
     from geometry.files import read_bytes
     from placement.layout import check_layout, find_layout
 

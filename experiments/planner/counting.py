@@ -23,6 +23,17 @@ class Counting:
 
     :meth:`count` follows every change; when its numbers are told, the plan rests, and
     :meth:`judge` saves it and asks the evaluator.
+
+    Parameters
+    ----------
+    current : callable
+        What is shown by now.
+    browsers : Browsers
+        Are told the numbers.
+    workers : Workers
+        Have the evaluator.
+    proposals : Proposals
+        Are evaluated, too, after the variants.
     """
 
     def __init__(
@@ -44,7 +55,10 @@ class Counting:
     # ---------- by the detection table
 
     async def count(self) -> None:
-        """Tell numbers of the newest state, at once; the evaluator's where they are known."""
+        """Tell numbers of the newest state, at once; the evaluator's where they are known.
+
+        It never ends by itself. Of changes that come while it counts, only the newest is counted.
+        """
         while True:
             await self.changed.wait()
             self.changed.clear()
@@ -92,7 +106,10 @@ class Counting:
     # ---------- by the evaluator
 
     async def judge(self) -> None:
-        """Save what rests, and evaluate all layouts that are shown: the newest first."""
+        """Save what rests, and evaluate all layouts that are shown: the newest first.
+
+        It never ends by itself. A change interrupts it after the layout at which it works.
+        """
         while True:
             await self.rests.wait()
             self.rests.clear()
@@ -148,7 +165,12 @@ class Counting:
             return
         if key == key_of(shown.units):
             private = await asyncio.to_thread(workspace.private_areas, units)
-            message = {"type": "numbers", "revision": shown.revision, **numbers, **private}
+            message = {
+                "type": "numbers",
+                "revision": shown.revision,
+                **numbers,
+                **private,
+            }
             self._browsers.send(message)
         shown = self._current()
         self._browsers.send(variants_message(shown))

@@ -16,12 +16,23 @@ MAX_MAP_BYTES = 300_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapFile:
-    """A map or a scene that was named or sent."""
+    """A map or a scene that was named or sent.
+
+    Attributes
+    ----------
+    path : Path
+        Where it lies.
+    name : str
+        As its sender calls it.
+    options : dict
+        Of maps: "sites" and "keeps_left", as :meth:`.tasks.Tasks.import_junction` takes them.
+    found : dict
+        As :meth:`.tasks.Tasks.survey` tells; empty: nobody has looked yet.
+    """
 
     path: Path
     name: str
-    options: dict[str, Any] = field(default_factory=dict)  # of maps: sites, keeps_left
-    # As :meth:`.tasks.Tasks.survey` tells; empty: nobody has looked yet
+    options: dict[str, Any] = field(default_factory=dict)
     found: dict[str, Any] = field(default_factory=dict)
 
 

@@ -44,7 +44,13 @@ _MAX_AREAS = 200  # private ones that are told, those that are seen the most
 
 
 def key_of(units: Sequence[CandidatePose]) -> tuple[object, ...]:
-    """Equal for units that achieve the same together, one by one and by name."""
+    """Key of a layout: equal for units that achieve the same together, one by one and by name.
+
+    Parameters
+    ----------
+    units : sequence of CandidatePose
+        The layout; their order counts.
+    """
     keys = []
     for unit in units:
         pose = unit.pose
@@ -172,9 +178,21 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
 
 
 def change_question(question: Question, change: ChangeQuestion, begun: Question) -> Question:
-    """A question with what a browser changes; files are those that the session has `begun` with.
+    """A question with what a browser changes.
 
-    Raises InputError: a value is none that can be chosen.
+    Parameters
+    ----------
+    question : Question
+        Before it.
+    change : ChangeQuestion
+        The request; what it does not give stays as it is.
+    begun : Question
+        The question of the command line: browsers choose no other files than it names.
+
+    Raises
+    ------
+    InputError
+        A value is none that can be chosen.
     """
     asked = msgspec.structs.asdict(change)
     given = {name: value for name, value in asked.items() if value is not msgspec.UNSET}
@@ -206,7 +224,20 @@ def _choices(begun: Question) -> dict[str, list[str]]:
 
 
 def question_record(question: Question, begun: Question) -> dict[str, Any]:
-    """What the page lets choose of a question, and how the numbers are made again elsewhere."""
+    """What the page lets choose of a question, and how the numbers are made again elsewhere.
+
+    Parameters
+    ----------
+    question : Question
+        What is asked now.
+    begun : Question
+        The question of the command line: its own files can be chosen, too.
+
+    Returns
+    -------
+    dict
+        For the page: values now, choices, what the weights mean, and the command.
+    """
     names = msgspec.structs.fields(ChangeQuestion)
     weights = question.weights or default_weights(question.cases)
     meaning = tr("Runs count by the weights of {name}.", name=weights)
@@ -228,7 +259,10 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
 
 
 def evaluate_command(question: Question) -> str:
-    """Command that evaluates the saved layout, as a shell takes it."""
+    """Command that evaluates the saved layout, as a shell takes it.
+
+    It has every option of what is driven and judged that differs from its default.
+    """
     words = ["place-rsus", "evaluate", "--layout", "layout.json"]
     for field in question_fields().values():
         value = getattr(question, field.name)
@@ -241,7 +275,15 @@ def evaluate_command(question: Question) -> str:
 
 
 def state_record(history: History, scene: Scene) -> dict[str, Any]:
-    """Units of the variant that is worked on, and the names of all variants."""
+    """Units of the variant that is worked on, and the names of all variants.
+
+    Parameters
+    ----------
+    history : History
+        Its state is what is shown.
+    scene : Scene
+        With the poles of one's own.
+    """
     state = history.state
     units = state.variant.units
     drawn = []
@@ -284,7 +326,20 @@ def _unit_fields(unit: CandidatePose, scene: Scene) -> dict[str, Any]:
 
 
 def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] | None:
-    """Cost of units and their sites in words, as the bill of materials has it; None of nothing."""
+    """Cost of units and their sites in words, as the bill of materials has it.
+
+    Parameters
+    ----------
+    units : sequence of CandidatePose
+        What is mounted.
+    scene : Scene
+        Says what its sites cost.
+
+    Returns
+    -------
+    dict or None
+        None of nothing. A sum of which a part is not known is said so.
+    """
     if not units:
         return None
     bill = build_bill(Layout(name="cost", units=tuple(units)), scene)
@@ -312,7 +367,19 @@ def table_numbers(
     alone: Mapping[str, Verdict],
     setting: Setting,
 ) -> dict[str, Any]:
-    """Numbers by the detection table, which a drag shows at once."""
+    """Numbers by the detection table, which a drag shows at once.
+
+    Parameters
+    ----------
+    units : sequence of CandidatePose
+        Those of which each one's own APR is told.
+    together : Verdict
+        Of all units.
+    alone : mapping of str to Verdict
+        Of each of `units` alone, by id.
+    setting : Setting
+        Scene and runs.
+    """
     verdicts = {unit.id: alone[unit.id] for unit in units}
     return {
         "source": BY_TABLE,
@@ -330,7 +397,20 @@ def _units_apr(alone: Mapping[str, Verdict], axis: FrameAxis) -> dict[str, str]:
 
 
 def evaluated_numbers(evaluation: Evaluation, setting: Setting) -> dict[str, Any]:
-    """Numbers by the evaluator; "record" is what ``evaluate --json`` has as "evaluation"."""
+    """Numbers by the evaluator, with the same fields as those of the table and some more.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of the layout.
+    setting : Setting
+        Scene and runs.
+
+    Returns
+    -------
+    dict
+        "record" is what ``evaluate --json`` has as "evaluation".
+    """
     axis = evaluation.axis
     record = json.loads(to_json_text(build_evaluation_record(evaluation, setting.rule)))
     one_fails = ""
@@ -348,7 +428,15 @@ def evaluated_numbers(evaluation: Evaluation, setting: Setting) -> dict[str, Any
 
 
 def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
-    """APR in total, by case, arm and road user; runs that are lost, and how each ends."""
+    """APR in total, by case, arm and road user; runs that are lost, and how each ends.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Of a layout.
+    setting : Setting
+        Scene and runs, in the order of the verdict.
+    """
     axis = setting.axis
     road_users = np.array([run.road_user for run in setting.runs])
     approaches = np.array(axis.approaches)
@@ -387,11 +475,29 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
 
 
 def private_record(
-    units: Sequence[CandidatePose], ground: PrivateGround, sight: PrivateSight, *, max_share: float
+    units: Sequence[CandidatePose],
+    ground: PrivateGround,
+    sight: PrivateSight,
+    *,
+    max_share: float,
 ) -> list[dict[str, Any]]:
     """Private areas that units have in their pictures, those that are seen the most first.
 
-    The share that each unit sees, as `evaluate` reports; "isTooMuch": more than is allowed.
+    Parameters
+    ----------
+    units : sequence of CandidatePose
+        What is mounted.
+    ground : PrivateGround
+        The areas.
+    sight : PrivateSight
+        Computes the share of each area that each unit sees, as `evaluate` reports it.
+    max_share : float
+        Share of an area that may be seen.
+
+    Returns
+    -------
+    list of dict
+        For each area its name and who sees it; "isTooMuch": more than is allowed.
     """
     shares = sight.shares(units)  # a row for each unit, a column for each area
     most = shares.max(axis=0, initial=0.0)
@@ -415,7 +521,22 @@ def private_record(
 
 
 def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, Any]:
-    """Pixel density on the road: the band of each cell, the finest 0; 254 coarser, 255 unseen."""
+    """Pixel density on the road, cell by cell.
+
+    Parameters
+    ----------
+    scene : Scene
+        Has the road.
+    units : sequence of CandidatePose
+        Cameras and LiDARs; what is seen by several counts by the best.
+
+    Returns
+    -------
+    dict
+        "band" has a byte for each cell, row by row from the south: the index of its band in
+        ``BANDS``, of which 0 is the finest; 254: coarser than all; 255: unseen. "box" is in
+        centimetres.
+    """
     found = find_ground_coverage(scene, units)
     band = np.full(found.density.shape, 255, dtype=np.uint8)
     band[found.density > 0.0] = 254

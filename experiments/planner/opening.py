@@ -177,7 +177,12 @@ class SceneOpening:
         return replace(file, found=found)
 
     async def open(
-        self, path: str, title: str = "", *, of: MapFile | None = None, junction: str = ""
+        self,
+        path: str,
+        title: str = "",
+        *,
+        of: MapFile | None = None,
+        junction: str = "",
     ) -> OpenedScene:
         """Read a scene, or cut it out of a map around a junction.
 

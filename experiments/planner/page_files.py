@@ -34,7 +34,10 @@ def page_messages() -> list[tuple[str, str]]:
 
 
 def page_html() -> str:
-    """The page in the language that is spoken, with all that its scripts say."""
+    """The page in the language that is spoken.
+
+    The translations of all that its scripts say stand in it.
+    """
     path = files("experiments.planner") / "page" / "index.html.j2"
     template = page_environment().from_string(path.read_text(encoding="utf-8"))
     page: str = template.render(own_words=words_of(page_messages()))
@@ -43,7 +46,11 @@ def page_html() -> str:
 
 @cache
 def page_files() -> dict[str, tuple[bytes, str]]:
-    """Files of the page by name: content and media type; ``shared.js`` has the report's scripts."""
+    """Files of the page by name: content and media type.
+
+    ``shared.js`` has scripts of the report, ``junction_map.js`` the chooser of junctions; both
+    become modules here.
+    """
     page = files("experiments.planner") / "page"
     found = {}
     for item in page.iterdir():

@@ -30,7 +30,20 @@ def check_count(n: int, where: str, most: int) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variant:
-    """A layout that is being planned, and may be empty; InputError: it has too many units."""
+    """A layout that is being planned, and may be empty.
+
+    Parameters
+    ----------
+    name : str
+        For people; no other variant has it.
+    units : tuple of CandidatePose
+        What is mounted.
+
+    Raises
+    ------
+    InputError
+        It has too many units.
+    """
 
     name: str
     units: tuple[CandidatePose, ...] = ()
@@ -39,7 +52,10 @@ class Variant:
         check_count(len(self.units), "units", MAX_UNITS)
 
     def layout(self, scene: Scene) -> Layout:
-        """Layout of a scene; what it has no site for is mounted by itself. InputError: no unit."""
+        """Layout of the scene; a unit at a site that it does not have is mounted by itself.
+
+        Raises InputError if there is no unit.
+        """
         known = {site.id for site in scene.sites}
         units = []
         for unit in self.units:
@@ -51,7 +67,20 @@ class Variant:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanState:
-    """All variants, which of them is worked on, and the workspace of the scene it is for."""
+    """One state of the plan, between two changes.
+
+    Attributes
+    ----------
+    variants : tuple of Variant
+        At least one.
+    current : int
+        Index of the variant that is worked on.
+    workspace : Workspace
+        Of the scene that the plan is for. Undo may lead to another scene with it; nothing
+        here looks into it.
+    poles : tuple of Site
+        Of one's own, beside the scene's sites.
+    """
 
     variants: tuple[Variant, ...]
     current: int = 0
@@ -82,8 +111,20 @@ class PlanState:
 def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> PlanState:
     """The state with a further variant, which is worked on from here.
 
-    Where its name is taken, `source`, such as the file's name, is added, and then a number.
-    Raises InputError if there are too many, or the name cannot be printed.
+    Parameters
+    ----------
+    state : PlanState
+        Before it.
+    variant : Variant
+        The further one.
+    source : str
+        Such as the file's name: it is added where the variant's name is taken, and then a
+        number.
+
+    Raises
+    ------
+    InputError
+        There are too many, or the name cannot be printed.
     """
     check_count(len(state.variants) + 1, "variants", MAX_VARIANTS)
     names = {each.name for each in state.variants}
@@ -119,7 +160,10 @@ def check_finite(where: str, value: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class History:
-    """States in the order in which they came about, and which of them is now."""
+    """States in the order in which they came about, and which of them is now.
+
+    What was undone comes after `now`, until a change takes its place.
+    """
 
     states: tuple[PlanState, ...]
     now: int = 0
@@ -141,7 +185,16 @@ class History:
         return self.now + 1 < len(self.states)
 
     def went_on(self, state: PlanState, *, gesture: str = "") -> "History":
-        """One state further; a step of the same gesture as the last one takes its place."""
+        """The history one state further.
+
+        Parameters
+        ----------
+        state : PlanState
+            What is shown from here.
+        gesture : str
+            Name of the drag that it is a step of, if it is one: a step of the same gesture as the
+            last one takes that one's place, so that all is undone at once.
+        """
         is_same = bool(gesture) and gesture == self.gesture and not self.can_redo
         before = self.states[: self.now + 1]
         if is_same:
@@ -150,7 +203,10 @@ class History:
         return History(states=states, now=len(states) - 1, gesture=gesture)
 
     def reverted(self, gesture: str) -> "History":
-        """Without the newest step, if it belongs to a gesture."""
+        """The history without its newest step, if that belongs to a gesture.
+
+        A drag that is given up leaves nothing to redo.
+        """
         if not gesture or gesture != self.gesture or not self.can_undo:
             return self
         return History(states=self.states[:-1], now=self.now - 1)

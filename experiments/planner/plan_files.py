@@ -14,7 +14,14 @@ from placement.layout import Layout, check_layout, read_layout
 
 from ..export.json import to_json, to_json_text
 from .background import Background, read_background
-from .plan import MAX_UNITS, MAX_VARIANTS, PlanState, Variant, check_count, printable_name
+from .plan import (
+    MAX_UNITS,
+    MAX_VARIANTS,
+    PlanState,
+    Variant,
+    check_count,
+    printable_name,
+)
 from .poles import PolePlace
 
 SCHEMA = "place-rsus/plan/1"
@@ -25,7 +32,19 @@ MAX_PLAN_BYTES = 16_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Plan:
-    """Contents of a plan's file; an empty name: of any scene."""
+    """Contents of a plan's file.
+
+    Attributes
+    ----------
+    variants : tuple of Variant
+        The first one is worked on at first.
+    scene_name : str
+        Of the scene that it is for; empty: of any.
+    background : Background, optional
+        Image below the plan.
+    poles : tuple of PolePlace
+        Of one's own.
+    """
 
     variants: tuple[Variant, ...]
     scene_name: str = ""
@@ -42,7 +61,20 @@ def check_plan(plan: Plan, scene: Scene) -> None:
 
 
 def read_plan(text: bytes, where: str) -> Plan:
-    """A plan from a plan's or a layout's file, named for messages; InputError: it is neither."""
+    """A plan from the contents of a plan's file, or of a layout's.
+
+    Parameters
+    ----------
+    text : bytes
+        JSON; nothing of it is trusted.
+    where : str
+        Name of the file, for messages; a layout without a name gets its stem.
+
+    Raises
+    ------
+    InputError
+        It is neither, or has more than there may be.
+    """
     try:
         document = msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
@@ -92,7 +124,10 @@ def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:
 
 
 def layout_text(state: PlanState, scene: Scene) -> str:
-    """The current variant as the layout file of ``--layout``; InputError: nothing is mounted."""
+    """The current variant as the layout file of ``--layout``.
+
+    Raises InputError if nothing is mounted.
+    """
     record = json.loads(to_json(state.variant.layout(scene)))
     return to_json_text({**record, **_pole_places(state)})
 
@@ -109,7 +144,17 @@ def _pole_places(state: PlanState) -> dict[str, Any]:
 
 
 def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
-    """All variants in one file, each as a layout file has it, and the image below them."""
+    """All variants in one file, each as a layout file has it, and the image below them.
+
+    Parameters
+    ----------
+    state : PlanState
+        Variants and poles.
+    scene : Scene
+        Without poles of one's own.
+    background : Background, optional
+        Image below the plan.
+    """
     variants = []
     for variant in state.variants:
         if variant.units:

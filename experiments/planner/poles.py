@@ -25,7 +25,15 @@ _SAME_PLACE_M = 0.01
 
 
 class PolePlace(Struct, frozen=True):
-    """A pole of one's own in a file; its height and what it carries are as the scene's."""
+    """A pole of one's own in a file; its height and what it carries are as the scene's.
+
+    Attributes
+    ----------
+    id : str
+        Its name, which units on it have as their site.
+    x_m, y_m : float
+        Place in the world frame, east and north.
+    """
 
     id: str
     x_m: float
@@ -34,15 +42,30 @@ class PolePlace(Struct, frozen=True):
 
 @lru_cache(maxsize=8)
 def with_poles(scene: Scene, poles: tuple[Site, ...]) -> Scene:
-    """A scene with further sites."""
+    """A scene with further sites; of the same ones always the same scene.
+
+    Whoever remembers something by the scene finds it again.
+    """
     return replace(scene, sites=(*scene.sites, *poles))
 
 
 def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     """A pole as most of a scene's are, at another place.
 
-    Raises InputError: it would stand in something or on the road, too far away, or no pole of the
-    scene says what is usual.
+    Parameters
+    ----------
+    scene : Scene
+        Says what is usual, and what stands in the way.
+    name : str
+        Of the pole.
+    place_m : tuple of float
+        East and north in the world frame, rounded to centimetres here.
+
+    Raises
+    ------
+    InputError
+        It would stand in something or on the road, too far away, or no pole of the scene says
+        what is usual.
     """
     standing = [site for site in scene.sites if site.kind != "mast arm"]
     if not standing:
@@ -60,7 +83,11 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     foot_m[2] = ground_height_m(scene, foot_m[:2])
     around = containing_instance(scene, foot_m + [0.0, 0.0, 1.0])
     if around:
-        refuse("pole", f"a place inside {around.class_name} {around.id}", "one in the open air")
+        refuse(
+            "pole",
+            f"a place inside {around.class_name} {around.id}",
+            "one in the open air",
+        )
     if road_area(scene).contains(point):
         refuse("pole", "a place on the carriageway", "one beside it")
     return replace(usual, id=name, position_m=foot_m, use="free")
@@ -118,17 +145,31 @@ def remove_pole(state: PlanState, name: str) -> PlanState:
 
 
 def lay_poles(state: PlanState, places: Sequence[PolePlace], scene: Scene) -> PlanState:
-    """The state with the poles of a file, where none is yet, and what hangs on them."""
+    """The state with the poles of a file, where none is yet, and what hangs on them.
+
+    Parameters
+    ----------
+    state : PlanState
+        With the units of the file already.
+    places : sequence of PolePlace
+        The poles; one whose name is taken gets another one.
+    scene : Scene
+        The scene without poles of one's own.
+
+    Raises
+    ------
+    InputError
+        A pole cannot stand there.
+    """
     for place in places:
         place_m = (place.x_m, place.y_m)
         if any(_is_at(pole, place_m) for pole in state.poles):
             continue
         ids = {site.id for site in (*scene.sites, *state.poles)}
-        if place.id in ids:
+        name = place.id
+        if name in ids:
             name = free_name(ids, "own-")
-        else:
-            name = printable_name(place.id)
-        pole = build_pole(scene, name, place_m)
+        pole = build_pole(scene, printable_name(name), place_m)
         state = replace(state, poles=(*state.poles, pole))
 
     def hung(unit: CandidatePose) -> CandidatePose:

@@ -22,7 +22,21 @@ _MAX_PROPOSALS = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposal:
-    """An answer of the optimiser."""
+    """An answer of the optimiser.
+
+    Attributes
+    ----------
+    number : int
+        By which browsers name it.
+    title, words : str
+        What it is, and what it gains, with its proof.
+    units : tuple of CandidatePose
+        The layout.
+    views : tuple of str
+        Ground that each unit sees, as an SVG path in centimetres.
+    fields : dict
+        "apr" and "bound" by the detection table, in words, and "isProven".
+    """
 
     number: int
     title: str

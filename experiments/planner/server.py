@@ -79,7 +79,23 @@ _GUARDED = {
 
 
 def allowed_hosts(host: str, port: int) -> frozenset[str] | None:
-    """Values of the header Host that are answered; None: any, where all interfaces listen."""
+    """Values of the header Host that are answered.
+
+    A page from elsewhere may let its own name lead to this address (DNS rebinding); its
+    requests have that name in them.
+
+    Parameters
+    ----------
+    host : str
+        Address at which is listened.
+    port : int
+        And its port.
+
+    Returns
+    -------
+    frozenset of str or None
+        None: any, where all interfaces listen.
+    """
     if host in _ALL_INTERFACES:
         return None
     names = {host}
@@ -223,7 +239,10 @@ class Pages:
                 listen({"type": "heard", "number": number})
         except WebSocketDisconnect as ended:
             code = ended.code
-        except (RuntimeError, KeyError):  # it is closed already, or bytes came in place of text
+        except (
+            RuntimeError,
+            KeyError,
+        ):  # it is closed already, or bytes came in place of text
             pass
         finally:
             self._session.browsers.leave(listen, is_lost=code not in _CLOSED_CODES)
@@ -261,10 +280,10 @@ class Pages:
         if request.method == "POST":
             name = _file_name(request)
             if name:
-                background = await self._received_raster(request, name)
+                laid: Background | None = await self._received_raster(request, name)
             else:
-                background = await _received_image(request)
-            self._session.lay_background(background)
+                laid = await _received_image(request)
+            self._session.lay_background(laid)
             return JSONResponse({})
         background = self._session.shown.workspace.background
         if background is None:
@@ -290,9 +309,10 @@ class Pages:
         return JSONResponse(await self._of_run("explain", request))
 
     async def _seen(self, request: Request) -> Response:
-        """What a camera sees while it is aimed, small; or a problem, which is no fault of the page.
+        """What a camera sees while it is aimed, small.
 
-        When it is answered, another one may be wanted, or the unit or the run be gone.
+        A problem is an answer like others, and no fault of the page: when it is answered, another
+        picture may be wanted, or the unit or the run be gone.
         """
         values = request.query_params
         wanted_px = _whole_number(values, "width", _WIDEST_PX)
@@ -390,7 +410,10 @@ class Pages:
         return JSONResponse({"scene": session.shown.workspace.title})
 
     async def _received(self, request: Request, name: str) -> Path:
-        """A file of the session with the map that is sent, in a folder of its own."""
+        """Store a file that is sent, in a folder of its own in the session's folder.
+
+        Raises InputError if it is too large; nothing is left of it then.
+        """
         path = self._session.shown.workspace.work.scratch / f"received-{next(self._numbers)}" / name
         path.parent.mkdir()
         try:
@@ -449,7 +472,7 @@ def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:
 
 
 async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
-    """The body of a request in parts; InputError if there is more of it."""
+    """The body of a request in parts; InputError if there is more of it than there may be."""
     n_bytes = 0
     async for chunk in request.stream():
         n_bytes += len(chunk)
@@ -483,7 +506,11 @@ def _plain_name(name: str, suffix: str) -> str:
 async def _send_all(
     socket: WebSocket, waiting: asyncio.Queue[dict[str, Any]], is_lost: asyncio.Event
 ) -> None:
-    """Send what waits; of several numbers or states that wait only the newest."""
+    """Send what waits, until the browser is lost.
+
+    Of several messages of a kind that wait, such as numbers, only the newest is sent; but all
+    of those in ``_EACH``.
+    """
     while True:
         messages = [await waiting.get()]
         while not waiting.empty():
@@ -505,7 +532,17 @@ def _download(content: bytes, name: str, kind: str) -> Response:
 
 
 def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> ASGIApp:
-    """The application of a session; every address begins with the token."""
+    """The application of a session.
+
+    Parameters
+    ----------
+    session : Session
+        Is started and stopped with it.
+    token : str
+        With which every address begins.
+    hosts : frozenset of str or None
+        As of :func:`allowed_hosts`.
+    """
 
     @asynccontextmanager
     async def life(app: Starlette) -> Any:
@@ -541,7 +578,12 @@ class RunningServer:
     """
 
     def __init__(
-        self, make_session: Callable[[], Session], *, host: str, port: int, keeps_open: bool = True
+        self,
+        make_session: Callable[[], Session],
+        *,
+        host: str,
+        port: int,
+        keeps_open: bool = True,
     ) -> None:
         self.keeps_open = keeps_open
         try:

@@ -20,12 +20,12 @@ from .browsers import (
     scene_message,
     state_message,
 )
-from .changes import add_variant, change_state
+from .changes import change_state
 from .counting import Counting
 from .files import MapFile, plan_bytes, save_plan
 from .numbers import change_question
 from .opening import MAX_WORKSPACES, OpenedScene, QuestionChange, SceneOpening
-from .plan import History, Variant, begin_history
+from .plan import History, Variant, add_variant, begin_history
 from .plan_files import Plan, check_plan
 from .poles import lay_poles
 from .proposals import Proposals, ask_optimiser
@@ -324,7 +324,12 @@ class Session:
         return self.map_file
 
     async def open_scene(
-        self, path: str, title: str = "", *, of: MapFile | None = None, junction: str = ""
+        self,
+        path: str,
+        title: str = "",
+        *,
+        of: MapFile | None = None,
+        junction: str = "",
     ) -> None:
         """Go on in another scene, from nothing; Undo leads back.
 

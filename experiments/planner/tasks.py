@@ -51,12 +51,21 @@ _REQUESTS = ("next", "complete", "re-aim", "cheapest", "why-not")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Work:
-    """The question of a session, and where and how it is computed."""
+    """The question of a session, and where and how it is computed.
 
-    question: Question  # Its scene is a path that the server chose
-    # Folder of this session, removed at its end; detections of units are cached there
+    Attributes
+    ----------
+    question : Question
+        Its scene is a path that the server chose.
+    scratch : Path
+        Folder of this session, removed at its end; detections of units are cached there.
+    compute : Compute
+        Its cache has tables of whole grids.
+    """
+
+    question: Question
     scratch: Path
-    compute: Compute  # Its cache has tables of whole grids
+    compute: Compute
 
 
 class Tasks:
@@ -121,7 +130,26 @@ class Tasks:
         return page
 
     def explain(self, layout: Layout, run_id: str) -> dict[str, Any]:
-        """Why units do not detect the road user of a run early enough: who hides whom, when."""
+        """Why units do not detect the road user of a run early enough.
+
+        Parameters
+        ----------
+        layout : Layout
+            The units.
+        run_id : str
+            The run.
+
+        Returns
+        -------
+        dict
+            For the page: how many frames are in time; for each unit how many of them it detects,
+            and what keeps it from the others; the run and its parties to draw them.
+
+        Raises
+        ------
+        InputError
+            There is no such run.
+        """
         index = self._run_index(run_id)
         setting = self.setting
         evaluation = self._evaluation(layout)
@@ -170,7 +198,10 @@ class Tasks:
         return self.setting.axis.run_ids.index(run_id)
 
     def picture(self, layout: Layout, unit_id: str, run_id: str, frame: int) -> bytes:
-        """Picture of a camera in a frame of a run, as JPEG."""
+        """Picture of a camera in a frame of a run, as JPEG.
+
+        Raises InputError if there is no such unit, run or frame, or the unit is a LiDAR.
+        """
         from placement.evaluator.pictures import find_frame, find_viewpoint, render
         from placement.imaging import Picture
 
@@ -191,7 +222,20 @@ class Tasks:
         return lay_raster(path, crs, self.setting.scene)
 
     def choose(self, sensors: str, poles: tuple[Site, ...] = ()) -> None:
-        """Models that advice may mount, with commas between (none: the grid's), and own poles."""
+        """Choose what advice may mount, from the next advice on.
+
+        Parameters
+        ----------
+        sensors : str
+            Models with commas between; none: the grid's.
+        poles : tuple of Site
+            Of one's own, beside the scene's sites.
+
+        Raises
+        ------
+        InputError
+            A model is not known.
+        """
         chosen = (sensors, [(pole.id, *pole.position_m) for pole in poles])
         if chosen != self._chosen:
             own_models(sensors)  # names are checked now
@@ -200,7 +244,12 @@ class Tasks:
             self._adviser = None
 
     def advise(
-        self, units: Sequence[CandidatePose], request: str, *, n_units: int = 0, site: str = ""
+        self,
+        units: Sequence[CandidatePose],
+        request: str,
+        *,
+        n_units: int = 0,
+        site: str = "",
     ) -> list[dict[str, Any]]:
         """Answers to a request, each with its units and a sentence.
 
@@ -262,7 +311,15 @@ class Tasks:
         return self._adviser
 
     def report(self, layout: Layout, command: str) -> bytes:
-        """The folder that ``evaluate --out`` writes, as a ZIP file."""
+        """The folder that ``evaluate --out`` writes, as a ZIP file.
+
+        Parameters
+        ----------
+        layout : Layout
+            What is reported.
+        command : str
+            With which the reader makes it again.
+        """
         from ..jobs.evaluation import run_evaluation
 
         folder = self._work.scratch / "report"
@@ -293,7 +350,17 @@ class Tasks:
     def survey(self, path: str, keeps_left: bool | None = None) -> dict[str, Any]:
         """Contents of a file: its junctions on a map, to choose from; none in a scene.
 
-        `keeps_left`: the side of the road, by default what the map says. Raises InputError.
+        Parameters
+        ----------
+        path : str
+            The file.
+        keeps_left : bool, optional
+            The side of the road, by default what the map says.
+
+        Raises
+        ------
+        InputError
+            It cannot be read, or has no junction.
         """
         from ..scene.pictures import junction_map
 
@@ -367,7 +434,17 @@ class _Forwarding(StageProgress):
 
 
 def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
-    """An answer as the page shows it: units, numbers in words, and the proof."""
+    """An answer as the page shows it: units, numbers in words, and the proof.
+
+    Parameters
+    ----------
+    title : str
+        What was asked for.
+    advice : Advice
+        The optimiser's answer.
+    costs : str
+        Message about the price, ``_MORE`` or ``_IN_ALL``; empty: none is told.
+    """
     after = advice.after
     before = advice.before
     share = tr("APR {apr}", apr=percent(after.apr))

@@ -22,15 +22,38 @@ _MERCATOR_DEG = 85.0  # its tiles end a little farther north
 
 
 class TileServer(NamedTuple):
-    """Where tiles of a map come from: ``https://HOST/{z}/{x}/{y}.png``, and whose they are."""
+    """Where tiles of a map come from, and whose they are.
+
+    Attributes
+    ----------
+    template : str
+        Address such as ``https://HOST/{z}/{x}/{y}.png``.
+    attribution : str
+        Text that stands on the plan.
+    origin : str
+        The only server that the page may ask, such as ``https://HOST``.
+    """
 
     template: str
     attribution: str
-    origin: str  # the only one that the page may ask, such as "https://HOST"
+    origin: str
 
 
 def read_tile_server(template: str, attribution: str) -> TileServer:
-    """The server of ``--tiles``, by default its own name as attribution; or InputError."""
+    """The server of ``--tiles``.
+
+    Parameters
+    ----------
+    template : str
+        What the user gave.
+    attribution : str
+        Empty: the host's name.
+
+    Raises
+    ------
+    InputError
+        It is no such address.
+    """
     found = _TEMPLATE.fullmatch(template)
     names = sorted(re.findall(r"\{(.*?)\}", template))
     is_address = found is not None and int(found["port"] or 0) <= _HIGHEST_PORT
@@ -40,11 +63,18 @@ def read_tile_server(template: str, attribution: str) -> TileServer:
 
 
 def tile_frame(scene: Scene) -> dict[str, Any] | None:
-    """How tiles lie on the plan of a scene; None: it does not say where on earth it lies.
+    """How tiles lie on the plan of a scene.
 
-    Tiles are squares of Web Mercator: of the whole map, 0 to 1 from west to east and from north to
-    south (EPSG:3857, scaled). Around the junction the plan is a polynomial of these and they are
-    one of the plan; each is fitted to a grid of 1.5 km to all sides, to less than a millimetre.
+    Tiles are squares of Web Mercator: of the whole map, 0 to 1 from west to east and from
+    north to south (EPSG:3857, scaled). Around the junction the plan is a polynomial of these
+    and they are one of the plan; each is fitted to a grid of 1.5 km to all sides, to less than
+    a millimetre.
+
+    Returns
+    -------
+    dict or None
+        For the page: "toPlan" and "toTiles" are the polynomials' coefficients, see
+        :func:`_fit`. None: the scene does not say where on earth it lies.
     """
     if not scene.crs:
         return None

@@ -14,7 +14,15 @@ from .workspace import Key, Shown
 
 
 class Views:
-    """Views of the units that are shown, drawn in threads."""
+    """Views of the units that are shown, drawn in threads.
+
+    Parameters
+    ----------
+    current : callable
+        What is shown by now.
+    browsers : Browsers
+        Are told each view when it is drawn.
+    """
 
     def __init__(self, current: Callable[[], Shown], *, browsers: Browsers) -> None:
         self._current = current
@@ -63,10 +71,28 @@ class Views:
         return [unit for unit in units if key_of([unit]) not in known]
 
     async def camera_picture(self, unit_id: str, **wanted: Any) -> dict[str, Any]:
-        """What a camera sees as the newest state has it; see `live_picture`.
+        """What a camera sees as the newest state has it.
 
-        Of those that wait for their turn only the newest is drawn. Raises InputError if
-        there is no such unit, run or frame; Cancelled if another one was asked meanwhile.
+        Parameters
+        ----------
+        unit_id : str
+            The camera.
+        **wanted
+            Run, frame and size, as :func:`~experiments.parts.camera_views.live_picture` takes
+            them.
+
+        Returns
+        -------
+        dict
+            Message for the page.
+
+        Raises
+        ------
+        InputError
+            There is no such unit, run or frame.
+        Cancelled
+            Another one was asked for meanwhile: of those that wait for their turn only the
+            newest is drawn.
         """
         asked = object()
         self._newest_picture = asked
@@ -81,7 +107,10 @@ class Views:
             )
 
     async def private_places(self, unit_id: str) -> list[list[int]]:
-        """Places of private ground in a unit's picture, centimetres; InputError: no such unit."""
+        """Places of private ground that a unit has in its picture, in centimetres.
+
+        Raises InputError if there is no such unit.
+        """
         shown = self._current()
         unit = shown.unit(unit_id)
         return await asyncio.to_thread(shown.workspace.private_places, unit)

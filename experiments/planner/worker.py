@@ -135,7 +135,18 @@ def _exchange(connection: Connection, request: Any, tell: OnProgress) -> tuple[s
 
 
 def _serve(connection: Connection, work: Work, code: str) -> None:
-    """Main function of the process, in a language: tasks until the pipe is closed."""
+    """Carry out tasks until the pipe is closed: the main function of the process.
+
+    Parameters
+    ----------
+    connection : Connection
+        Gets requests (method, args, kwargs). For each it sends ("progress", stage) any number
+        of times, and then ("done", result), ("refused", (text, cause)) or ("failed", (text,)).
+    work : Work
+        Of the :class:`.tasks.Tasks`.
+    code : str
+        Language of what is told.
+    """
     follow_parent()
     set_language(code)
 

@@ -14,7 +14,12 @@ from geometry.errors import InputError
 from geometry.files import pick
 from geometry.lidar import load_lidars
 from geometry.scene import Scene
-from placement.candidates import CandidatePose, build_grid, load_candidate_grid, own_models
+from placement.candidates import (
+    CandidatePose,
+    build_grid,
+    load_candidate_grid,
+    own_models,
+)
 from placement.ground import PrivateGround, PrivateSight, load_private_ground
 from placement.live import LiveTable, table_verdict
 from placement.question import Question
@@ -172,7 +177,20 @@ class Workspace:
 def build_workspace(
     work: Work, setting: Setting, *, title: str, save: Path | None
 ) -> tuple[Workspace, str]:
-    """A workspace; where private areas are of another scene, one without them and a notice."""
+    """A workspace, without private areas where they are of another scene.
+
+    Parameters
+    ----------
+    work, setting, title, save
+        As of :class:`Workspace`.
+
+    Returns
+    -------
+    workspace : Workspace
+        The workspace.
+    notice : str
+        That the private areas are left out, as a sentence; empty: they are not.
+    """
     try:
         return Workspace(work, setting, title=title, save=save), ""
     except InputError as error:
@@ -187,11 +205,21 @@ def build_workspace(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SensorChoice:
-    """Sensor models that can be mounted by hand, and those that the optimiser may mount."""
+    """Sensor models that can be mounted by hand, and those that the optimiser may mount.
 
-    words: Mapping[str, str]  # of ``--sensors``, by the names of the models
+    Attributes
+    ----------
+    words : mapping of str to str
+        What ``--sensors`` calls each model, by the model's name.
+    models : mapping of str to Sensor
+        By name.
+    chosen : tuple of str
+        Names of the models that the optimiser may mount; none: the default grid's.
+    """
+
+    words: Mapping[str, str]
     models: Mapping[str, Sensor]
-    chosen: tuple[str, ...]  # names of models; none: the default grid's
+    chosen: tuple[str, ...]
 
     @property
     def option(self) -> str:
@@ -209,7 +237,18 @@ class SensorChoice:
 
 
 def build_sensor_choice(question: Question) -> SensorChoice:
-    """Models of the catalogue and of the question's own files; chosen: the question's."""
+    """Models of the catalogue and of the question's own files, and the question's choice.
+
+    Parameters
+    ----------
+    question : Question
+        Its ``sensors`` may name files.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read.
+    """
     words = {name: name for name in (*load_cameras(), *load_lidars())}
     for word in question.sensors.split(","):
         if not word:
@@ -236,11 +275,20 @@ class Shown:
 
     Whoever works in the background keeps the one that he has begun with, and compares its
     workspace or its revision with the newest before he tells what he has found.
+
+    Attributes
+    ----------
+    history : History
+        The plan, with what can be undone.
+    sensors : SensorChoice
+        What can be mounted.
+    revision : int
+        How often the history has changed; numbers are told with the one they are of.
     """
 
     history: History
     sensors: SensorChoice
-    revision: int = 0  # how often the history has changed
+    revision: int = 0
 
     @property
     def state(self) -> PlanState:

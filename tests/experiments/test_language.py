@@ -399,7 +399,11 @@ def test_what_the_planner_refuses_is_known():
             if called in ("InputError", "refuse"):
                 texts |= {*map(words_of, node.args)}
             elif isinstance(node, ast.Assign):
-                named = getattr(node.targets[0], "id", "") in ("expected", "got")
+                named = getattr(node.targets[0], "id", "") in (
+                    "expected",
+                    "got",
+                    "_EXPECTED",
+                )
                 texts |= {words_of(node.value)} if named else set()
     texts -= {None}
     options = {"--port", "--cars", "a free port", "blind or see: the page tells each run once"}

@@ -223,7 +223,12 @@ def asking(
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_job(
-            *, question: Any, compute: Compute, as_json: bool, quiet: bool, **values: Any
+            *,
+            question: Any,
+            compute: Compute,
+            as_json: bool,
+            quiet: bool,
+            **values: Any,
         ) -> Any:
             progress = click.get_current_context().find_root().obj
             job = Job(
