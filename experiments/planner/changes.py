@@ -142,6 +142,7 @@ def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
     sensor = pick(stock.models, change.sensor, "sensor")
     if change.fov_deg is not None:
         sensor = _with_lens(sensor, change.fov_deg)
+    # A height that the site does not have is brought into its range.
     wanted_m = change.height_m
     if wanted_m is None:
         wanted_m = load_candidate_grid().heights_m.max()
@@ -215,11 +216,13 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
     site_id = unit.site_id
     if change.sensor is not UNSET:
         sensor = pick(stock.models, change.sensor, "sensor")
+        # The old tilt means nothing to what scans all round, and the other way round.
         if is_ring(sensor) != is_ring(unit.sensor):
             pose = replace(pose, pitch_deg=_default_pitch_deg(sensor))
     if change.fov_deg is not UNSET:
         sensor = _with_lens(sensor, change.fov_deg)
     if change.site is not UNSET and change.site != site_id:
+        # It does not take a place at the new site from itself.
         others = [other for other in units if other is not unit]
         site = _free_site(change.site, others, scene)
         ground_m = float(ground_height_m(scene, pose.position_m[:2]))
@@ -269,6 +272,7 @@ def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> 
     reach_m = _FAR_M
     if is_tilted:
         reach_m = up_m / math.tan(math.radians(-pitch_deg))
+    # The point of the ground at which the axis ends
     yaw = math.radians(yaw_deg)
     target_m = eye_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
     east, north = target_m - position_m[:2]
@@ -330,6 +334,7 @@ def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Si
         raise InputError("site", site_id, f"a site of {scene.name}")
     if site.use == "forbidden":
         raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
+    # Each unit takes one place.
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:
         got = f"a unit more than the {n_there} there"

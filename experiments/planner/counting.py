@@ -63,6 +63,7 @@ class Counting:
             await self.changed.wait()
             self.changed.clear()
             workspace = self._current().workspace
+            # The first count casts rays that all others need.
             if workspace.live.n_casts == 0:
                 await self._prepare_rays(workspace)
             shown = self._current()
@@ -114,10 +115,12 @@ class Counting:
             await self.rests.wait()
             self.rests.clear()
             await asyncio.sleep(_REST_S)
+            # Somebody drags: pixels would be asked for what nobody looks at any longer.
             if self.rests.is_set() or self.changed.is_set():
                 continue
             shown = self._current()
             self._browsers.notice(save_plan(shown))
+            # A change ends the round: the newest layout comes first in the next one.
             for units in self._unknown(shown):
                 await self._evaluate(units)
                 if self.rests.is_set():
@@ -159,6 +162,7 @@ class Counting:
             return
         finally:
             tell("", 0, 0)
+        # They hold for this scene, whatever is shown by now: Undo may lead back to it.
         workspace.learn(units, numbers)
         shown = self._current()
         if shown.workspace is not workspace:  # another scene was opened meanwhile
@@ -172,6 +176,7 @@ class Counting:
                 **private,
             }
             self._browsers.send(message)
+        # Units may have been changed while private areas were looked for.
         shown = self._current()
         self._browsers.send(variants_message(shown))
         self._browsers.send(self._proposals.message(shown))

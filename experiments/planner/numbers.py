@@ -199,12 +199,14 @@ def change_question(question: Question, change: ChangeQuestion, begun: Question)
     for name in ("detector", "weights"):
         if name in given:
             check_one_of(name, given[name], _choices(begun)[name])
+    # A file of cases would be read from this machine, whoever asks.
     cases = given.get("cases", "")
     if ".toml" in cases.lower() and cases != begun.cases:
         raise InputError("cases", cases, "sets and names of cases")
     changed = replace(question, **given)
     if 0.0 < read_cars(changed.cars) < 1.0:
         raise InputError("cars", changed.cars, f"{BLIND} or {SEE}: the page tells each run once")
+    # The detector is one of the choices, and may be a network that is slow to load.
     check_question(replace(changed, detector=DETECTOR_NAMES[0]))
     return changed
 
@@ -263,12 +265,14 @@ def evaluate_command(question: Question) -> str:
 
     It has every option of what is driven and judged that differs from its default.
     """
+    # The page saves the layout under this name.
     words = ["place-rsus", "evaluate", "--layout", "layout.json"]
     for field in question_fields().values():
         value = getattr(question, field.name)
         if field.name not in ("no_look", *JUDGED) or value == field.default:
             continue
         words.append(option_of(field))
+        # A flag stands alone.
         if value is not True:
             words.append(f"{value}")
     return shlex.join(words)
@@ -338,7 +342,7 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
     Returns
     -------
     dict or None
-        None of nothing. A sum of which a part is not known is said so.
+        None of nothing. A sum of which a part is not known is unknown, too.
     """
     if not units:
         return None
@@ -528,7 +532,7 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
     scene : Scene
         Has the road.
     units : sequence of CandidatePose
-        Cameras and LiDARs; what is seen by several counts by the best.
+        What is mounted: of several cameras the finest counts; LiDARs take no pictures.
 
     Returns
     -------

@@ -80,6 +80,7 @@ class QuestionChange:
 
     def ask(self, question: Question) -> None:
         """Begin to go on with a question; the one that is asked now: stay with that."""
+        # What was asked before is not wanted any longer.
         self.stop()
         self._coming = None
         self._browsers.tell_stage("setting", "")
@@ -120,6 +121,7 @@ class QuestionChange:
             worker.stop()
             self._browsers.send(question_message(shown, self._begun))
             return
+        # The image may have been laid while the setting was built.
         workspace.background = shown.workspace.background
         state = replace(shown.state, workspace=workspace)
         history = shown.history.went_on(state)
@@ -208,6 +210,7 @@ class SceneOpening:
         now = self._current().workspace.work
         work = replace(now, question=replace(now.question, scene=path))
         evaluator = self._workers.make(work)
+        # `_at_work` says whose turn it is; whoever cancels takes it away.
         try:
             if of is not None:
                 await self._cut(of, junction, path)

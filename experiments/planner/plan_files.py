@@ -107,6 +107,7 @@ def _read_variants(records: Any, where: str) -> list[Variant]:
         if not isinstance(record, dict):
             raise InputError(at, record, "a layout")
         name = record.get("name")
+        # A layout's file has at least one unit; a variant may have none yet.
         if record.get("layout") == [] and isinstance(name, str):
             variants.append(Variant(name=printable_name(name)))
         else:

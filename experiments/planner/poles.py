@@ -81,6 +81,7 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
         expected = f"one at most {_FARTHEST_POLE_M:g} m from the junction"
         refuse("pole", "a place farther away", expected)
     foot_m[2] = ground_height_m(scene, foot_m[:2])
+    # A metre above the ground, where what stands there is no mere edge.
     around = containing_instance(scene, foot_m + [0.0, 0.0, 1.0])
     if around:
         refuse(
@@ -165,6 +166,7 @@ def lay_poles(state: PlanState, places: Sequence[PolePlace], scene: Scene) -> Pl
         place_m = (place.x_m, place.y_m)
         if any(_is_at(pole, place_m) for pole in state.poles):
             continue
+        # A file may be of a scene that has a site of the same name.
         ids = {site.id for site in (*scene.sites, *state.poles)}
         name = place.id
         if name in ids:

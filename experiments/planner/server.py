@@ -140,11 +140,14 @@ class Guard:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         origin = headers.get("origin", "")
+        # Another name that leads to this address: see :func:`allowed_hosts`.
         if self._hosts is not None and host not in self._hosts:
             return tr("another host")
+        # Pages from elsewhere can send requests here, but not without their origin.
         is_read = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if (origin or not is_read) and origin != f"http://{host}":
             return tr("another origin")
+        # Who has the address that was printed has the token.
         token = ""
         if scope["path"].startswith("/"):
             token = scope["path"].split("/")[1]
@@ -184,7 +187,10 @@ class Pages:
     def _answer(
         self, make: Callable[[Request], Awaitable[Response]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """An answer, or the sentence that says why there is none."""
+        """A route's answer, or the sentence that says why there is none.
+
+        Status 400: the request cannot be met. 409: it was stopped.
+        """
 
         async def answer(request: Request) -> Response:
             response: Response
@@ -215,7 +221,11 @@ class Pages:
         return Response(content, media_type=media_type)
 
     async def _live(self, socket: WebSocket) -> None:
-        """Talk to a browser until it leaves: messages to it, requests of it."""
+        """Talk to a browser until it leaves: messages to it, requests of it.
+
+        Each request is answered by "heard" with its number, so that the page knows which of its
+        changes the newest state has.
+        """
         await socket.accept()
         waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue(_MAX_WAITING)
         is_lost = asyncio.Event()
@@ -276,7 +286,11 @@ class Pages:
         return JSONResponse(await self._session.views.private_places(unit_id))
 
     async def _background(self, request: Request) -> Response:
-        """The image below the plan; by POST another one, or with an empty body none."""
+        """The image below the plan; by POST another one, or with an empty body none.
+
+        An image with a file name is a raster that says where it lies; one without is sent with
+        two points that lay it.
+        """
         if request.method == "POST":
             name = _file_name(request)
             if name:
@@ -353,7 +367,10 @@ class Pages:
         return _download(content, "mounting.pdf", "application/pdf")
 
     async def _open(self, request: Request) -> Response:
-        """Open a layout or a plan, or survey a map or a scene, by the suffix of its name."""
+        """Open a layout or a plan, or survey a map or a scene, by the suffix of its name.
+
+        Raises InputError or TaskError if it cannot be read; nothing is left of it then.
+        """
         name = _file_name(request)
         if name.lower().endswith(".json"):
             plan = read_plan(await _body(request, MAX_PLAN_BYTES), name)
@@ -362,6 +379,7 @@ class Pages:
         suffix = _map_suffix(name)
         path = await self._received(request, _plain_name(name, suffix))
         before = self._session.map_file
+        # What cannot be read is not stored; messages name the file as its sender does.
         try:
             file = await self._session.open_file(MapFile(path=path, name=name))
         except BaseException as error:
@@ -515,6 +533,7 @@ async def _send_all(
         messages = [await waiting.get()]
         while not waiting.empty():
             messages.append(waiting.get_nowait())
+        # Later messages of a kind take the place of earlier ones.
         newest = {message["type"]: index for index, message in enumerate(messages)}
         for index, message in enumerate(messages):
             if message["type"] in _EACH or newest[message["type"]] == index:
@@ -606,7 +625,11 @@ class RunningServer:
         self._error: BaseException | None = None
 
     def start(self) -> None:
-        """Serve from here on."""
+        """Serve from here on.
+
+        Returns when the address is answered. Raises what the session or the server cannot begin
+        with.
+        """
         self._thread.start()
         self._is_up.wait()
         if self._error is not None:
@@ -624,8 +647,15 @@ class RunningServer:
             self._thread.join(0.5)
 
     def stop(self) -> str:
-        """End it and every process that it has started; what could not be saved, in words."""
+        """End the server and every process that it has started; from any thread.
+
+        Returns
+        -------
+        str
+            Why the plan could not be saved, as a sentence; empty: nothing went wrong.
+        """
         if self._server is not None:
+            # At once: connections to browsers would stay open for ever.
             self._server.should_exit = True
             self._server.force_exit = True
         if self.session is not None:
@@ -664,6 +694,11 @@ class RunningServer:
         watching.cancel()
 
     async def _end_when_alone(self, session: Session, server: uvicorn.Server) -> None:
+        """End some seconds after the last page was closed.
+
+        A page that is loaded again comes back within these; one whose connection was lost tries
+        for minutes.
+        """
         while not self.keeps_open:
             await asyncio.sleep(0.5)
             if session.browsers.left_at_s is None:  # nobody came yet, or somebody is here

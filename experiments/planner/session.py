@@ -80,13 +80,15 @@ class Session:
         tiles: TileServer | None = None,
     ) -> None:
         self.tiles = tiles
-        self.map_file = map_file  # that the scene is of, or that was sent last
+        # The map that the scene is of, or that was sent last
+        self.map_file = map_file
         self._begun = work.question
         title = ""
         if map_file is not None:
             title = _title_of_streets(setting)
         workspace = Workspace(work, setting, title=title, save=save)
         self.shown = _begin(workspace, begun or Plan(variants=()))
+        # Files of plans, in the order of their scenes
         self._saves = [] if save is None else [save]
         self.browsers = Browsers()
         self.workers = Workers(make_worker, work)
@@ -157,7 +159,18 @@ class Session:
         return scene_message(self.shown, map_name=map_name, tiles=self.tiles)
 
     def handle(self, text: bytes) -> None:
-        """Carry out a request. Raises InputError if that cannot be done."""
+        """Carry out a request.
+
+        Parameters
+        ----------
+        text : bytes
+            JSON of one of :data:`.requests.Message`.
+
+        Raises
+        ------
+        InputError
+            It is none, or cannot be done; nothing has changed then.
+        """
         message = requests.read_message(text)
         history = self.shown.history
         match message:
@@ -168,6 +181,7 @@ class Session:
             case requests.Revert(gesture=gesture):
                 self._go_to(history.reverted(gesture))
             case requests.ChangeQuestion():
+                # Two changes of the question in a row are both meant.
                 newest = self.question_change.newest
                 self.question_change.ask(change_question(newest, message, self._begun))
             case requests.Ask():
@@ -190,6 +204,7 @@ class Session:
                 sensors = self.shown.sensors.choosing(names)
                 self.shown = replace(self.shown, sensors=sensors)
                 self.browsers.send({"type": "sensors", "grid": list(sensors.chosen)})
+            # All that is left changes the plan itself.
             case _:
                 state = change_state(self.shown.state, message, self.shown.stock)
                 gesture = ""
@@ -204,8 +219,17 @@ class Session:
     # ---------- changes
 
     def _go_to(self, history: History, evaluator: Worker | None = None) -> None:
-        """Show the state of a history; `evaluator` has read its scene, if that is another."""
+        """Show the state of a history, and wake the loops that follow what is shown.
+
+        Parameters
+        ----------
+        history : History
+            What is shown from here; its state may be in another workspace.
+        evaluator : Worker, optional
+            Has read the scene of that workspace already.
+        """
         is_elsewhere = history.state.workspace is not self.shown.workspace
+        # What is of the old scene or question ends before the new one is shown.
         if is_elsewhere:
             self.browsers.notice(save_plan(self.shown))
             self.question_change.stop()
@@ -213,6 +237,7 @@ class Session:
             self.proposals.clear()
             self.views.clear()
         self.shown = self.shown.with_history(history)
+        # Browsers draw the scene before the units in it.
         if is_elsewhere:
             self.browsers.send(self._scene_message())
             self.browsers.send(question_message(self.shown, self._begun))
@@ -232,13 +257,23 @@ class Session:
     def open_plan(self, opened: Plan, source: str) -> None:
         """Add variants from a file; an only one that is empty gives way to them.
 
-        `source`, the file's name, tells those apart whose own name is taken. Raises
-        InputError if a unit cannot be mounted in this scene, or there are too many.
+        Parameters
+        ----------
+        opened : Plan
+            Contents of the file.
+        source : str
+            The file's name: it tells those apart whose own name is taken.
+
+        Raises
+        ------
+        InputError
+            A unit cannot be mounted in this scene, or there are too many.
         """
         workspace = self.shown.workspace
         scene = workspace.setting.scene
         check_plan(opened, scene)
         state = self.shown.state
+        # An empty plan is what the page begins with: nobody wants it beside the file's.
         if len(state.variants) == 1 and not state.variant.units:
             first = begin_history(opened.variants, workspace).state
             state = replace(first, poles=state.poles)
@@ -259,6 +294,7 @@ class Session:
         self._coroutines.start(self._advise(message, self.shown))
 
     async def _advise(self, message: requests.Ask, begun: Shown) -> None:
+        """Add the optimiser's answers to the proposals, and show them."""
         is_done = await ask_optimiser(
             message,
             begun,
@@ -267,6 +303,7 @@ class Session:
             browsers=self.browsers,
             current=self.current,
         )
+        # Proposals are judged by the evaluator, too.
         if is_done:
             self.browsers.send(self.proposals.message(self.shown))
             self.counting.rests.set()
@@ -280,6 +317,7 @@ class Session:
             state = add_variant(state, variant)
         else:
             state = state.with_units(proposal.units)
+        # Only now: a proposal that cannot be taken over is still shown.
         self.proposals.drop(message.number)
         self._go_to(self.shown.history.went_on(state))
         self.browsers.send(self.proposals.message(self.shown))
@@ -303,9 +341,21 @@ class Session:
         return [str(path) for path in self._saves if path.exists()]
 
     async def call(self, method: str, *args: Any, is_long: bool = False) -> Any:
-        """Result of a task by the evaluator's process; by the optimiser's, if it `is_long`.
+        """Result of a task for an answer to an address.
 
-        Raises TaskError, Cancelled.
+        Parameters
+        ----------
+        method : str
+            Of :class:`.tasks.Tasks`.
+        *args
+            Its arguments.
+        is_long : bool
+            By the optimiser's process, so that the evaluator can go on.
+
+        Raises
+        ------
+        TaskError, Cancelled
+            As :meth:`.worker.Worker.call`.
         """
         worker = self.workers.evaluator
         who = "evaluator"
@@ -347,6 +397,7 @@ class Session:
             self.browsers.notice(notice)
 
     def _show_scene(self, opened: OpenedScene) -> None:
+        """Show an empty plan in a scene that was opened."""
         state = begin_history((), opened.workspace).state
         history = self.shown.history.went_on(state)
         self._go_to(history.of_newest(MAX_WORKSPACES), opened.evaluator)

@@ -111,6 +111,7 @@ class Tasks:
 
     def _evaluation(self, layout: Layout) -> Evaluation:
         """Evaluation of a layout; the newest ones are remembered."""
+        # The name stands in the record of an evaluation.
         key = (layout.name, *key_of(layout.units))
         if key not in self._evaluations:
             self._evaluations[key] = evaluate_layout(layout, self.setting, compute=self._of_units)
@@ -158,6 +159,7 @@ class Tasks:
         time_s = axis.time_s[frames]
         last_s = float(axis.last_brake_time_s[index])
         counts = np.asarray(is_in_time(time_s, last_s, latency_s=setting.rule.latency_s))
+        # Frames that came early enough, and in which the unit did not detect anybody
         looks = []
         for unit in layout.units:
             detected = evaluation.units[unit.id].detected[frames]

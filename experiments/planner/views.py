@@ -51,12 +51,14 @@ class Views:
                 if not missing:
                     break
                 workspace = self._current().workspace
+                # Rays take most of the time; a unit that has them is drawn at once.
                 unit = missing[0]
                 for each in missing:
                     if workspace.views.has_rays(each):
                         unit = each
                         break
                 found = await asyncio.to_thread(workspace.view_record, unit)
+                # Another scene may have been opened meanwhile.
                 if workspace is self._current().workspace:
                     message = {"type": "view", **found}
                     self._drawn[unit.id] = key_of([unit]), message
@@ -97,6 +99,7 @@ class Views:
         asked = object()
         self._newest_picture = asked
         async with self._picture_turn:
+            # While this one waited for its turn, another one was asked for.
             if asked is not self._newest_picture:
                 raise Cancelled
             shown = self._current()

@@ -84,6 +84,7 @@ class Worker:
         if kind == "done":
             return value
         if kind == "ended":
+            # Whoever stops it takes the connection away.
             was_stopped = self._connection is not connection
             self.stop()
             if was_stopped:
@@ -115,6 +116,7 @@ class Worker:
             given = (theirs, self._work, language())
             self._process = context.Process(target=_serve, args=given, daemon=False)
             self._process.start()
+            # The process has its end; with ours alone open here, its end is seen.
             theirs.close()
             self._connection = ours
         return self._connection

@@ -103,6 +103,7 @@ class Workspace:
         """
         if not units:
             return {"source": "none"}
+        # A row for each unit: the frames in which it detects the road user
         rows = []
         for first in range(0, len(units), _AT_ONCE):
             if self.is_over.is_set():
@@ -129,6 +130,7 @@ class Workspace:
         if key in self.by_table:
             source = "table"
         found = {"apr": self.by_table.get(key, ""), "byCase": {}, "oneFails": ""}
+        # The evaluator's numbers win over those of the table.
         evaluated = self.known.get(key)
         if evaluated:
             source = "evaluator"
@@ -249,6 +251,7 @@ def build_sensor_choice(question: Question) -> SensorChoice:
     InputError
         A file cannot be read.
     """
+    # Models of the catalogue go by their names, those of files by FILE.toml:NAME.
     words = {name: name for name in (*load_cameras(), *load_lidars())}
     for word in question.sensors.split(","):
         if not word:

@@ -56,7 +56,22 @@ def help_of(field: QuestionField) -> str:
 
 
 def _field_option(name: str, flag: str, **settings: Any) -> partial[Decorator]:
-    """:func:`option` of a field, to be called with what a command has otherwise."""
+    """:func:`option` of a field, to be called with what a command has otherwise.
+
+    Parameters
+    ----------
+    name : str
+        The field, and the parameter of the command.
+    flag : str
+        Name of the option on the command line, see :func:`option_of`.
+    **settings
+        All that the field itself does not say, as :func:`option` takes it.
+
+    Returns
+    -------
+    partial
+        Called without arguments it is the option; ``default=8`` gives it another default.
+    """
     field = question_fields()[name]
     kind = field.kind
     limits = Meta()
@@ -75,7 +90,20 @@ def _field_option(name: str, flag: str, **settings: Any) -> partial[Decorator]:
 
 
 def _click_type(kind: Any, limits: Meta) -> "click.ParamType[Any] | None":
-    """Type of an option whose values are of a kind, within limits; None: click finds it."""
+    """Type of an option whose values are of a kind, within limits.
+
+    Parameters
+    ----------
+    kind : type or Literal
+        int, float, bool, str, or words of which one is chosen.
+    limits : msgspec.Meta
+        Least and greatest value of a number.
+
+    Returns
+    -------
+    click.ParamType or None
+        None: click finds it by the default and the name.
+    """
     if get_origin(kind) is Literal:
         return click.Choice(get_args(kind))
     if kind is int:
@@ -502,7 +530,15 @@ scene_option = QUESTION_OPTIONS["scene"]()
 
 
 def fields_in(*sections: str, but: Sequence[str] = ()) -> tuple[str, ...]:
-    """Names of the fields in these sections of the help, without some of them."""
+    """Names of the fields in these sections of the help, without some of them.
+
+    Parameters
+    ----------
+    *sections : str
+        Such as :data:`ASKED`.
+    but : sequence of str
+        Fields that are left out.
+    """
     return tuple(
         name
         for name, add in QUESTION_OPTIONS.items()

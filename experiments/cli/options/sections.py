@@ -63,7 +63,17 @@ def _show_all(context: click.Context, _param: click.Parameter, is_asked: bool) -
 def _write_sections(
     command: click.Command, ctx: click.Context, formatter: click.HelpFormatter
 ) -> None:
-    """Write the options of a command: its own first, then section by section."""
+    """Write the options of a command: its own first, then section by section.
+
+    Parameters
+    ----------
+    command : click.Command
+        Has the options.
+    ctx : click.Context
+        Says whether all of them are wanted.
+    formatter : click.HelpFormatter
+        Gets the text.
+    """
     shows_all = ctx.meta.get(_SHOWS_ALL, False)
     titles = ("", *SECTIONS, PROGRAM)
     sections: dict[str, list[tuple[str, str]]] = {title: [] for title in titles}
@@ -85,8 +95,19 @@ def with_option_names(message: str, group: click.Group) -> str:
     """Put the names of options in place of the fields that a message of the library names.
 
     A message names a field at its beginning, before a colon or "in", or anywhere between
-    backticks: "budget: got 0; expected 1 or more, or `target`". Names that no option has
-    stay as they are.
+    backticks: "budget: got 0; expected 1 or more, or `target`".
+
+    Parameters
+    ----------
+    message : str
+        What the library says.
+    group : click.Group
+        Has the options; those of its commands count where it has none of that name.
+
+    Returns
+    -------
+    str
+        Names that no option has stay as they are.
     """
     names = dict(_option_names(group))
 

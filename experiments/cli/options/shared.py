@@ -138,7 +138,13 @@ layout_option = option(
 
 
 def folder_option(files: str) -> Decorator:
-    """``--out``, a folder for some files, named in its help; nothing is written without it."""
+    """``--out``, a folder for some files, named in its help.
+
+    Parameters
+    ----------
+    files : str
+        Names of the files; without the option none is written.
+    """
     return option(
         "--out",
         type=click.Path(path_type=Path),
@@ -194,7 +200,10 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
 
 
 def calling(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options ``--json``, ``--quiet`` and so on: the command gets them as one `call`."""
+    """Options ``--json``, ``--quiet`` and so on: the command gets them as one `call`.
+
+    It is for commands that compute nothing that rays, seeds or threads have to do with.
+    """
 
     @wraps(command)
     def with_call(*, as_json: bool, quiet: bool, **values: Any) -> Any:

@@ -147,8 +147,13 @@ class WordedOption(click.Option):
 def option(*names: str, **settings: Any) -> Decorator:
     """``click.option`` with what :class:`WordedOption` takes.
 
-    The help shows a default that is not nothing, such as 8 but not "", unless
-    `show_default` says otherwise.
+    Parameters
+    ----------
+    *names : str
+        The option, such as "--max", and the parameter where that is called otherwise.
+    **settings
+        As ``click.option`` and :class:`WordedOption` take them. The help shows a default that
+        is not nothing, such as 8 but not "", unless `show_default` says otherwise.
     """
     settings.setdefault("show_default", bool(settings.get("default")))
     return click.option(*names, cls=WordedOption, **settings)
