@@ -16,8 +16,10 @@ from placement.imaging import to_jpeg
 
 from .background import Background, Lie, LiePoint
 
-_AROUND_M = 150.0  # of the image: to each side of the junction
-_FINEST_M = 0.1  # a pixel
+# How far the image reaches, to each side of the junction's middle
+_AROUND_M = 150.0
+# Least size of a pixel of the image on the ground
+_FINEST_M = 0.1
 _EXPECTED = "an image of the junction in 8 bits per colour that says where it lies"
 _DRIVERS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 
@@ -77,7 +79,8 @@ def _cut(raster: Any, path: str, crs: str, scene: Scene) -> Background:
     width_px = int(np.ceil((east - west) / step_m))
     height_px = int(np.ceil((north - south) / step_m))
     has_alpha = any(band.name == "alpha" for band in raster.colorinterp)
-    bands = [1, 1, 1]  # of a grey image
+    # A grey image has one band, which becomes all three colours.
+    bands = [1, 1, 1]
     if raster.count >= 3:
         bands = [1, 2, 3]
     with WarpedVRT(
@@ -90,7 +93,8 @@ def _cut(raster: Any, path: str, crs: str, scene: Scene) -> Background:
         add_alpha=not has_alpha,
     ) as part:
         rgb = part.read(bands)
-        rgb[:, part.dataset_mask() == 0] = 255  # white where the image has nothing
+        # White where the image has nothing
+        rgb[:, part.dataset_mask() == 0] = 255
     upper_left = LiePoint(0.0, 0.0, west, north)
     lower_right = LiePoint(
         width_px, height_px, west + width_px * step_m, north - height_px * step_m

@@ -37,9 +37,10 @@ class Browsers:
 
     def __init__(self) -> None:
         self.listeners: set[Listener] = set()
-        self.left_at_s: float | None = None  # since when nobody looks, who looked before
-        self.is_lost = False  # the last one was not closed: the connection to it is lost
-        self._doing: dict[str, Any] = {}  # the newest message about work in the background
+        self.left_at_s: float | None = None
+        self.is_lost = False
+        # The newest message about work in the background
+        self._doing: dict[str, Any] = {}
 
     def send(self, message: dict[str, Any]) -> None:
         """Send a message to every browser."""

@@ -42,10 +42,13 @@ from .requests import (
 )
 
 _DEFAULT_PITCH_DEG = -15.0
-_LEVEL_DEG = 0.5  # an axis less steep meets the ground too far away to be aimed at it
+# An axis less steep meets the ground too far away to be aimed at it
+_LEVEL_DEG = 0.5
 _FAR_M = 45.0
-_DECIMALS = 6  # of degrees and metres: finer than anybody mounts
-_LOWEST_M = 0.5  # above the ground, where a unit has no site
+# Of degrees and metres: finer than anybody mounts
+_DECIMALS = 6
+# Above the ground, where a unit has no site
+_LOWEST_M = 0.5
 _HIGHEST_M = 50.0
 
 
@@ -328,7 +331,8 @@ def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
 
 def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Site:
     """A site that may carry one more unit than these; InputError: there is none."""
-    by_id = {site.id: site for site in reversed(scene.sites)}  # of equal ids the first
+    # Of equal ids the first
+    by_id = {site.id: site for site in reversed(scene.sites)}
     site = by_id.get(site_id)
     if site is None:
         raise InputError("site", site_id, f"a site of {scene.name}")

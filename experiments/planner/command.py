@@ -138,7 +138,8 @@ def plan(
         )
     asked = question
     tile_server = None
-    if tiles:  # refused before anything is read
+    # Refused before anything is read
+    if tiles:
         from .tiles import read_tile_server
 
         tile_server = read_tile_server(tiles, tiles_attribution)

@@ -15,7 +15,8 @@ from .worker import Cancelled, DiedError, TaskError
 from .workers import Workers
 from .workspace import Shown, Workspace
 
-_REST_S = 0.3  # without a change, before pixels are asked
+# How long nothing must change before the evaluator is asked
+_REST_S = 0.3
 
 
 class Counting:
@@ -48,8 +49,10 @@ class Counting:
         self._browsers = browsers
         self._workers = workers
         self._proposals = proposals
-        self.changed = asyncio.Event()  # there is something to count
-        self.rests = asyncio.Event()  # there may be something to judge
+        # There is something to count
+        self.changed = asyncio.Event()
+        # There may be something to judge
+        self.rests = asyncio.Event()
         self.shows_coverage = False
 
     # ---------- by the detection table
@@ -67,7 +70,8 @@ class Counting:
             if workspace.live.n_casts == 0:
                 await self._prepare_rays(workspace)
             shown = self._current()
-            if shown.workspace is not workspace:  # another scene was opened meanwhile
+            # Another scene was opened meanwhile
+            if shown.workspace is not workspace:
                 self.changed.set()
                 continue
             try:
@@ -131,7 +135,8 @@ class Counting:
         layouts = [shown.units]
         layouts += [variant.units for variant in shown.state.variants]
         layouts += self._proposals.layouts()
-        layouts.append(shown.first_units())  # so that the car's own sensors are known
+        # So that the car's own sensors are known
+        layouts.append(shown.first_units())
         by_key = {key_of(units): units for units in layouts if units}
         workspace = shown.workspace
         done = workspace.known.keys() | workspace.failed.keys()
@@ -165,7 +170,8 @@ class Counting:
         # They hold for this scene, whatever is shown by now: Undo may lead back to it.
         workspace.learn(units, numbers)
         shown = self._current()
-        if shown.workspace is not workspace:  # another scene was opened meanwhile
+        # Another scene was opened meanwhile
+        if shown.workspace is not workspace:
             return
         if key == key_of(shown.units):
             private = await asyncio.to_thread(workspace.private_areas, units)

@@ -40,7 +40,8 @@ from .requests import ChangeQuestion
 
 BY_TABLE = "table"
 BY_EVALUATOR = "evaluator"
-_MAX_AREAS = 200  # private ones that are told, those that are seen the most
+# Private areas that are told: those that are seen the most
+_MAX_AREAS = 200
 
 
 def key_of(units: Sequence[CandidatePose]) -> tuple[object, ...]:
@@ -503,7 +504,8 @@ def private_record(
     list of dict
         For each area its name and who sees it; "isTooMuch": more than is allowed.
     """
-    shares = sight.shares(units)  # a row for each unit, a column for each area
+    # A row for each unit, a column for each area
+    shares = sight.shares(units)
     most = shares.max(axis=0, initial=0.0)
     columns = np.argsort(-most, kind="stable").tolist()
     seen_columns = [column for column in columns if most[column] > 0.0]
@@ -544,7 +546,8 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
     found = find_ground_coverage(scene, units)
     band = np.full(found.density.shape, 255, dtype=np.uint8)
     band[found.density > 0.0] = 254
-    for index in reversed(range(len(BANDS))):  # the finest last: it wins
+    # The finest last: it wins
+    for index in reversed(range(len(BANDS))):
         _, least = BANDS[index]
         band[found.density >= least] = index
     west, east = _edges_m(found.east_m)

@@ -111,13 +111,15 @@ class QuestionChange:
         except Exception as error:  # whatever it is, what was asked before goes on
             problem = str(error)
         if self._coming is None or self._coming.worker is not worker:
-            worker.stop()  # something else is asked by now
+            # Something else is asked by now
+            worker.stop()
             return
         self._coming = None
         tell("", 0, 0)
         self._browsers.notice(problem)
         shown = self._current()
-        if workspace is None or shown.workspace is not before:  # another scene was opened
+        # It failed, was stopped, or another scene was opened.
+        if workspace is None or shown.workspace is not before:
             worker.stop()
             self._browsers.send(question_message(shown, self._begun))
             return
@@ -227,7 +229,8 @@ class SceneOpening:
         finally:
             self._at_work = None
             tell("", 0, 0)
-        if notice:  # the question has changed: without private areas
+        # The question has changed: without private areas
+        if notice:
             evaluator.stop()
             evaluator = self._workers.make(workspace.work)
         return OpenedScene(workspace=workspace, evaluator=evaluator, notice=notice)
@@ -244,7 +247,8 @@ class SceneOpening:
             on_progress=self._browsers.stages("scene"),
             **of.options,
         )
-        if self._at_work is not reader:  # it was stopped, or another one is asked for
+        # It was stopped, or another one is asked for
+        if self._at_work is not reader:
             raise Cancelled
 
     def _free_save(self) -> Path | None:

@@ -10,7 +10,8 @@ from ..language import words_of
 from ..report.page import page_environment
 
 _KINDS = {".css": "text/css", ".js": "text/javascript"}
-_SHARED_SCRIPTS = ("words.js", "run_numbers.js", "plan_drawing.js")  # of the report
+# Scripts of the report that the page's own scripts use
+_SHARED_SCRIPTS = ("words.js", "run_numbers.js", "plan_drawing.js")
 # Files of the report are plain scripts; here they are modules, which export what is used.
 _EXPORTED = (
     b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "

@@ -19,7 +19,8 @@ MAX_VARIANTS = 12
 MAX_STEPS = 500
 """Steps that can be undone."""
 
-_MAX_NAME = 80  # letters
+# Letters that a name may have
+_MAX_NAME = 80
 
 
 def check_count(n: int, where: str, most: int) -> None:
@@ -85,7 +86,7 @@ class PlanState:
     variants: tuple[Variant, ...]
     current: int = 0
     workspace: Any = None
-    poles: tuple[Site, ...] = ()  # of one's own, beside the scene's sites
+    poles: tuple[Site, ...] = ()
 
     @property
     def variant(self) -> Variant:
@@ -167,7 +168,8 @@ class History:
 
     states: tuple[PlanState, ...]
     now: int = 0
-    gesture: str = ""  # that the newest step belongs to; empty: none
+    # Name of the drag that the newest step belongs to; empty: none
+    gesture: str = ""
 
     @property
     def state(self) -> PlanState:

@@ -20,7 +20,8 @@ from placement.retrofit import free_name
 from .plan import PlanState, check_finite, printable_name
 from .requests import PutPole
 
-_FARTHEST_POLE_M = 500.0  # from the outline of the junction
+# From the outline of the junction
+_FARTHEST_POLE_M = 500.0
 _SAME_PLACE_M = 0.01
 
 

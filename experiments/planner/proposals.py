@@ -14,7 +14,8 @@ from ..language import tr
 from ..parts.player import unit_records
 from .browsers import Browsers
 from .requests import Ask
-from .worker import Cancelled, TaskError, Worker
+from .worker import Cancelled, TaskError
+from .workers import Workers
 from .workspace import Shown
 
 _MAX_PROPOSALS = 12
@@ -42,7 +43,8 @@ class Proposal:
     title: str
     words: str
     units: tuple[CandidatePose, ...]
-    views: tuple[str, ...]  # of each unit, as an SVG path
+    # Of each unit, as an SVG path
+    views: tuple[str, ...]
     fields: dict[str, Any]
 
     def record(self, shown: Shown) -> dict[str, Any]:
@@ -111,7 +113,7 @@ async def ask_optimiser(
     ask: Ask,
     begun: Shown,
     *,
-    optimiser: Worker,
+    workers: Workers,
     proposals: Proposals,
     browsers: Browsers,
     current: Callable[[], Shown],
@@ -124,8 +126,8 @@ async def ask_optimiser(
         The request.
     begun : Shown
         What was shown when it was asked: its units are those that are advised upon.
-    optimiser : Worker
-        Process that answers.
+    workers : Workers
+        Have the optimiser, which may be another one by the second call.
     proposals : Proposals
         Gets the answers.
     browsers : Browsers
@@ -144,8 +146,8 @@ async def ask_optimiser(
     try:
         shown = current()
         models = shown.sensors.option
-        await optimiser.call("choose", models, shown.state.poles, on_progress=tell)
-        answers = await optimiser.call(
+        await workers.optimiser.call("choose", models, shown.state.poles, on_progress=tell)
+        answers = await workers.optimiser.call(
             "advise",
             begun.units,
             ask.request,

@@ -45,14 +45,20 @@ except ModuleNotFoundError as error:
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_NAME_BYTES = 500
 _STOPPED = mark("it was stopped")
-_WIDEST_PX = 640  # of a picture that is drawn while a camera is turned
-_EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
-_MAX_WAITING = 2000  # messages for a browser that does not read
-_CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again
-_LOST_CODE = 1006  # as all other codes: the connection to the page was lost
+# Of a picture that is drawn while a camera is turned
+_WIDEST_PX = 640
+# Messages of which not only the newest counts
+_EACH = ("problem", "notice", "view")
+# Messages for a browser that does not read
+_MAX_WAITING = 2000
+# The page was closed or is loaded again
+_CLOSED_CODES = (1000, 1001, 1005)
+# As all other codes: the connection to the page was lost
+_LOST_CODE = 1006
 _LOCAL = "127.0.0.1"
 _ALL_INTERFACES = ("0.0.0.0", "::")
-_PATIENCE_S = 2.0  # until a server has ended
+# Until a server has ended
+_PATIENCE_S = 2.0
 LINGER_S = 8.0
 """After the last page was closed: it may be loaded again."""
 LINGER_LOST_S = 180.0
@@ -209,7 +215,8 @@ class Pages:
     async def _page(self, request: Request) -> Response:
         policy = _STRICT
         tiles = self._session.tiles
-        if tiles is not None:  # the only other server that the page may ask
+        # The only other server that the page may ask
+        if tiles is not None:
             policy = _STRICT.replace(_IMAGES, f"{_IMAGES} {tiles.origin}")
         return Response(page_html(), media_type="text/html", headers={_POLICY: policy})
 
@@ -389,7 +396,8 @@ class Pages:
             raise
         scratch = self._session.shown.workspace.work.scratch
         if before is not None and before.path.parent.parent == scratch:
-            _remove(before.path)  # one at a time is stored
+            # One at a time is stored
+            _remove(before.path)
         return _to_choose_from(file)
 
     async def _junctions(self, request: Request) -> Response:
@@ -413,7 +421,8 @@ class Pages:
         try:
             if sent.found.get("isScene"):
                 await session.open_scene(str(sent.path))
-                session.map_file = None  # the session's file from here on
+                # The session's file from here on
+                session.map_file = None
             else:
                 names = {one["id"]: one["name"] for one in sent.found.get("junctions", ())}
                 if junction not in names:
@@ -688,7 +697,8 @@ class RunningServer:
             timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
-        self._is_up.set()  # the socket takes connections already
+        # The socket takes connections already
+        self._is_up.set()
         watching = asyncio.create_task(self._end_when_alone(self.session, self._server))
         await self._server.serve(sockets=[self._socket])
         watching.cancel()
@@ -701,7 +711,8 @@ class RunningServer:
         """
         while not self.keeps_open:
             await asyncio.sleep(0.5)
-            if session.browsers.left_at_s is None:  # nobody came yet, or somebody is here
+            # Nobody came yet, or somebody is here
+            if session.browsers.left_at_s is None:
                 continue
             waits_s = LINGER_S
             if session.browsers.is_lost:

@@ -252,7 +252,8 @@ class Session:
         """Show another image below the plan, or none."""
         self.shown.workspace.background = background
         self.browsers.send(background_message(background))
-        self.counting.changed.set()  # saved when the plan rests
+        # Saved when the plan rests
+        self.counting.changed.set()
 
     def open_plan(self, opened: Plan, source: str) -> None:
         """Add variants from a file; an only one that is empty gives way to them.
@@ -298,7 +299,7 @@ class Session:
         is_done = await ask_optimiser(
             message,
             begun,
-            optimiser=self.workers.optimiser,
+            workers=self.workers,
             proposals=self.proposals,
             browsers=self.browsers,
             current=self.current,

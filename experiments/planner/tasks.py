@@ -91,7 +91,8 @@ class Tasks:
         self._poles: tuple[Site, ...] = ()
         # Sensors and poles that were chosen last
         self._chosen: tuple[str, list[Any]] = (work.question.sensors, [])
-        self._maps: dict[tuple[object, ...], Any] = {}  # the one read last, by path and side
+        # The one read last, by path and side
+        self._maps: dict[tuple[object, ...], Any] = {}
 
     @cached_property
     def setting(self) -> Setting:
@@ -240,7 +241,8 @@ class Tasks:
         """
         chosen = (sensors, [(pole.id, *pole.position_m) for pole in poles])
         if chosen != self._chosen:
-            own_models(sensors)  # names are checked now
+            # Names are checked now
+            own_models(sensors)
             self._chosen = chosen
             self._poles = poles
             self._adviser = None
@@ -380,7 +382,8 @@ class Tasks:
 
         key = (path, keeps_left)
         if key not in self._maps:
-            self._maps.clear()  # before another one takes as much memory
+            # Before another one takes as much memory
+            self._maps.clear()
             reading = ReadingOptions(keeps_left=keeps_left)
             self._maps[key] = read_maps([Path(path)], reading, progress=self._progress)
         return self._maps[key]

@@ -15,10 +15,14 @@ _TEMPLATE = re.compile(
     rf"(?P<origin>https?://(?P<host>{_HOST})(?::(?P<port>\d{{1,5}}))?)/[!#-&(-;=?-~]*"  # no ' " < >
 )
 _HIGHEST_PORT = 65535
-_TILES_M = 1500.0  # around the junction, to each side
-_FIT_STEPS = 9  # points of the grid along each side
-_FIT_ORDER = 3  # of the polynomials
-_MERCATOR_DEG = 85.0  # its tiles end a little farther north
+# Around the junction, to each side
+_TILES_M = 1500.0
+# Points of the grid along each side
+_FIT_STEPS = 9
+# Of the polynomials
+_FIT_ORDER = 3
+# Its tiles end a little farther north
+_MERCATOR_DEG = 85.0
 
 
 class TileServer(NamedTuple):

@@ -27,7 +27,8 @@ class Views:
     def __init__(self, current: Callable[[], Shown], *, browsers: Browsers) -> None:
         self._current = current
         self._browsers = browsers
-        self.moved = asyncio.Event()  # a unit may look elsewhere
+        # A unit may look elsewhere
+        self.moved = asyncio.Event()
         # Messages by unit, each with the key of the unit's pose and sensor
         self._drawn: dict[str, tuple[Key, dict[str, Any]]] = {}
         self._picture_turn = asyncio.Lock()

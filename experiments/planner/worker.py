@@ -104,7 +104,8 @@ class Worker:
             if process.is_alive():
                 process.kill()
                 process.join()
-        if connection is not None and not self.is_busy:  # else its reader sees the end and closes
+        # Else its reader sees the end and closes
+        if connection is not None and not self.is_busy:
             connection.close()
 
     def _start(self) -> Connection:

@@ -42,8 +42,10 @@ Key = tuple[object, ...]
 MAX_ALONE = 60
 """Units of which each one's own APR is shown while something is dragged."""
 
-_AT_ONCE = 16  # units between two looks whether anybody waits
-_MAX_KNOWN = 300  # layouts by the evaluator
+# Units between two looks whether anybody waits
+_AT_ONCE = 16
+# Layouts by the evaluator
+_MAX_KNOWN = 300
 
 
 class Workspace:
@@ -84,10 +86,13 @@ class Workspace:
         self._sight_turn = threading.Lock()
         self.live = LiveTable(setting, compute=work.compute)
         self.views = GroundViews(setting)
-        self.is_over = threading.Event()  # nobody waits for numbers any longer
-        self.known: OrderedDict[Key, dict[str, Any]] = OrderedDict()  # by the evaluator
+        # Nobody waits for numbers any longer
+        self.is_over = threading.Event()
+        # By the evaluator
+        self.known: OrderedDict[Key, dict[str, Any]] = OrderedDict()
         self.failed: dict[Key, str] = {}
-        self.died: set[Key] = set()  # layouts at which the evaluator's process died
+        # Layouts at which the evaluator's process died
+        self.died: set[Key] = set()
         self.by_table: dict[Key, str] = {}
 
     def learn(self, units: Sequence[CandidatePose], numbers: dict[str, Any]) -> None:
