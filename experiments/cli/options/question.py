@@ -43,7 +43,10 @@ def option_of(field: QuestionField) -> str:
 
 
 def help_of(field: QuestionField) -> str:
-    """Description of a field, with options in place of the other fields' names."""
+    """Description of a field, with options in place of the other fields' names.
+
+    The library names fields between backticks, which command lines do not know.
+    """
     known = question_fields()
 
     def named(found: re.Match[str]) -> str:
@@ -107,6 +110,7 @@ def _click_type(kind: Any, limits: Meta) -> "click.ParamType[Any] | None":
     if get_origin(kind) is Literal:
         return click.Choice(get_args(kind))
     if kind is int:
+        # Limits of whole numbers are whole numbers, which their type does not say.
         least_whole = cast("int | None", limits.ge)
         most_whole = cast("int | None", limits.le)
         return click.IntRange(min=least_whole, max=most_whole)
@@ -573,7 +577,10 @@ ONLY_DRIVEN = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "detector"))
 
 
 def _read_question(context: click.Context, _param: click.Parameter, path: Path | None) -> None:
-    """Let a question file give what the command line does not."""
+    """Let a question file give what the command line does not.
+
+    Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
+    """
     if path is not None:
         context.default_map = load_question_values(path)
 
@@ -632,6 +639,7 @@ def question_options(
         A value is none that its field can have.
     """
     changed = defaults or {}
+    # In the order of the fields, which is that of the help
     added = []
     for name, add in QUESTION_OPTIONS.items():
         if name not in names:
@@ -644,6 +652,7 @@ def question_options(
         added += [_question_file_option, _save_question_option]
     asked = (*names, *named_apart)
 
+    # The command does not see the single values: they become one question here.
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
@@ -676,6 +685,7 @@ def one_run_options() -> Decorator:
     The command gets `question`, with that run's case, approach and speeds, and
     `position`.
     """
+    # One run has one case, approach and speed: these have names of their own.
     apart = ("cases", "approaches", "speeds")
     asked = [name for name in ONLY_DRIVEN if name not in (*apart, "along_arms")]
     return combined(

@@ -14,7 +14,11 @@ _SHOWS_ALL = f"{__name__}.shows_all"
 
 
 class SectionedCommand(click.Command):
-    """A command whose options are listed in sections, the common ones alone unless asked."""
+    """A command whose options are listed in sections.
+
+    The short help shows the common ones alone; ``--help-all``, which the command gets where
+    there are others, shows them all. It takes what click.Command takes.
+    """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -41,6 +45,7 @@ def _is_common(param: click.Parameter) -> bool:
 
 
 def _help_all_option() -> WordedOption:
+    """Option ``--help-all``, which shows every option and ends."""
     return WordedOption(
         ["--help-all"],
         is_flag=True,

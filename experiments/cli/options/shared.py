@@ -178,6 +178,7 @@ def compute_options(*, has_cache: bool = False) -> Decorator:
             **values: Any,
         ) -> Any:
             check_address_space()
+            # A library that is named must load: this is said before anything is read.
             if rays != RAYS[0]:
                 from geometry.raycast import caster_name
 
@@ -207,6 +208,7 @@ def calling(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def with_call(*, as_json: bool, quiet: bool, **values: Any) -> Any:
+        # The program's own object, which tells how far it is
         progress = click.get_current_context().find_root().obj
         call = Call(progress=progress, as_json=as_json, quiet=quiet)
         return command(call, **values)

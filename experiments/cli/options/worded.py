@@ -56,6 +56,7 @@ class WordedOption(click.Option):
         excludes: str = "",
         **kwargs: Any,
     ) -> None:
+        # What is a path is not seen from the type: it may also be a name.
         if is_path:
             kwargs["shell_complete"] = complete_paths
         super().__init__(*args, **kwargs)
@@ -66,6 +67,7 @@ class WordedOption(click.Option):
         self.word = word
         self.needs = needs
         self.excludes = excludes
+        # A list of words is what is expected.
         if isinstance(self.type, click.Choice):
             self.expected = "one of " + ", ".join(map(str, self.type.choices))
 
@@ -96,6 +98,7 @@ class WordedOption(click.Option):
     ) -> None:
         """Raise click.UsageError unless a needed option is set, and an excluded one is not."""
         value, source = other.consume_value(ctx, opts)
+        # "0" is what texts say for "none of that", such as --survive 0.
         is_default = source is ParameterSource.DEFAULT or value in ("0", other.default)
         is_set = bool(value) and not is_default
         is_needed = other.name == self.needs
@@ -173,7 +176,15 @@ def is_given(name: str) -> bool:
 def complete_paths(
     context: click.Context, param: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    """Leave it to the shell to complete a path; the study's layout goes by its name."""
+    """Leave it to the shell to complete a path; the study's layout goes by its name.
+
+    Parameters
+    ----------
+    context, param
+        As click gives them.
+    incomplete : str
+        What is typed so far.
+    """
     is_layout = param.name in _TAKES_LAYOUTS
     if is_layout and incomplete and BASELINE_NAME.startswith(incomplete):
         return [CompletionItem(BASELINE_NAME)]
@@ -181,7 +192,18 @@ def complete_paths(
 
 
 def combined(*options: Decorator) -> Decorator:
-    """All of these options, so that the help shows them in this order."""
+    """All of these options, so that the help shows them in this order.
+
+    Parameters
+    ----------
+    *options : Decorator
+        Options, or what adds several of them.
+
+    Returns
+    -------
+    Decorator
+        The same as these decorators below one another.
+    """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         for add in reversed(options):
