@@ -9,16 +9,23 @@ import click
 
 from ..results.numbers import grouped
 from . import options
-from .recording import evaluate_recording
+from .recording import evaluate_recording, recording_options
 from .running import Job, command_line
 
 if TYPE_CHECKING:
     from placement.layout import Layout
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["evaluate"])
+_EVALUATE_EXAMPLES = """\b
+Examples:
+  place-rsus evaluate --layout carlancap-12
+  place-rsus evaluate --layout results/latest/layout.json --out results/mine
+  place-rsus evaluate --recording ncap_data"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EVALUATE_EXAMPLES)
 @options.layout_option
-@options.from_table("recording")
+@recording_options
 @options.folder_option("a report")
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
@@ -45,9 +52,28 @@ def evaluate(
     job.print_answer(result, lambda: evaluation_parts(result, out))
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["compare"])
+_COMPARE_EXAMPLES = """\b
+Examples:
+  place-rsus compare results/latest/layout.json carlancap-12
+  place-rsus compare a.json b.json c.json --report results/abc
+  place-rsus compare a.json b.json --samples 60     is the difference sure?"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_COMPARE_EXAMPLES)
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@options.from_table("compare")
+@options.option(
+    "--layout",
+    "more_layouts",
+    multiple=True,
+    help="The same as an argument.",
+)
+@options.option(
+    "--report",
+    "--out",
+    "out",
+    type=click.Path(path_type=Path),
+    help="Folder for a report; else none.",
+)
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
     job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None

@@ -22,6 +22,17 @@ that lies somewhere on earth.
 """
 
 
+_EXPORT_EXAMPLES = """\b
+Examples:
+  place-rsus export --layout carlancap-12 --format carla
+  place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
+  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
+  place-rsus export --calibration tsai.xml --format ros
+  place-rsus export --run CPNC-50/east/40 --layout a.json \\
+      --format cpm-uper --out cpm.bin
+  place-rsus export --run CPNC-50/east/40 --format vam-uper --out vam.bin"""
+
+
 class _ExportCommand(click.Command):
     """Adds the formats to its help: their modules are loaded only if somebody asks for it."""
 
@@ -41,12 +52,73 @@ class _ExportCommand(click.Command):
 
 @click.command(
     cls=_ExportCommand,
-    epilog=_NOTE + options.EXAMPLES["export"],
+    epilog=_NOTE + _EXPORT_EXAMPLES,
 )
 @options.layout_option
-@options.from_table("export", format_name={"type": FORMAT_NAMES})
+@options.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help=("Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or Tsai."),
+)
+@options.option(
+    "--size",
+    type=click.IntRange(min=1),
+    nargs=2,
+    metavar="WIDTH HEIGHT",
+    needs="calibration",
+    expected="two numbers of pixels, at least 1",
+    help="With --calibration: of pictures, where the file does not tell.",
+)
+@options.option(
+    "--format",
+    "format_name",
+    type=click.Choice(FORMAT_NAMES),
+    required=True,
+    metavar="FORMAT",
+    help="One of those below.",
+)
 @options.scene_option
-@options.from_table("export-run")
+@options.option(
+    "--run",
+    "run_id",
+    default="",
+    metavar="RUN",
+    help=(
+        "cpm, cpm-uper, mcap: what the units detect in a run, such as "
+        "CPNC-50/east/40; carla-run: that is driven; vam, vam-uper: whose road user "
+        "sends, without --layout."
+    ),
+)
+@options.option(
+    "--release",
+    metavar="V",
+    help="cpm, vam and their bytes: of the dictionary, 2.1.1 or 2.4.1.",
+)
+@options.option(
+    "--vam-rate",
+    type=float,
+    metavar="HZ",
+    help=(
+        "vam, vam-uper: messages per second, 0.2 to 10; default: by the rules of ETSI TS 103 300-3."
+    ),
+)
+@options.option(
+    "--views",
+    is_flag=True,
+    help="geojson, gpkg, kml: what each camera sees, as polygons.",
+)
+@options.option(
+    "--pictures",
+    is_flag=True,
+    needs="run_id",
+    help="mcap: what each camera sees, frame by frame.",
+)
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write; else stdout.",
+)
 @options.quiet_option
 @click.pass_obj
 def export(
@@ -120,9 +192,20 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
 # ---------- for whoever mounts the units
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["sheet"])
+_SHEET_EXAMPLES = """\b
+Examples:
+  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
+  place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_SHEET_EXAMPLES)
 @options.layout_option
-@options.from_table("sheet")
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="PDF file to write.",
+)
 @options.asking(*options.JUDGED, has_cache=False)
 def sheet(job: Job, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.

@@ -24,9 +24,98 @@ def _target(text: str) -> float | None:
     return share
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["solve"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus solve scp41.txt                       all rows at least cost
+  place-rsus solve scp41.txt --target 0.9          enough of them
+  place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
+  place-rsus solve camera.txt --out camera.scp     in OR-Library's format, too
+  place-rsus solve results/latest/instance.npz --budget 2"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
 @click.argument("file", type=click.Path(path_type=Path))
-@options.from_table("solve", target={"type": _target})
+@options.option(
+    "--budget",
+    "budget_units",
+    type=click.IntRange(min=1),
+    metavar="N",
+    expected="a whole number of columns, at least 1",
+    help="Cover as much as so many columns can.",
+)
+@options.option(
+    "--budget-cost",
+    type=click.FloatRange(min=0.0),
+    metavar="COST",
+    expected="an amount of money, at least 0",
+    help="Cover as much as columns for so much money can.",
+)
+@options.option(
+    "--target",
+    type=_target,
+    metavar="max|SHARE",
+    expected="max, or a share of the rows, 0 to 1",
+    help=(
+        "Cover that share of the rows, or all that can be covered (max), at least "
+        "cost; max is the default."
+    ),
+)
+@options.option(
+    "--track-memory",
+    "track_memory_s",
+    type=float,
+    metavar="SECONDS",
+    takes_infinity=True,
+    expected="seconds, at least from one frame to the next, or inf",
+    help=(
+        "Of placement problems: how long a track lives without detections, in place "
+        "of the file's own; inf: for ever, as the study reads it."
+    ),
+)
+@options.option(
+    "--solver",
+    default="auto",
+    metavar="NAME",
+    help=(
+        "Of placement problems: auto: what proves soonest; HIGHS: that solver alone; "
+        "greedy: no proof. Covering problems are HiGHS' alone."
+    ),
+)
+@options.option(
+    "--time-limit",
+    "time_limit_s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=60.0,
+    metavar="SECONDS",
+    expected="seconds, more than 0",
+    help="When it is up, the best answer found and its gap are given.",
+)
+@options.option(
+    "--gap",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    show_default=True,
+    metavar="SHARE",
+    expected="a share, at least 0",
+    help="Relative distance of objective and bound that is good enough.",
+)
+@options.option(
+    "--format",
+    "format_name",
+    type=click.Choice(["auto", "orlib", "gecco", "rail", "sts"]),
+    default="auto",
+    help=(
+        "Of covering problems: orlib: OR-Library's set covering, by rows; rail: its "
+        "railway instances, by columns; gecco: the camera placement competition of "
+        "GECCO 2020; sts: Steiner triples; auto: by the content."
+    ),
+)
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write the covering problem in OR-Library's format (orlib).",
+)
 @options.calling
 def solve(
     call: Call,

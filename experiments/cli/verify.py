@@ -16,7 +16,15 @@ if TYPE_CHECKING:
 _EXIT_FAILED = 1
 
 
-@click.command(epilog=options.EXAMPLES["verify"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus verify results/latest
+  place-rsus verify results/latest --json --quiet | jq .is_verified
+
+Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong."""
+
+
+@click.command(epilog=_EXAMPLES)
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @options.scene_option
 @options.calling
