@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..parts.sheet import SheetResult
 
 
-_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml, cpm and vam need a scene
+_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene
 that lies somewhere on earth.
 
 """
@@ -59,7 +59,6 @@ def export(
     scene: str,
     run_id: str,
     release: str | None,
-    vam_rate: float | None,
     views: bool,
     pictures: bool,
     out: Path | None,
@@ -83,19 +82,19 @@ def export(
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:
-        needs_layout = bool(layout_names) or chosen.has_units
-        layout = load_one_layout(layout_names) if needs_layout else None
+        layout = load_one_layout(layout_names)
         compute = Compute(progress=progress)
         drawn = compute if pictures else None
-        asked = {"release": release, "vam_rate": vam_rate, "views": views or None}
+        asked = {"release": release, "views": views or None}
         content = export_layout(
-            *(layout, format_name),
+            layout,
+            format_name,
             scene_path=scene,
             run_id=run_id,
             compute=compute,
             options={k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None},
         )
-        missing = [] if chosen.has_lidars or layout is None else lidar_ids(layout)
+        missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     write_result(out, content)

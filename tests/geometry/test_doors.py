@@ -42,7 +42,6 @@ EXCEPTIONS = {
     "experiments/parts/section.py": {"open"},
     "experiments/planner/tasks.py": {"ZipFile", "open", "read_text"},
     "experiments/planner/server.py": {"open", "read_bytes", "read_text", "write_text"},
-    "experiments/export/esmini.py": {"read_text", "write_text"},
     "experiments/report/printing.py": {"read_bytes"},
     "placement/sampling/moving/child.py": {"read_text", "savez"},
     # Folders that are put in place as a whole.
@@ -52,8 +51,6 @@ EXCEPTIONS = {
     "geometry/actors.py": {"open", "load"},
     "experiments/export/uper.py": {"read_text"},
     "experiments/language.py": {"open"},
-    "experiments/export/carla_run.py": {"read_text"},
-    "experiments/export/carla_player.py": {"write_text"},  # a program that goes elsewhere
     "experiments/city/pages.py": {"read_text"},
     "experiments/results/tables.py": {"read_text"},
     "geometry/body_shapes.py": {"savez_compressed"},
