@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..parts.sheet import SheetResult
 
 
-_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml, cpm and vam need a scene
+_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene
 that lies somewhere on earth.
 
 """
@@ -29,8 +29,7 @@ Examples:
   place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
   place-rsus export --calibration tsai.xml --format ros
   place-rsus export --run CPNC-50/east/40 --layout a.json \\
-      --format cpm-uper --out cpm.bin
-  place-rsus export --run CPNC-50/east/40 --format vam-uper --out vam.bin"""
+      --format cpm-uper --out cpm.bin"""
 
 
 class _ExportCommand(click.Command):
@@ -84,24 +83,12 @@ class _ExportCommand(click.Command):
     "run_id",
     default="",
     metavar="RUN",
-    help=(
-        "cpm, cpm-uper, mcap: what the units detect in a run, such as "
-        "CPNC-50/east/40; carla-run: that is driven; vam, vam-uper: whose road user "
-        "sends, without --layout."
-    ),
+    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
 )
 @options.option(
     "--release",
     metavar="V",
-    help="cpm, vam and their bytes: of the dictionary, 2.1.1 or 2.4.1.",
-)
-@options.option(
-    "--vam-rate",
-    type=float,
-    metavar="HZ",
-    help=(
-        "vam, vam-uper: messages per second, 0.2 to 10; default: by the rules of ETSI TS 103 300-3."
-    ),
+    help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.",
 )
 @options.option(
     "--views",
@@ -131,7 +118,6 @@ def export(
     scene: str,
     run_id: str,
     release: str | None,
-    vam_rate: float | None,
     views: bool,
     pictures: bool,
     out: Path | None,
@@ -155,19 +141,19 @@ def export(
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:
-        needs_layout = bool(layout_names) or chosen.has_units
-        layout = load_one_layout(layout_names) if needs_layout else None
+        layout = load_one_layout(layout_names)
         compute = Compute(progress=progress)
         drawn = compute if pictures else None
-        asked = {"release": release, "vam_rate": vam_rate, "views": views or None}
+        asked = {"release": release, "views": views or None}
         content = export_layout(
-            *(layout, format_name),
+            layout,
+            format_name,
             scene_path=scene,
             run_id=run_id,
             compute=compute,
             options={k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None},
         )
-        missing = [] if chosen.has_lidars or layout is None else lidar_ids(layout)
+        missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     write_result(out, content)

@@ -1,7 +1,6 @@
 """``place-rsus scenarios``: look at what is driven, without placing anything."""
 
 import math
-import sys
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -408,70 +407,6 @@ def export(progress: StageProgress, *, question: Question, position: str, out: P
         roads = beside.name
         write_result(beside, to_opendrive(None, scene))
     write_result(out, to_openscenario(run, road_network=roads))
-
-
-_CHECK_EXAMPLES = """\b
-Examples:
-  place-rsus scenarios check-esmini --cases study
-  place-rsus scenarios check-esmini --cases all --esmini ~/esmini/bin/esmini"""
-
-
-@scenarios.command("check-esmini", cls=options.SectionedCommand, epilog=_CHECK_EXAMPLES)
-@options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "study"})
-@options.option(
-    "--esmini",
-    "program",
-    default="",
-    metavar="PROGRAM",
-    help="Default: esmini on the path.",
-)
-@options.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Page of all runs to write (.md).",
-)
-@options.calling
-def check_esmini(call: Call, *, question: Question, program: str, out: Path | None) -> None:
-    """Drive runs in esmini, and compare when the bodies touch with the impact of each run.
-
-    Exit code 1 where they touch more than 0.02 s from it, or never. Without esmini, which is no
-    part of this program, nothing is checked: a line says so.
-    """
-    from geometry.scene_files import load_scene
-    from placement.compute import Compute
-    from placement.setting import drive
-
-    from ..export.esmini import describe, drive_in_esmini, find_esmini, summarise, worst_first
-
-    progress = call.progress
-    question = begin(progress, question, quiet=call.quiet)
-    found = find_esmini(program)
-    if found is None:
-        progress.stop()
-        tell("Nothing was checked: no esmini on the path; --esmini names the program.")
-        return
-    scene = load_scene(question.scene)
-    progress("lay the cases", 0, 0)
-    runs = drive(question, scene).runs
-    driven = drive_in_esmini(runs, scene, found, compute=Compute(progress=progress))
-    if out is not None:
-        asked = " ".join(["place-rsus", *sys.argv[1:]]).replace(str(program), "PROGRAM")
-        write_result(out, describe(driven, f"uv run {asked}"))
-
-    def words() -> str:
-        lines = [summarise(driven)]
-        for one in worst_first(driven)[:_MOST_TOLD]:
-            off = "never" if one.touch_s is None else f"{one.touch_s:+.3f} s"
-            lines.append(f"  {one.run_id}: {off}")
-        return "\n".join(lines) + "\n"
-
-    rows = [{"run": one.run_id, "touch_s": one.touch_s} for one in driven]
-    call.print(rows, words)
-    if not all(one.agrees for one in driven):
-        sys.exit(1)
-
-
-_MOST_TOLD = 10  # runs
 
 
 def _drive_one(

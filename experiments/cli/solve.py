@@ -1,4 +1,4 @@
-"""``place-rsus solve``: covering instances from files, solved and proven."""
+"""``place-rsus solve``: a placement problem from a file, solved and proven."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,15 +7,15 @@ import click
 
 from ..parts import Part
 from . import options
-from .running import Call, unwritable
-from .terminal import answer_text, sentences
+from .running import Call
+from .terminal import answer_text
 
 if TYPE_CHECKING:
-    from ..jobs.solve import CoveringResult, PlacementSolution
+    from ..jobs.solve import PlacementSolution
 
 
 def _target(text: str) -> float | None:
-    """A share of the rows; None for all that can be covered."""
+    """A share of the runs; None for all that can be avoided."""
     if text == "max":
         return None
     share = float(text)
@@ -26,11 +26,9 @@ def _target(text: str) -> float | None:
 
 _EXAMPLES = """\b
 Examples:
-  place-rsus solve scp41.txt                       all rows at least cost
-  place-rsus solve scp41.txt --target 0.9          enough of them
-  place-rsus solve scp41.txt --budget 3 --json     what 3 columns cover
-  place-rsus solve camera.txt --out camera.scp     in OR-Library's format, too
-  place-rsus solve results/latest/instance.npz --budget 2"""
+  place-rsus solve results/latest/instance.npz              the same question
+  place-rsus solve results/latest/instance.npz --budget 2
+  place-rsus solve results/latest/instance.npz --target 0.9"""
 
 
 @click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
@@ -40,24 +38,24 @@ Examples:
     "budget_units",
     type=click.IntRange(min=1),
     metavar="N",
-    expected="a whole number of columns, at least 1",
-    help="Cover as much as so many columns can.",
+    expected="a whole number of units, at least 1",
+    help="Avoid as much as so many units can.",
 )
 @options.option(
     "--budget-cost",
     type=click.FloatRange(min=0.0),
     metavar="COST",
     expected="an amount of money, at least 0",
-    help="Cover as much as columns for so much money can.",
+    help="Avoid as much as units for so much money can.",
 )
 @options.option(
     "--target",
     type=_target,
     metavar="max|SHARE",
-    expected="max, or a share of the rows, 0 to 1",
+    expected="max, or a share of the runs, 0 to 1",
     help=(
-        "Cover that share of the rows, or all that can be covered (max), at least "
-        "cost; max is the default."
+        "Avoid that share of the runs, or all that can be avoided (max), with the "
+        "fewest units."
     ),
 )
 @options.option(
@@ -68,18 +66,15 @@ Examples:
     takes_infinity=True,
     expected="seconds, at least from one frame to the next, or inf",
     help=(
-        "Of placement problems: how long a track lives without detections, in place "
-        "of the file's own; inf: for ever, as the study reads it."
+        "How long a track lives without detections, in place of the file's own; inf: "
+        "for ever, as the study reads it."
     ),
 )
 @options.option(
     "--solver",
     default="auto",
     metavar="NAME",
-    help=(
-        "Of placement problems: auto: what proves soonest; HIGHS: that solver alone; "
-        "greedy: no proof. Covering problems are HiGHS' alone."
-    ),
+    help="auto: what proves soonest; HIGHS: that solver alone; greedy: no proof.",
 )
 @options.option(
     "--time-limit",
@@ -99,43 +94,13 @@ Examples:
     expected="a share, at least 0",
     help="Relative distance of objective and bound that is good enough.",
 )
-@options.option(
-    "--format",
-    "format_name",
-    type=click.Choice(["auto", "orlib", "gecco", "rail", "sts"]),
-    default="auto",
-    help=(
-        "Of covering problems: orlib: OR-Library's set covering, by rows; rail: its "
-        "railway instances, by columns; gecco: the camera placement competition of "
-        "GECCO 2020; sts: Steiner triples; auto: by the content."
-    ),
-)
-@options.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Write the covering problem in OR-Library's format (orlib).",
-)
 @options.calling
-def solve(
-    call: Call,
-    /,
-    *,
-    file: Path,
-    target: float | None,
-    track_memory_s: float | None,
-    format_name: str,
-    out: Path | None,
-    **asked: Any,
-) -> None:
-    """Solve a covering or placement problem from a file, and prove it.
+def solve(call: Call, /, *, file: Path, target: float | None, **asked: Any) -> None:
+    """Solve a placement problem from a file, and prove it.
 
-    Placement problems (instance.npz of a result folder) are solved as they were asked, unless
-    --budget, --budget-cost or --target asks something else, and with the file's own rule unless
+    The problem (instance.npz of a result folder) is solved as it was asked, unless --budget,
+    --budget-cost or --target asks something else, and with the file's own rule unless
     --track-memory changes it.
-
-    Chosen columns are numbered as in the file: from 1 in OR-Library's and Steiner triples, else
-    from 0; --json says so in numbered_from.
     """
     questions = {"budget_units": "--budget", "budget_cost": "--budget-cost", "target": "--target"}
     asked_for = [words for name, words in questions.items() if options.is_given(name)]
@@ -147,64 +112,17 @@ def solve(
     call.start()
     from ..jobs import solve
 
-    if format_name == "auto" and solve.is_placement_problem(file):
-        if out is not None:
-            raise click.UsageError(f"--out: got {out}; expected it with covering problems only")
-        solution = solve.run_solve_windows(
-            file,
-            target=float("inf") if target is None and options.is_given("target") else target,
-            track_memory_s=track_memory_s,
-            progress=call.progress,
-            **asked,
-        )
-        call.print(solution, lambda: window_text(solution))
-        return
-    if track_memory_s is not None:
-        raise click.UsageError(
-            f"--track-memory: got {track_memory_s:g}; expected it with placement problems only"
-        )
-    try:
-        summary = solve.run_solve(
-            file,
-            format_name=None if format_name == "auto" else format_name,
-            target=target,
-            out=out,
-            progress=call.progress,
-            **asked,
-        )
-    except OSError as error:
-        if out is None:
-            raise
-        raise unwritable(out, error) from None
-    call.print(summary, lambda: solution_text(summary))
+    is_all_there_is = target is None and options.is_given("target")
+    solution = solve.run_solve(
+        file,
+        target=float("inf") if is_all_there_is else target,
+        progress=call.progress,
+        **asked,
+    )
+    call.print(solution, lambda: solution_text(solution))
 
 
-def solution_text(summary: "CoveringResult") -> str:
-    """The answer to a covering problem."""
-    names = [str(column) for column in summary.chosen]
-    gap = "proven" if summary.is_proven else f"gap {_percent(summary.gap)}"
-    chosen = f"{len(names)} of {summary.columns} columns"
-    is_cost = summary.problem == "set covering"
-    entries = {
-        "cost" if is_cost else "covered": _number(summary.objective),
-        "bound": f"{_number(summary.bound)}, {gap}",
-        "chosen": f"{chosen}: {', '.join(names)}" if names else "none",
-    }
-    if is_cost:
-        n_left = summary.rows - summary.coverable
-        more = f"; {n_left} cannot be covered" if n_left > 0 else ""
-        entries["covers"] = f"{summary.covered} of {summary.rows} rows{more}"
-    else:
-        entries["of"] = f"{summary.rows} rows, {summary.coverable} coverable"
-        entries["costs"] = _number(summary.cost)
-    entries["solver"] = f"{summary.solver}; {summary.seconds:.2f} s"
-    lines = sentences(f"{summary.file}: {_question_words(summary)}")
-    for head, text in entries.items():
-        lines += sentences(text, head=f"{head:<12}", indent=2, hanging=12)
-    return "\n".join(lines)
-
-
-def window_text(summary: "PlacementSolution") -> str:
+def solution_text(summary: "PlacementSolution") -> str:
     """The answer to a placement problem, with its frames and windows."""
     from ..parts.proof import stage_table
 
@@ -218,20 +136,3 @@ def window_text(summary: "PlacementSolution") -> str:
         ],
     )
     return answer_text([answer], is_verbose=True)
-
-
-def _question_words(summary: "CoveringResult") -> str:
-    if summary.budget is not None:
-        return f"the most that {summary.budget} columns cover (maximal covering)"
-    if summary.budget_cost is not None:
-        return f"the most that {_number(summary.budget_cost)} buys (maximal covering)"
-    what = "all that can be covered" if summary.target is None else _percent(summary.target)
-    return f"the least cost that covers {what} (set covering)"
-
-
-def _number(value: float) -> str:
-    return f"{value:.10g}"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.4g} %" if share < float("inf") else "open"

@@ -1,4 +1,4 @@
-"""``place-rsus solve``: read an instance, solve it, prove the answer, tell what was found."""
+"""``place-rsus solve``: read a problem, solve it, prove the answer, tell what was found."""
 
 import time
 from dataclasses import replace
@@ -8,40 +8,15 @@ from typing import cast
 import numpy as np
 
 from geometry.errors import InputError
-from geometry.files import open_file
-from placement.covering import load_instance, save_instance, solve_covering
 from placement.optimiser import Effort, Floor, PlacementProblem, apr, cost_eur, solve_placement
 from placement.optimiser.timing import SolverName
 from placement.verification.instances import load_problem
 
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
 HIGHS = "HIGHS"
 _SEARCHES = ("auto", "exact", "relax", "greedy")
-
-
-class CoveringResult(Record, frozen=True, kw_only=True):
-    """A covering instance solved; columns are numbered as in the file."""
-
-    file: str
-    problem: str
-    budget: int | None
-    budget_cost: float | None
-    target: float | None
-    objective: float
-    bound: float
-    gap: float
-    chosen: tuple[int, ...]
-    numbered_from: int
-    seconds: float
-    is_proven: bool
-    solver: str
-    cost: float
-    covered: int
-    coverable: int
-    columns: int
-    rows: int
 
 
 class PlacementSolution(Record, frozen=True, kw_only=True):
@@ -67,70 +42,7 @@ class PlacementSolution(Record, frozen=True, kw_only=True):
     presolve_effect: str
 
 
-def is_placement_problem(path: Path) -> bool:
-    """True for an archive, ``.npz``; covering problems are text. What cannot be read is none."""
-    try:
-        with open_file(path) as file:
-            return file.read(2) == b"PK"
-    except (InputError, OSError):  # what is wrong with it is said by what reads it
-        return False
-
-
 def run_solve(
-    path: Path,
-    *,
-    format_name: str | None,
-    budget_units: int | None,
-    budget_cost: float | None,
-    target: float | None,
-    solver: str,
-    time_limit_s: float,
-    gap: float,
-    out: Path | None,
-    progress: StageProgress,
-) -> CoveringResult:
-    """Read a covering instance and solve it; it is written to `out` as OR-Library's if asked to.
-
-    With a budget it is a maximal covering problem, else `target` is the share of the rows to cover:
-    None for all. Raises InputError if there is no instance or answer, OSError if `out` fails.
-    """
-    if solver.upper() not in ("AUTO", HIGHS):
-        raise InputError("--solver", solver, f"auto or {HIGHS} for covering problems")
-    progress("read", 0, 0)
-    instance = load_instance(path, format_name=format_name)
-    if out is not None:
-        progress(WRITING, 0, 0)
-        save_instance(out, instance)
-        progress.kept = f"{out} was written"
-    progress("solve", 0, 0)
-    asked = {"budget_cost": budget_cost, "target": target}
-    solution = solve_covering(
-        instance, budget_units=budget_units, time_limit_s=time_limit_s, gap=gap, **asked
-    )
-    has_budget = budget_units is not None or budget_cost is not None
-    return CoveringResult(
-        file=path.name,
-        problem="maximal covering" if has_budget else "set covering",
-        budget=budget_units,
-        budget_cost=budget_cost,
-        target=target,
-        objective=solution.objective,
-        bound=solution.bound,
-        gap=solution.gap,
-        chosen=tuple((solution.chosen + instance.numbered_from).tolist()),
-        numbered_from=instance.numbered_from,
-        seconds=round(solution.seconds, 4),
-        is_proven=solution.is_proven,
-        solver=solution.solver,
-        cost=float(instance.cost[solution.chosen].sum()),
-        covered=instance.n_covered(solution.chosen),
-        coverable=instance.n_covered(),
-        columns=instance.n_columns,
-        rows=instance.n_rows,
-    )
-
-
-def run_solve_windows(
     path: Path,
     *,
     budget_units: int | None,

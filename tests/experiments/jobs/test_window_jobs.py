@@ -79,13 +79,6 @@ def test_the_table_is_printed(run, problem, tmp_path):
     assert "east" in out
 
 
-def test_placement_problems_are_not_written_again(run, problem, tmp_path):
-    save_problem(tmp_path / "one.npz", problem)
-    code, _, err = run("solve", tmp_path / "one.npz", "--out", tmp_path / "two.npz")
-    assert code == 2
-    assert "expected it with covering problems only" in err
-
-
 def test_tracks_may_be_asked_to_live_for_another_time(run, problem, tmp_path):
     seen = problem.table.detected(slice(None))
     seen[0, 5] = False  # west loses sight 0.2 s before the last moment
@@ -108,3 +101,37 @@ def test_a_memory_shorter_than_a_frame_is_refused(run, problem, tmp_path):
         assert code == 2
         assert "--track-memory: got " in err
         assert "expected seconds, at least " in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("--budget", 3, "--target", "max"),
+            "--target: got it beside --budget; expected one of --budget, --budget-cost, --target",
+        ),
+        (("--budget", 0), "--budget: got '0'; expected a whole number of units, at least 1"),
+        (
+            ("--target", "most"),
+            "--target: got 'most'; expected max, or a share of the runs, 0 to 1",
+        ),
+        (("--time-limit", 0), "--time-limit: got '0'; expected seconds, more than 0"),
+        (("--solver", "nonesuch"), "--solver: got 'nonesuch'; expected one of auto, exact, relax"),
+    ],
+)
+def test_wrong_options_are_told_in_one_line(run, problem, tmp_path, arguments, message):
+    save_problem(tmp_path / "one.npz", problem)
+    code, out, err = run("solve", tmp_path / "one.npz", *arguments, "--quiet")
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith(f"place-rsus: {message}")
+
+
+def test_a_file_without_a_placement_problem_is_refused_in_one_line(run, tmp_path):
+    path = tmp_path / "scp41.txt"
+    path.write_text("3 4\n1 2 3 4\n")
+    for file in (path, tmp_path / "none"):
+        code, out, err = run("solve", file, "--quiet")
+        assert (code, out) == (2, "")
+        (line,) = err.splitlines()
+        assert line.startswith(f"place-rsus: {file}: got ")

@@ -1,4 +1,4 @@
-"""Judges that need an environment of their own: run by :mod:`.judges`, imports no other module.
+"""Judges that need an environment of their own: run by ``judging.py``, imports no other module.
 
 ``python judging_apart.py KIND FOLDER`` writes what it found as JSON. The packages that each kind
 needs contradict those of this project: they ask for an older lxml, numpy or protobuf.
