@@ -27,6 +27,7 @@ _SOUGHT = ("solver", "time_limit_s", "gap", "fusion", "samples", "uncertainty", 
     n_judged={"default": N_JUDGED, "show_default": True},
 )
 @options.folder_option("layout.json and certified.json")
+@options.from_table("sign")
 @options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
 def certify(job: Job, *, out: Path | None, **asked: Any) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.

@@ -16,7 +16,7 @@ from msgspec import UNSET, Struct, UnsetType
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import pick, read_table
+from geometry.files import parse_json, pick, read_table
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance, road_area
 from geometry.sensors import CameraModel, with_fov
@@ -255,15 +255,16 @@ _Other = (
     | ChooseSensors
 )
 Message = Change | Undo | Redo | Revert | _Other
-_DECODER = msgspec.json.Decoder(Message)
 
 
 def read_message(text: bytes) -> Message:
     """A request from its JSON. Raises InputError if it is none of these."""
     try:
-        message: Message = _DECODER.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("message", Unquoted(error), "one that the page sends") from None
+        document = parse_json(text, "message", "one that the page sends")
+        message: Message = msgspec.convert(document, Message)
+    except (InputError, msgspec.ValidationError) as error:
+        got = error.got if isinstance(error, InputError) else Unquoted(error)
+        raise InputError("message", got, "one that the page sends") from None
     return message
 
 
@@ -696,9 +697,11 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
     Raises InputError if it is none that browsers draw, too large, or the points do not lay it.
     """
     try:
-        found = msgspec.json.decode(lie, type=Lie)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{where}: points", Unquoted(error), "two points of the image") from None
+        document = parse_json(lie, f"{where}: points", "two points of the image")
+        found = msgspec.convert(document, Lie)
+    except (InputError, msgspec.ValidationError) as error:
+        got = error.got if isinstance(error, InputError) else Unquoted(error)
+        raise InputError(f"{where}: points", got, "two points of the image") from None
     return _checked(Background(lie=found, image=content), where)
 
 
@@ -759,10 +762,7 @@ def check_plan(plan: Plan, scene: Scene) -> None:
 
 def read_plan(text: bytes, where: str) -> Plan:
     """A plan from a plan's or a layout's file, named for messages; InputError: it is neither."""
-    try:
-        document = msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
+    document = parse_json(text, where, "a layout or a plan as JSON")
     background = None
     if isinstance(document, dict) and document.get("schema") == SCHEMA:
         variants = _read_variants(document.get("variants"), where)
