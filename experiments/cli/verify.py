@@ -24,9 +24,7 @@ _EXIT_FAILED = 1
 @options.from_table("verify")
 @options.question_options(*options.OF_SCENE, has_file=False)
 @options.calling
-def verify(
-    call: Call, *, folder: Path, question: "Question", deep: bool, key: Path | None
-) -> None:
+def verify(call: Call, *, folder: Path, question: "Question", deep: bool, key: Path | None) -> None:
     """Check a folder of results, without the optimiser.
 
     Recomputes from certificate.json and instance.npz, by code that it does not share with the

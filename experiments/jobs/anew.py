@@ -82,9 +82,7 @@ def compare_anew(folder: Path, question: Question, add: Add, progress: StageProg
         speaking(asked.language),
     ):
         anew = Path(temporary) / "anew"
-        with answer_placement(
-            question, out=anew, compute=compute, progress=progress
-        ) as answered:
+        with answer_placement(question, out=anew, compute=compute, progress=progress) as answered:
             elsewhere = _other_layout(stored, answered)
             if elsewhere:
                 add(f"anew: {LAYOUT_FILE}", elsewhere, "")
@@ -97,9 +95,7 @@ def compare_anew(folder: Path, question: Question, add: Add, progress: StageProg
             # numbers that are known to be right.
             shown: Result = result if wrong else stored
             seconds = {
-                stage: value
-                for stage, value in stored.seconds.items()
-                if stage not in _AFTERWARDS
+                stage: value for stage, value in stored.seconds.items() if stage not in _AFTERWARDS
             }
             anew.mkdir()
             write_files(anew, answered, replace_fields(shown, seconds=seconds))

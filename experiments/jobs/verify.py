@@ -7,7 +7,7 @@ says it, too. What cannot be compared with anything is named.
 import csv
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -67,6 +67,7 @@ _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "inst
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
 _HEADLINE = "headline"
+_EVALUATED = ("place-rsus/evaluation/2", "place-rsus/comparison/2")
 _MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
 """Parties whose ratios are those of two others by the share of cars that see."""
 
@@ -150,7 +151,7 @@ def run_verification(
     Parameters
     ----------
     folder : Path
-        Of a placement, of a recording's placement, or of ``certify``.
+        Of a placement, an evaluation, a comparison, a recording, or of ``certify``.
     scene : str
         Where the scene is; empty: the study's junction, if the folder says so.
     question : Question, optional
@@ -183,11 +184,12 @@ def run_verification(
         fault = signature_fault(folder, folder / MANIFEST, key)
         is_signed = not fault
         found.add("signature", fault, f"{MANIFEST} is signed by {key.name}")
-    if (folder / certified.JSON_NAME).exists() and not (folder / CERTIFICATE_FILE).exists():
+    check = None if (folder / CERTIFICATE_FILE).exists() else _check_without_proof(folder)
+    if check is not None:
         if question is not None:
-            got = Unquoted(f"{folder}, which is of certify")
-            raise InputError("--deep", got, "a placement: run certify again, and compare")
-        _check_certified(folder, found)
+            got = Unquoted(f"{folder}, which is no placement")
+            raise InputError("--deep", got, "a placement: run the command again, and compare")
+        check(folder, found)
         _leave_maker(key, found)
         return VerificationResult(
             folder=str(folder),
@@ -264,6 +266,40 @@ def _leave_maker(key: Path | None, found: FolderChecks) -> None:
         )
 
 
+def _check_without_proof(folder: Path) -> Callable[[Path, FolderChecks], None] | None:
+    """How a folder is checked that has no certificate; None if it should have one."""
+    if (folder / certified.JSON_NAME).exists():
+        return _check_certified
+    if not (folder / MARKER).is_file():
+        return None
+    summary = _load_object(folder / MARKER)
+    if summary.get("schema") in _EVALUATED:
+        return _check_evaluated
+    if "recording" in summary and summary.get("stages") is None:
+        return _check_recorded
+    return None
+
+
+def _check_evaluated(folder: Path, found: FolderChecks) -> None:
+    """A folder of ``evaluate`` or ``compare``: ratios from the runs, and the layout's files."""
+    names = _check_manifest(folder, found)
+    result = load_result(folder)
+    _check_ratios(result, found)
+    compared = _check_exports(folder, result.layout, None, names, found)
+    found.leave(
+        f"detections, confirmations, margins and outcomes in {RUNS_FILE}, and all else in {MARKER}"
+    )
+    others = names - compared - _COMPARED
+    if others:
+        found.leave(f"what {', '.join(sorted(others))} say")
+
+
+def _check_recorded(folder: Path, found: FolderChecks) -> None:
+    """A folder of a recording whose units were judged: there is nothing but a summary."""
+    _check_manifest(folder, found)
+    found.leave(f"what {MARKER} says: the recording is not at hand")
+
+
 def _check_certified(folder: Path, found: FolderChecks) -> None:
     """A folder of ``certify``: its numbers anew from bounds and APRs, and its layout's sites."""
     path = folder / certified.JSON_NAME
@@ -323,11 +359,11 @@ def _check_scene(
     wrong = "" if shown == name else f"{LAYOUT_FILE} says {shown or 'nothing'}, not {name}"
     found.add("scene", wrong, name)
     if not source and name != STUDY:
-        found.leave(
-            f"whether {name} is the scene that it is said to be: --scene tells where it is"
-        )
+        found.leave(f"whether {name} is the scene that it is said to be: --scene tells where it is")
         return None
     scene = load_scene(source) if source else load_study_scene()
+    # A map's scene is called after its file, which may have another name by now.
+    scene = replace(scene, name=name)
     digest = scene_hash(scene)
     if digest != mounts.scene_sha256:
         text = f"SHA-256 {digest[:16]}.., not {mounts.scene_sha256[:16]}..; it may have changed"
@@ -460,9 +496,7 @@ def _check_summary(
 def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderChecks) -> None:
     """Runs of the evaluator are those of the problem."""
     if problem.sample_index is not None:
-        found.leave(
-            f"runs in {RUNS_FILE}: the problem has those of sampled worlds", deep=True
-        )
+        found.leave(f"runs in {RUNS_FILE}: the problem has those of sampled worlds", deep=True)
         return
     axis = plain_axis(problem.table.axis)
     row_of = {name: row for row, name in enumerate(axis.run_ids)}
