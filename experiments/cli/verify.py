@@ -109,7 +109,9 @@ def verification_text(summary: "VerificationResult") -> str:
 def _left_out(summary: "VerificationResult") -> str:
     """What was not checked, for the last line."""
     left = []
-    if not summary.is_deep:
+    if not summary.stages:  # there is no placement to make anew
+        left.append("what is listed above")
+    elif not summary.is_deep:
         left.append("verdicts, bill, report (--deep)")
     if not summary.is_signed:
         left.append("who made it (--key)")

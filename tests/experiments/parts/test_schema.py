@@ -286,6 +286,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "assumed_prices",
         "sites_eur",
         "score",
+        "asked",
     }
     for key in summary:
         less = {name: value for name, value in summary.items() if name != key}
