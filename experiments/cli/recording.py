@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from ..parts.recording import DetectedShareRecord, RecordedAprRecord, RecordedResult
 
 _WITH_RECORDING = frozenset(
-    ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
+    ("recording", "min_confidence", "out", "sign", "as_json", "quiet")
+    + ("question", "save_question_to")
     + ("budget", "fusion", "solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
     + ("track_memory_s",)

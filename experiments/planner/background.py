@@ -7,6 +7,7 @@ import msgspec
 from msgspec import Struct
 
 from geometry.errors import InputError, Unquoted, refuse
+from geometry.files import parse_json
 
 MAX_IMAGE_BYTES = 8_000_000
 """Of an image that a browser sends."""
@@ -92,8 +93,11 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
         It is none that browsers draw, too large, or the points do not lay it.
     """
     try:
-        found = msgspec.json.decode(lie, type=Lie)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        document = parse_json(lie, f"{where}: points", "two points of the image")
+        found = msgspec.convert(document, Lie)
+    except InputError as error:
+        raise InputError(error.where, error.got, "two points of the image") from None
+    except msgspec.ValidationError as error:
         raise InputError(f"{where}: points", Unquoted(error), "two points of the image") from None
     return _checked(Background(lie=found, image=content), where)
 

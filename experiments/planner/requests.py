@@ -4,6 +4,7 @@ import msgspec
 from msgspec import UNSET, Struct, UnsetType
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import parse_json
 
 
 class _Request(Struct, tag_field="do", forbid_unknown_fields=True):
@@ -175,13 +176,15 @@ Message = (
     | ChooseSensors
 )
 """All that a browser can ask for."""
-_DECODER = msgspec.json.Decoder(Message)
 
 
 def read_message(text: bytes) -> Message:
     """A request from its JSON. Raises InputError if it is none of these."""
     try:
-        message: Message = _DECODER.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        document = parse_json(text, "message", "one that the page sends")
+        message: Message = msgspec.convert(document, Message)
+    except InputError as error:
+        raise InputError("message", error.got, "one that the page sends") from None
+    except msgspec.ValidationError as error:
         raise InputError("message", Unquoted(error), "one that the page sends") from None
     return message
