@@ -1,10 +1,10 @@
 """Numba kernels: loops over numbers, compiled when they are first called.
 
-A kernel called from Python is compiled by ``numba.njit(cache=True)``; one that another kernel calls
-becomes part of that one's machine code, by ``numba.extending.overload``. Numba writes what it caches
-into a folder of this process alone. From there all of a kernel goes into one file of the user's
-cache, under a hash: what is damaged, stale or somebody else's is never run, and a full disk costs
-the time to compile, and no more.
+``numba.njit(cache=True)`` compiles a kernel that is called from Python. One that another kernel
+calls becomes part of that one's machine code, by ``numba.extending.overload``. Numba writes its
+cache into a folder of this process alone; from there all files of a kernel go into a single one in
+the user's cache, under a hash. What is damaged, stale or somebody else's is never run, and a full
+disk costs the time to compile, and no more.
 
 Loading numba takes half a second: the function that calls a kernel imports its module.
 """

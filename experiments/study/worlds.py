@@ -26,9 +26,9 @@ from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.files import read_bytes, write_atomically
 from geometry.scene_files import load_scene
-from placement.cache import hash_of_code
 from placement.certify import estimate_gap
 from placement.compute import Compute
+from placement.fingerprints import hash_of_code
 from placement.optimiser import (
     presolve,
     solve_greedy,

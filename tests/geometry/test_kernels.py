@@ -247,6 +247,7 @@ def test_a_folder_that_goes_while_the_program_runs_costs_no_more_than_time(start
     folder = tmp_path / "compiled"
     gone = f"""
 import shutil, geometry.kernels, summing
+geometry.kernels.compiled_folder()
 shutil.rmtree({str(folder)!r})
 open({str(folder)!r}, "w").close()
 """
