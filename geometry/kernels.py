@@ -71,7 +71,7 @@ def kernel(function: F) -> F:
             on_disk.save()
         return result
 
-    @overload(call, jit_options=_OPTIONS, strict=False)
+    @overload(call, jit_options=_OPTIONS, strict=False)  # type: ignore[untyped-decorator]
     def implement(*args: Any) -> Callable[..., Any]:
         """Function that other kernels compile into themselves, where they call this one."""
         return function

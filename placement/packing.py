@@ -49,10 +49,11 @@ def _take_apart(value: Any, plain: Any) -> list[Any]:
             raise TypeError(f"an array that is not of numbers: {value.dtype}")
         is_writeable = bool(value.flags.writeable)
         return [_ARRAY, value.dtype.str, list(value.shape), is_writeable, value.tobytes()]
-    if not _has_fields(type(value)):
+    kind: Any = type(value)
+    if not _has_fields(kind):
         raise TypeError(f"a value that cannot be cached: {value!r}")
-    names = _field_names(type(value))
-    return [_name_of(type(value)), *(plain(getattr(value, name)) for name in names)]
+    names = _field_names(kind)
+    return [_name_of(kind), *(plain(getattr(value, name)) for name in names)]
 
 
 def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> Any:

@@ -61,7 +61,7 @@ class BodyPoints(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What is seen from a mount, whatever looks from there; one entry is one body, partly hidden."""
+    """What is seen from a mount; an entry is a body, some of whose points may be hidden."""
 
     view_index: IntArray  # (n_entries,): into the views
     is_visible: BoolArray  # (n_entries, n_points)
