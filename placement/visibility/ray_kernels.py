@@ -352,7 +352,7 @@ def find_bodies_between(
     view_index: IntArray,
     group_index: IntArray,
     bodies: Occluders,
-    pairs: IntArray,
+    pairs: Array,
 ) -> int:
     """Pairs (row, body) of views and bodies that may hide something of them; their number.
 
