@@ -348,13 +348,19 @@ def test_only_classes_that_are_expected_are_made():
     assert from_bytes(to_bytes(whole), Whole, classes=(Point,)).rest == (Point(x=1.0, y=2),)
 
 
-@pytest.mark.parametrize("hint", [Thing, tuple[Pair, ...], tuple[Pair, Pair], int, None], ids=str)
+@pytest.mark.parametrize(
+    "hint",
+    [Thing, tuple[Pair, ...], tuple[Pair, Pair], int, None],
+    ids=["class", "tuple", "pair", "number", "nothing"],
+)
 def test_a_value_of_another_hint_is_an_error(hint):
     with pytest.raises(ValueError, match="of another kind"):
         from_bytes(to_bytes(a_thing()), hint)
 
 
-@pytest.mark.parametrize("value", [object(), [1], {"a": 1}, np.array(["a"])], ids=str)
+@pytest.mark.parametrize(
+    "value", [object(), [1], {"a": 1}, np.array(["a"])], ids=["object", "list", "mapping", "words"]
+)
 def test_a_value_that_cannot_be_cached_is_an_error_of_the_program(value):
     with pytest.raises(TypeError, match=r"cannot be cached|not of numbers"):
         to_bytes(Thing(name="a", part=value))
