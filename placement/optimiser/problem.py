@@ -17,7 +17,7 @@ from scenarios.runs import FrameAxis, live_confirmation_times_s
 
 from ..detection_table import DetectionTable
 from .allowed_sets import Limits, cost_eur, is_allowed
-from .timing import COST_TOLERANCE_EUR, TOLERANCE, common_step
+from .timing import COST_TOLERANCE_EUR, FAR_APART, TOLERANCE, common_step
 
 Goal = Literal["best", "fewest", "cheapest"]
 
@@ -156,6 +156,14 @@ class Measure:
     def limit(self) -> float:
         """Ratio where all runs that can be avoided are."""
         return float(self.of(np.ones(len(self.weight), dtype=bool)))
+
+    @property
+    def tells_runs_apart(self) -> bool:
+        """True if a set that avoids more runs never ties with one that avoids fewer.
+
+        The mean over all runs does, if each weighs more than two ties are apart.
+        """
+        return self.is_mean and bool((self.weight > FAR_APART).all())
 
     @property
     def step(self) -> float:

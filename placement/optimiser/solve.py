@@ -22,7 +22,7 @@ from .allowed_sets import Limits, cost_eur
 from .bitsets import left_after_failures, union_margins_s
 from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
 from .greedy import to_full
-from .presolve import PresolveStatistics, ReducedProblem, presolve
+from .presolve import ALL_RULES, PresolveStatistics, ReducedProblem, Rule, presolve
 from .problem import Floor, Objective, PlacementProblem, apr, objective_values
 from .proof import Search, Stages
 from .timing import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
@@ -264,7 +264,7 @@ def _solve_large(
     """The best among promising poses, bounded by the relaxation of all."""
     if on_stage is not None:
         on_stage("all poses")
-    every = presolve(problem, workers=effort.workers, drops_dominated=False)
+    every = presolve(problem, workers=effort.workers, rules=ALL_RULES - {Rule.DOMINATED_POSES})
     most = Search(every)
     apr, chosen = every.measure.limit, np.arange(0)
     if len(every.weight):

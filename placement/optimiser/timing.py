@@ -19,6 +19,8 @@ from geometry.errors import InputError, check_one_of
 
 # ---------- ties: what counts as equal
 TOLERANCE = 1.0e-9  # Shares and times that differ by no more are equal: they carry rounding noise
+FAR_APART = 4.0 * TOLERANCE
+"""Values that differ by more never tie, not even by way of a third one between them."""
 COST_TOLERANCE_EUR = 1.0e-6  # Sums of prices that differ by no more are equal
 
 # ---------- how far a computed number can be believed
