@@ -12,6 +12,8 @@ from typing import Any
 TIE = 1.0e-9  # shares and times that differ by no more are equal
 TIE_EUR = 1.0e-6
 TIE_TIME_S = 1.0e-9  # an instant so much later is still in time
+ROUNDING = 1.0e-4  # of a tie: what sums in another order differ by
+FAR = 8.0  # ties: what is so far apart is no tie, nor a tie of a tie
 
 Values = dict[str, float]
 
@@ -205,8 +207,7 @@ class Oracle:
         rivals = self.layouts
         for stage in stages:
             name, value = stage.name, self.layouts[poses][stage.name]
-            is_cost = name in ("units", "cost_eur")
-            sign, tie = (-1.0 if is_cost else 1.0), (TIE_EUR if is_cost else 2.0 * TIE)
+            sign, tie = _sense(name)
             best = sign * max(sign * values[name] for values in rivals.values())
             where = f"{name}: value {value!r}, best {best!r}, told {stage!r}"
             assert abs(stage.objective - value) <= tie, where
@@ -222,3 +223,23 @@ class Oracle:
                 for units, values in rivals.items()
                 if sign * values[name] >= sign * value - tie
             }
+
+    def is_ambiguous(self, poses: tuple[int, ...]) -> bool:
+        """True if layouts differ from one by about as much as ties do, but not by rounding.
+
+        Ties are not transitive then, and a stage may have a gap that nothing closes.
+        """
+        for name in self.names:
+            tie = _sense(name)[1]
+            value = self.layouts[poses][name]
+            for values in self.layouts.values():
+                if ROUNDING * tie < abs(values[name] - value) < FAR * tie:
+                    return True
+        return False
+
+
+def _sense(name: str) -> tuple[float, float]:
+    """Sign that makes more better, and the tie tolerance of a stage."""
+    if name in ("units", "cost_eur"):
+        return -1.0, TIE_EUR
+    return 1.0, TIE
