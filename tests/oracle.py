@@ -26,6 +26,7 @@ class Oracle:
         axis = problem.table.axis
         self.n_poses, self.n_runs = problem.table.n_poses, axis.n_runs
         self.weight: list[float] = axis.weight.tolist()
+        self.least_weight = min(weight for weight in self.weight if weight > 0.0)
         self.detected = problem.table.detected(list(range(self.n_poses))).tolist()
         vut = problem.seen_by_vut
         self.detected.append([False] * axis.n_frames if vut is None else vut.tolist())

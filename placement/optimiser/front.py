@@ -157,7 +157,7 @@ def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[Objecti
         Objective.APR_ONE_FAILED: one_failed_limit(reduced),
     }
     if stages == "all":
-        if not reduced.measure.is_mean:
+        if not reduced.measure.tells_runs_apart:
             return None
         most = Search(reduced).limit
         for objective in (Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN):

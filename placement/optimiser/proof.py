@@ -12,6 +12,7 @@ from geometry.arrays import FloatArray, IntArray
 from . import timing
 from .allowed_sets import Limits, are_allowed, is_allowed, price_step_eur
 from .bitsets import (
+    Contenders,
     SetValues,
     left_after_failures,
     set_values,
@@ -45,6 +46,7 @@ class Search:
         self.nothing_meets_all = False  # proven that no set meets limits and floors
         nothing = np.full(1 + len(reduced.objectives), -np.inf)
         self.row = SetValues(reduced.objectives, nothing)
+        self._held: dict[Objective, float] = {}  # values in stages that are settled
         self._cuts: dict[tuple[object, ...], list[Cut]] = {}
         self._root: Root | None = None
 
@@ -90,7 +92,8 @@ class Search:
         """No set of an APR has a larger mean margin: no more seconds are there to share out."""
         largest_s = float(self.margin_limit_s.max(initial=0.0))
         total_s = float(self.reduced.weight @ np.maximum(self.margin_limit_s, 0.0))
-        return min(largest_s, total_s / apr) if apr > 0.0 else largest_s
+        least = self.reduced.measure.least_tied(apr)
+        return min(largest_s, total_s / least) if least > 0.0 else largest_s
 
     def start(self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None) -> None:
         """Find a good set, from some to begin with; there may be none that reaches the floors.
@@ -125,8 +128,29 @@ class Search:
     def keep(self, units: IntArray) -> None:
         """Take a set if it is better than the best so far."""
         row = set_values(self.reduced, units[None, :])[0]
-        if self.units is None or row.exceeds(self.row):
-            self.units, self.row = units, row
+        if self.units is None or (row.exceeds(self.row) and self._ties_where_held(row)):
+            self.take(units)
+
+    def take(self, units: IntArray) -> None:
+        """Take a set in place of the best so far."""
+        self.units = units
+        self.row = set_values(self.reduced, units[None, :])[0]
+
+    def hold(self, objective: Objective) -> None:
+        """From here on, take only sets that tie with the best one of now in a stage."""
+        if objective in self.reduced.objectives:
+            self._held[objective] = float(self.row.of(objective))
+
+    def _ties_where_held(self, row: SetValues) -> bool:
+        """True if a set is no more than a tie worse in the stages that are settled.
+
+        Ties add up otherwise, from set to set.
+        """
+        return all(
+            objective.excess(value, float(row.of(objective))) <= objective.tolerance
+            for objective, value in self._held.items()
+            if objective in self.reduced.objectives
+        )
 
     def offer(self, units: IntArray) -> None:
         """Take a set after completing and improving it, if it is better then."""
@@ -195,6 +219,8 @@ class Stages:
         self.held: list[Requirement] = []
         self.apr_limit = search.reduced.measure.limit
         self.is_complete: bool | None = None  # not tried yet
+        # Where it is complete: all sets that may be best or tie, valued on a problem.
+        self.contenders: tuple[ReducedProblem, Contenders] | None = None
         # By the failures to be survived: no set exceeds it; infinite where nothing is known.
         self.walk_limit: defaultdict[int, float] = defaultdict(lambda: np.inf)
 
@@ -210,7 +236,16 @@ class Stages:
             Objective.SMALLEST_MARGIN: self.bound_smallest_margin_s,
             Objective.MEAN_MARGIN: self.bound_mean_margin_s,
         }
-        return [(objective, find_bound[objective]) for objective in self.problem.objectives]
+
+        def settled(objective: Objective) -> Callable[[], float]:
+            def find() -> float:
+                bound = find_bound[objective]()
+                self.search.hold(objective)
+                return bound
+
+            return find
+
+        return [(objective, settled(objective)) for objective in self.problem.objectives]
 
     def bound_units(self) -> float:
         """No layout that reaches the floors has fewer units; from here on none has more."""
@@ -245,13 +280,15 @@ class Stages:
 
     def bound_apr_survived(self) -> float:
         """No layout keeps a higher APR when its worst units fail."""
-        return self._bound_failed(self.problem.survive, self.search.reduced.measure.limit)
+        limit = self.search.reduced.measure.limit
+        return self._bound_failed(Objective.APR_SURVIVED, self.problem.survive, limit)
 
     def bound_apr(self) -> float:
         """No layout has a higher APR."""
         search = self.search
         rungs: list[Callable[[], float]] = [
-            lambda: search.value.apr if self._is_complete() or self._walk(0) else np.inf,
+            lambda: self._complete_limit(Objective.APR) if self._is_complete() else np.inf,
+            lambda: search.value.apr if self._walk(0) else np.inf,
             lambda: self.walk_limit[0],
             lambda: self._relaxed(search.reduced, Objective.APR),
             lambda: search.look_for(Objective.APR, self.held),
@@ -260,14 +297,14 @@ class Stages:
             if self._is_settled(search.value.apr, self.apr_limit):
                 break
             self.apr_limit = self._settle(search.value.apr, bound(), self.apr_limit)
-        self.held.append(self._demand(search.value.apr))
+        self.held.append(self._demand(self._least_apr()))
         return self.apr_limit
 
     def bound_apr_one_failed(self) -> float:
         """No layout that holds the APR keeps a higher one when one unit fails."""
         if self.search.reduced.limits.max_units == 1:
             return self.search.apr_of_vut
-        return self._bound_failed(1, self.search.value.apr)
+        return self._bound_failed(Objective.APR_ONE_FAILED, 1, self.search.value.apr)
 
     def bound_smallest_margin_s(self) -> float:
         """No layout that holds the stages before has a larger smallest margin."""
@@ -275,21 +312,21 @@ class Stages:
         limit = self._smallest_margin_limit_s()
         if not self._is_settled(search.value.smallest_margin_s, limit):
             limit = self._largest_margin_s(limit)
-        demand = self._demand(search.value.apr, min_margin_s=search.value.smallest_margin_s)
-        self.held.append(demand)
+        least_s = search.value.smallest_margin_s - TOLERANCE
+        self.held.append(self._demand(self._least_apr(), min_margin_s=least_s))
         return limit
 
     def _largest_margin_s(self, limit: float) -> float:
         """By halving: the largest margin at which it is not proven that no layout has it."""
         search = self.search
         if self._is_complete():
-            return search.value.smallest_margin_s
+            return self._complete_limit(Objective.SMALLEST_MARGIN)
         margins = search.reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
         low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
         high, probe = len(candidates), low
         while low < high:
-            demand = self._demand(search.value.apr, min_margin_s=float(candidates[probe]))
+            demand = self._demand(self._least_apr(), min_margin_s=float(candidates[probe]))
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 high = probe
             elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
@@ -308,25 +345,26 @@ class Stages:
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         if self._is_complete():
-            return search.value.mean_margin_s
-        if search.value.apr == 0.0:  # what is avoided at least is not known: sums bound no mean
+            return self._complete_limit(Objective.MEAN_MARGIN)
+        least_apr = self._least_apr()
+        if least_apr <= 0.0:  # what is avoided at least is not known: sums bound no mean
             return limit
         total_s = self._relaxed(search.reduced, Objective.MEAN_MARGIN)
-        limit = min(limit, total_s / search.value.apr)
+        limit = min(limit, total_s / least_apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         bound = search.look_for(Objective.MEAN_MARGIN, self.held)
-        return settle(search.value.mean_margin_s, bound / search.value.apr, limit)
+        return settle(search.value.mean_margin_s, bound / least_apr, limit)
 
     def bound_cost_eur(self) -> float:
         """No layout that holds the stages before costs less."""
         search = self.search
         cost, least = search.value.cost_eur, self._cheapest_unit_eur()
-        if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
+        if cost <= least + COST_TOLERANCE_EUR:
             return cost
-        union = unions_of(search.reduced, self._units()[None, :])
-        is_avoided = union_margins_s(search.reduced, union)[0] > -np.inf
-        total_s = search.value.mean_margin_s * float(search.reduced.weight @ is_avoided)
+        if self._is_complete():
+            return self._complete_limit(Objective.COST)
+        total_s = self._least_total_s()
         mean = self._demand(total_s, sums_margins=True)
         bound = search.look_for(Objective.COST, [*self.held, mean])
         return max(least, self._settled_from_below(search.value.cost_eur, bound))
@@ -345,17 +383,20 @@ class Stages:
             search.start([self._units()], chance=share)
         return limit
 
-    def _bound_failed(self, n_failures: int, limit: float) -> float:
+    def _bound_failed(self, objective: Objective, n_failures: int, limit: float) -> float:
         """No layout that holds the stages before keeps a higher APR when its worst units fail."""
         value = self._left(n_failures)
         if not self._is_settled(value, limit):
-            if self._is_complete() or self._walk(n_failures):
+            if self._is_complete():
+                limit = self._complete_limit(objective)
+            elif self._walk(n_failures):
                 limit = self._left(n_failures)
             elif self.walk_limit[n_failures] < limit:
                 limit = self.walk_limit[n_failures]
             else:
                 limit = self._bound_failed_by_models(n_failures, limit)
-        self.held.append(self._demand(self._left(n_failures), n_failures=n_failures))
+        least = self.search.reduced.measure.least_tied(self._left(n_failures))
+        self.held.append(self._demand(least, n_failures=n_failures))
         return limit
 
     def _bound_failed_by_models(self, n_failures: int, limit: float) -> float:
@@ -418,8 +459,47 @@ class Stages:
             return 0.0
         order = np.argsort(-search.margin_limit_s)
         share = np.cumsum(search.reduced.weight[order])
-        enough = np.argmax(share >= search.value.apr - TOLERANCE)
+        enough = np.argmax(share >= self._least_apr() - TOLERANCE)
         return float(search.margin_limit_s[order[enough]])
+
+    def _least_apr(self) -> float:
+        """No set that ties with the best one so far has a lower APR."""
+        return self.search.reduced.measure.least_tied(self.search.value.apr)
+
+    def _least_total_s(self) -> float:
+        """No set that ties with the best one so far has a smaller sum of margins."""
+        reduced = self.search.reduced
+        union = unions_of(reduced, self._units()[None, :])
+        is_avoided = union_margins_s(reduced, union)[0] > -np.inf
+        share = float(reduced.weight @ is_avoided)
+        least_s = self.search.value.mean_margin_s - timing.TIES_OF_TIES * TOLERANCE
+        if not reduced.measure.is_mean:  # others may avoid less where it does not count
+            share = self.search.value.apr
+        return max(least_s, 0.0) * max(reduced.measure.least_tied(share), 0.0)
+
+    def _complete_limit(self, objective: Objective) -> float:
+        """What no set exceeds that ties in all stages before, where all were compared."""
+        assert self.contenders is not None
+        reduced, contenders = self.contenders
+        values = set_values(reduced, self._units()[None, :])[0]
+        return contenders.limits(values)[objective]
+
+    def _compared(self, reduced: ReducedProblem, contenders: Contenders) -> bool:
+        """Take the best of all sets that were compared; False if there is none."""
+        best = contenders.best()
+        if best is None:
+            return False
+        search = self.search
+        search.keep(best)
+        self.contenders = reduced, contenders
+        values = search.row
+        limits = contenders.limits(values)
+        if any(
+            one.excess(limit, float(values.of(one))) > one.tolerance
+            for one, limit in limits.items()
+        ):
+            search.take(best)
+        return True
 
     def _avoids_nothing(self) -> bool:
         """True if it is proven that no layout that holds the stages before avoids anything.
@@ -427,7 +507,7 @@ class Stages:
         Where only the worst worlds count, an APR of 0 does not say so: others may avoid something.
         """
         reduced = self.search.reduced
-        is_none = reduced.measure.is_mean and self.apr_limit == 0.0
+        is_none = reduced.measure.tells_runs_apart and self.apr_limit == 0.0
         return is_none or not len(reduced.weight)
 
     def _cheapest_unit_eur(self) -> float:
@@ -453,11 +533,13 @@ class Stages:
                 has_money = search.reduced.limits.budget_eur is not None
                 most = timing.MAX_SETS_OF_MONEY if has_money else timing.MAX_FEW_SETS
                 most = min(most, int(deadline.left_s() * timing.FEW_SETS_PER_SECOND))
-                units, self.is_complete = best_of_few(
+                contenders, is_complete = best_of_few(
                     search.reduced, max_sets=most, deadline=deadline
                 )
-                if units is not None:
-                    search.keep(units)
+                has_any = contenders is not None and self._compared(
+                    search.reduced, contenders
+                )
+                self.is_complete = is_complete and has_any
             if self.is_complete:
                 search.proofs["exhaustive enumeration"] = None
         return self.is_complete
@@ -487,10 +569,10 @@ class Stages:
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
         if tied.sets is not None:
-            best = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
-            if best is not None:
-                search.keep(best)
-            self.is_complete = True
+            contenders = best_of_tied(
+                reduced, tied.sets, n_failures=n_failures, value=tied.value
+            )
+            self.is_complete = self._compared(reduced, contenders)
         return tied.is_finished
 
     def _find_tied(self, n_failures: int) -> Tied:
@@ -499,7 +581,7 @@ class Stages:
         reduced, root = search.reduced, search.root
         held = None
         if n_failures:
-            held = least_apr(reduced) if self.problem.survive else search.value.apr
+            held = least_apr(reduced) if self.problem.survive else self._least_apr()
 
         def walk_from(need: float, left: float) -> SetWalk:
             return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)

@@ -30,7 +30,7 @@ from geometry.clock import now_s
 from . import timing
 from .allowed_sets import Limits, are_allowed, may_grow
 from .bitsets import (
-    BestSet,
+    Contenders,
     left_after_failures,
     set_values,
     shares_with_each,
@@ -41,7 +41,7 @@ from .bounds import Root, rounded_down
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import Objective
-from .timing import NEVER, TOLERANCE, Deadline, deadline_in
+from .timing import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:
     from .walk_kernels import Classes, Walk
@@ -79,29 +79,31 @@ def least_apr(reduced: ReducedProblem) -> float | None:
 
 def best_of_few(
     reduced: ReducedProblem, *, max_sets: int, deadline: Deadline = NEVER
-) -> tuple[IntArray | None, bool]:
-    """Best of all allowed sets, of any size, where they are few.
+) -> tuple[Contenders | None, bool]:
+    """The best of all allowed sets, of any size, and what ties, where they are few.
 
-    Gives up if there are more than `max_sets`, or at the deadline: the flag says whether all sets
-    were gone through. The units are None if no set was.
+    Gives up if there are more than `max_sets`, or at the deadline: the flag says whether
+    all sets were gone through. None if no set was.
     """
     sizes = allowed_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
         return None, False
-    best, least = BestSet(), -np.inf
+    contenders = Contenders(reduced.objectives)
+    least = -np.inf
     is_by_apr = reduced.objectives[0] is Objective.APR and not reduced.floors
     for sets in sizes:
         for begin in range(0, len(sets), timing.BLOCK_SETS):
             if deadline.is_over:
-                return best.units, False
+                return contenders, False
             part = sets[begin : begin + timing.BLOCK_SETS]
             if is_by_apr:  # all else takes longer, and matters for few
                 share = union_apr(reduced, unions_of(reduced, part))
-                least = max(least, float(share.max()) - TOLERANCE)
+                near = float(share.max()) - TIES_OF_TIES * TOLERANCE
+                least = max(least, near)
                 part = part[share >= least]
             if len(part):
-                best.offer(part, set_values(reduced, part))
-    return best.units, True
+                contenders.add(part, set_values(reduced, part))
+    return contenders, True
 
 
 def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
@@ -481,6 +483,11 @@ class TieSearch:
         limit = self.best if is_proven else max(limit, self.best)
         return Tied(sets=sets, value=self.best, limit=limit, is_finished=is_proven)
 
+    @property
+    def _least(self) -> float:
+        """The least that ties with a set which is found, itself a tie worse than the best."""
+        return self.best - TIES_OF_TIES * TOLERANCE
+
     def _value_of(self, sets: IntArray) -> FloatArray:
         return left_after_failures(self.reduced, self.reduced.measure, self.n_failures, sets)
 
@@ -490,8 +497,7 @@ class TieSearch:
 
     def _walk(self, deadline: Deadline, ahead: float, *, is_proven: bool = False) -> bool:
         """Take better sets, and where nothing more is asked for all that tie; whether it ended."""
-        need, left = self._needs(self.best + ahead)
-        walk = self.walk_from(need, left)
+        walk = self.walk_from(*self._needs(self.best + ahead if ahead else self._least))
         if not ahead:
             n_units = self.reduced.limits.max_units
             self.tied, self.has_all = [np.empty((0, n_units), dtype=np.int64)], True
@@ -500,12 +506,17 @@ class TieSearch:
             if len(block) and value.max() > self.best + TOLERANCE:
                 better = self.on_better(block[value.argmax()])
                 of_better = float(self._value_of(np.sort(better)[None, :])[0])
+                before = self.best
                 self.best = max(float(value.max()), of_better)
-                walk.raise_needs(*self._needs(self.best + ahead))
-                self.tied, self.has_all = self.tied[:1], True
+                need = self.best + ahead if ahead else self._least
+                walk.raise_needs(*self._needs(need))
+                if before < self._least:  # none of those before ties any more
+                    self.tied, self.has_all = self.tied[:1], True
+            elif len(block):
+                self.best = max(self.best, float(value.max()))
             if ahead or not self.has_all:
                 continue
-            self.tied.append(block[value >= self.best - TOLERANCE])
+            self.tied.append(block[value >= self._least])
             self.has_all = sum(map(len, self.tied)) <= timing.MAX_TIED
             if not self.has_all:
                 if is_proven:
@@ -524,17 +535,18 @@ class TieSearch:
 
 def best_of_tied(
     reduced: ReducedProblem, sets: IntArray, *, n_failures: int, value: float
-) -> IntArray | None:
-    """Best of tied sets and of their parts that tie with them; None if there is none.
+) -> Contenders:
+    """Tied sets and their parts that tie with them, within the limits.
 
     A part is as good in the first stages only if a whole set is.
     """
-    best = BestSet()
+    contenders = Contenders(reduced.objectives)
     while len(sets) and sets.shape[1] > 0:
         for start in range(0, len(sets), timing.BLOCK_SETS):
             part = sets[start : start + timing.BLOCK_SETS]
             part = part[are_allowed(reduced.limits, part)]
-            best.offer(part, set_values(reduced, part))
+            if len(part):
+                contenders.add(part, set_values(reduced, part))
         fewer = sets.shape[1] - 1
         if not fewer:
             break
@@ -542,5 +554,5 @@ def best_of_tied(
         smaller = np.concatenate([sets[:, list(place)] for place in places])
         smaller = np.unique(np.sort(smaller, axis=1), axis=0)
         left = left_after_failures(reduced, reduced.measure, n_failures, smaller)
-        sets = smaller[left >= value - TOLERANCE]
-    return best.units
+        sets = smaller[left >= value - TIES_OF_TIES * TOLERANCE]
+    return contenders
