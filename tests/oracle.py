@@ -197,8 +197,8 @@ class Oracle:
 
     # ---------- an answer
 
-    def check(self, poses: tuple[int, ...], stages: Any, *, proves: bool) -> None:
-        """Check a layout and its stages; `proves`: every stage must be proven best.
+    def check(self, poses: tuple[int, ...], stages: Any, *, largest_gap: float = inf) -> None:
+        """Check a layout and its stages; 0 as the `largest_gap`: all must be proven best.
 
         A bound is what no layout exceeds that is as good in all stages before; a gap of 0 says that
         the value is the best there is.
@@ -217,8 +217,7 @@ class Oracle:
             assert (stage.gap == 0.0) == (stage.bound == stage.objective), where
             if stage.gap == 0.0:
                 assert sign * value >= sign * best - tie, f"proven, but not best; {where}"
-            else:
-                assert not proves, f"not proven; {where}"
+            assert stage.gap <= largest_gap, f"not proven; {where}"
             rivals = {
                 units: values
                 for units, values in rivals.items()

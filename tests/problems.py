@@ -197,9 +197,7 @@ def kinds_of(problem: PlacementProblem) -> frozenset[str]:
         "tail": is_tail,
         "pose adds nothing": adds_nothing,
         "tail, pose adds nothing": is_tail and adds_nothing,
-        "tail, pose adds nothing to a car that sees": is_tail
-        and adds_nothing
-        and seen is not None,
+        "tail, pose adds nothing to a car that sees": is_tail and adds_nothing and seen is not None,
         "tiny weight": bool((weight < 1.0e-8).any()),
         "levels": has_levels,
         "car sees": seen is not None,

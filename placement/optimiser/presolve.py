@@ -376,9 +376,7 @@ def is_dominated(
 class _Windows:
     """Windows of a problem that end in time, and their tails, as columns over the poses."""
 
-    def __init__(
-        self, problem: PlacementProblem, workers: int, rules: Set[Rule]
-    ) -> None:
+    def __init__(self, problem: PlacementProblem, workers: int, rules: Set[Rule]) -> None:
         from .bit_kernels import join_ranges
 
         self.problem, self.workers, self.rules = problem, workers, rules

@@ -536,9 +536,7 @@ class Stages:
                 contenders, is_complete = best_of_few(
                     search.reduced, max_sets=most, deadline=deadline
                 )
-                has_any = contenders is not None and self._compared(
-                    search.reduced, contenders
-                )
+                has_any = contenders is not None and self._compared(search.reduced, contenders)
                 self.is_complete = is_complete and has_any
             if self.is_complete:
                 search.proofs["exhaustive enumeration"] = None
@@ -569,9 +567,7 @@ class Stages:
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
         if tied.sets is not None:
-            contenders = best_of_tied(
-                reduced, tied.sets, n_failures=n_failures, value=tied.value
-            )
+            contenders = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
             self.is_complete = self._compared(reduced, contenders)
         return tied.is_finished
 

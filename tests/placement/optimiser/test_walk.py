@@ -125,9 +125,7 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
     tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
     assert tied.is_finished
     assert tied.sets is not None
-    contenders = best_of_tied(
-        reduced, tied.sets, n_failures=n_failures, value=tied.value
-    )
+    contenders = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
     found = contenders.best()
     assert found is not None
     np.testing.assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
