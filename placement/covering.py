@@ -29,8 +29,8 @@ from geometry.files import float_of, read_bytes, read_data, write_atomically
 
 from .layout import relative_gap
 from .memory import check_fits
+from .optimiser.constants import COST_TOLERANCE_EUR, common_step, settle
 from .optimiser.model import Answer, run_solver, solver_text
-from .optimiser.timing import COST_TOLERANCE_EUR, common_step, settle
 
 
 # ---------- instances and solutions

@@ -33,8 +33,8 @@ def check(problem: PlacementProblem, way: str) -> None:
         if way == "models":
             patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
         if way == "large":
-            patch.setattr("placement.optimiser.timing.MAX_BITS", 1)
-            patch.setattr("placement.optimiser.timing.POOL_POSES", 4)
+            patch.setattr("placement.optimiser.constants.MAX_BITS", 1)
+            patch.setattr("placement.optimiser.constants.POOL_POSES", 4)
         solution, refusal = _answer(problem, effort)
     if solution is None:
         says_none = not any(words in refusal for words in NOT_FOUND)

@@ -11,7 +11,7 @@ from geometry.errors import InputError
 from geometry.files import open_file
 from placement.covering import load_instance, save_instance, solve_covering
 from placement.optimiser import Effort, Floor, PlacementProblem, apr, cost_eur, solve_placement
-from placement.optimiser.timing import SolverName
+from placement.optimiser.constants import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import WRITING, StageProgress

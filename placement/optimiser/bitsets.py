@@ -10,9 +10,9 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .allowed_sets import cost_eur, costs_eur
+from .constants import FAR_APART, FEW_PARTNERS, TIES_OF_TIES, TOLERANCE, share_out
 from .presolve import ReducedProblem, unpack_words
 from .problem import Measure, Objective, WordArray
-from .timing import FAR_APART, FEW_PARTNERS, TIES_OF_TIES, TOLERANCE, share_out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from geometry.errors import InputError, check_one_of, refuse
 
 from ..layout import Certificate, Stage
 from .bitsets import union_apr
+from .constants import COST_TOLERANCE_EUR, TOLERANCE, Effort, deadline_in
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     VALUE_OBJECTIVES,
@@ -32,7 +33,6 @@ from .solve import (
     is_large,
     solve_placement,
 )
-from .timing import COST_TOLERANCE_EUR, TOLERANCE, Effort, deadline_in
 
 StageChoice = Literal["first", "all"]
 FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)

@@ -24,6 +24,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import says
 
 from .allowed_sets import Limits
+from .constants import COST_TOLERANCE_EUR, WORKERS, share_out
 from .problem import (
     Chains,
     Goal,
@@ -37,7 +38,6 @@ from .problem import (
     tails_behind,
     timely_windows_end,
 )
-from .timing import COST_TOLERANCE_EUR, WORKERS, share_out
 
 PackedArray = WordArray | NDArray[np.uint8]
 

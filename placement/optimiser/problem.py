@@ -17,7 +17,7 @@ from scenarios.runs import FrameAxis, live_confirmation_times_s
 
 from ..detection_table import DetectionTable
 from .allowed_sets import Limits, cost_eur, is_allowed
-from .timing import (
+from .constants import (
     COST_TOLERANCE_EUR,
     FAR_APART,
     TIES_OF_TIES,

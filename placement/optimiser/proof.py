@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from . import timing
+from . import constants
 from .allowed_sets import Limits, are_allowed, is_allowed, price_step_eur
 from .bitsets import (
     Contenders,
@@ -21,12 +21,12 @@ from .bitsets import (
     unions_of,
 )
 from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_rows
+from .constants import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .greedy import extend_greedily, improve, search_from_many_starts
 from .model import Cut, first_cuts, solve_window_model, solver_text, violated_cuts
 from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
 from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementValue, Requirement
-from .timing import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk, least_apr
 
 
@@ -179,7 +179,7 @@ class Search:
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
         cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
-        fits = problem.n_poses * problem.n_frames <= timing.MAX_CELLS
+        fits = problem.n_poses * problem.n_frames <= constants.MAX_CELLS
         while self.is_exact and fits and not self.deadline.is_over:
             self.proofs[solver_text()] = None
             left_s = self.deadline.left_s()
@@ -256,7 +256,7 @@ class Stages:
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
             if n_units > bound:
-                found = search.look_for(Objective.UNITS, ()) - timing.SOLVER_TOLERANCE
+                found = search.look_for(Objective.UNITS, ()) - constants.SOLVER_TOLERANCE
                 bound = max(bound, np.ceil(found))
         n_units = len(self._units())
         return self._restricted(float(n_units), bound, budget_units=n_units)
@@ -422,7 +422,7 @@ class Stages:
                 limit = all_runs - float(reduced.weight.min())
         while self._left(n_failures) < limit - TOLERANCE:
             before = self._left(n_failures)
-            demand = self._demand(before + timing.STEP_UP, n_failures=n_failures)
+            demand = self._demand(before + constants.STEP_UP, n_failures=n_failures)
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
             if self._left(n_failures) <= before + TOLERANCE:
@@ -449,7 +449,7 @@ class Stages:
 
     def _settled_from_below(self, cost: float, bound: float) -> float:
         """Lower bound of a cost; the solver's own has an error."""
-        error = timing.SOLVER_TOLERANCE * max(1.0, cost)
+        error = constants.SOLVER_TOLERANCE * max(1.0, cost)
         step = price_step_eur(self.search.reduced.limits)
         return cost if bound >= cost - max(COST_TOLERANCE_EUR, step - error) else bound
 
@@ -472,7 +472,7 @@ class Stages:
         union = unions_of(reduced, self._units()[None, :])
         is_avoided = union_margins_s(reduced, union)[0] > -np.inf
         share = float(reduced.weight @ is_avoided)
-        least_s = self.search.value.mean_margin_s - timing.TIES_OF_TIES * TOLERANCE
+        least_s = self.search.value.mean_margin_s - constants.TIES_OF_TIES * TOLERANCE
         if not reduced.measure.is_mean:  # others may avoid less where it does not count
             share = self.search.value.apr
         return max(least_s, 0.0) * max(reduced.measure.least_tied(share), 0.0)
@@ -531,8 +531,8 @@ class Stages:
             if self.effort.is_exact:
                 deadline = search.deadline.of("few sets")
                 has_money = search.reduced.limits.budget_eur is not None
-                most = timing.MAX_SETS_OF_MONEY if has_money else timing.MAX_FEW_SETS
-                most = min(most, int(deadline.left_s() * timing.FEW_SETS_PER_SECOND))
+                most = constants.MAX_SETS_OF_MONEY if has_money else constants.MAX_FEW_SETS
+                most = min(most, int(deadline.left_s() * constants.FEW_SETS_PER_SECOND))
                 contenders, is_complete = best_of_few(
                     search.reduced, max_sets=most, deadline=deadline
                 )
@@ -587,7 +587,7 @@ class Stages:
             self._units(),
             walk_from=walk_from,
             limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
-            ahead=timing.NEAR * self._left(n_failures) if n_failures else 0.0,
+            ahead=constants.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,
             least_apr=held,
             on_better=self._improved,

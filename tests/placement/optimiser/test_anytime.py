@@ -37,6 +37,7 @@ from placement.optimiser.bitsets import (
     values_with_each,
 )
 from placement.optimiser.bounds import failure_limit, find_root, relax, run_rows
+from placement.optimiser.constants import NEVER, Deadline, deadline_in
 from placement.optimiser.cost_front import cost_front
 from placement.optimiser.front import pareto_front
 from placement.optimiser.greedy import extend_greedily, forced_units, improve
@@ -44,7 +45,6 @@ from placement.optimiser.pairs import PairWalk
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.problem import Objective
 from placement.optimiser.proof import Search
-from placement.optimiser.timing import NEVER, Deadline, deadline_in
 from placement.optimiser.walk import SetWalk, best_of_few, can_walk
 
 ANY_PROBLEM = st.from_type(PlacementProblem)

@@ -14,9 +14,9 @@ from problems import random_problem
 from placement.detection_table import pack_table
 from placement.optimiser import Limits, PlacementProblem, presolve, solve_placement
 from placement.optimiser.bitsets import Contenders, SetValues, set_values
+from placement.optimiser.constants import are_sums_apart
 from placement.optimiser.problem import Objective, build_measure
 from placement.optimiser.proof import Search
-from placement.optimiser.timing import are_sums_apart
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
