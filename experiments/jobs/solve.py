@@ -9,7 +9,7 @@ import numpy as np
 
 from geometry.errors import InputError
 from placement.optimiser import Effort, Floor, PlacementProblem, apr, cost_eur, solve_placement
-from placement.optimiser.timing import SolverName
+from placement.optimiser.constants import SolverName
 from placement.verification.instances import load_problem
 
 from ..progress import StageProgress

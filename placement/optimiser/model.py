@@ -20,13 +20,13 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from . import timing
+from . import constants
 from .allowed_sets import Limits
 from .bitsets import union_margins_s, unions_of
 from .bounds import Rows, margin_rows, run_rows
+from .constants import COST_TOLERANCE_EUR, TOLERANCE
 from .presolve import ReducedProblem
 from .problem import Measure, Objective, Requirement, WordArray
-from .timing import COST_TOLERANCE_EUR, TOLERANCE
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -57,7 +57,7 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
         try:
             problem.solve(
                 solver="HIGHS",
-                time_limit=min(max(time_limit_s, 0.0), timing.LONGEST_S),
+                time_limit=min(max(time_limit_s, 0.0), constants.LONGEST_S),
                 mip_rel_gap=gap,
                 mip_abs_gap=0.0,
             )
@@ -194,7 +194,7 @@ def requirement_constraints(
     if requirement.sums_margins:
         row = link_weights(reduced, margin_rows(reduced))
         unit = max(float(row.sum()), TOLERANCE)
-        return [(row / unit) @ a >= requirement.least / unit - timing.HELD_SLACK * TOLERANCE]
+        return [(row / unit) @ a >= requirement.least / unit - constants.HELD_SLACK * TOLERANCE]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
     can = (link >= 0) & (weight > 0.0)
     if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
@@ -202,9 +202,11 @@ def requirement_constraints(
         return [a[np.unique(link[can])] == 1.0]
     if requirement.measure.is_mean and can.any():
         unit = float(weight.mean())
-        return [(weight[can] / unit) @ a[link[can]] >= requirement.least / unit - timing.HELD_SLACK]
+        return [
+            (weight[can] / unit) @ a[link[can]] >= requirement.least / unit - constants.HELD_SLACK
+        ]
     expression, constraints = _tail_share(a, requirement.measure, link)
-    return [*constraints, expression >= requirement.least - timing.HELD_SLACK * TOLERANCE]
+    return [*constraints, expression >= requirement.least - constants.HELD_SLACK * TOLERANCE]
 
 
 def _tail_share(
@@ -323,14 +325,14 @@ def solve_window_model(
         elif objective in (Objective.APR, Objective.MEAN_MARGIN):
             rows = run_rows(reduced) if objective is Objective.APR else margin_rows(reduced)
             weights = link_weights(reduced, rows)
-            unit = max(float(weights.sum()), TOLERANCE) / timing.SOLVER_SUM
+            unit = max(float(weights.sum()), TOLERANCE) / constants.SOLVER_SUM
             goal = (weights / unit) @ a
     if cuts:
         constraints += cut_constraints(x, cuts, limits)
     problem = cp.Problem(cp.Maximize(goal), constraints)
     sign = -1.0 if objective is not None and objective.is_minimised else 1.0
     spent_s = time.monotonic() - begun_s
-    if spent_s > timing.TIME_SHARES["model stated"] * time_limit_s:
+    if spent_s > constants.TIME_SHARES["model stated"] * time_limit_s:
         return MilpResult(units=None, bound=sign * np.inf, is_finished=False)
     answer = run_solver(problem, time_limit_s=time_limit_s - spent_s)
     return MilpResult(

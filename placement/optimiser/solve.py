@@ -17,15 +17,15 @@ from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
-from . import timing
+from . import constants
 from .allowed_sets import Limits, cost_eur
 from .bitsets import left_after_failures, union_margins_s
 from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
+from .constants import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 from .greedy import to_full
-from .presolve import PresolveStatistics, ReducedProblem, presolve
+from .presolve import ALL_RULES, PresolveStatistics, ReducedProblem, Rule, presolve
 from .problem import Floor, Objective, PlacementProblem, apr, objective_values
 from .proof import Search, Stages
-from .timing import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 _log = logging.getLogger(__name__)
 
@@ -115,7 +115,7 @@ def _rounded_down(share: float) -> str:
 
 def is_large(problem: PlacementProblem) -> bool:
     """True if a problem is better not solved as a whole."""
-    return problem.table.n_poses * problem.table.axis.n_frames > timing.MAX_BITS
+    return problem.table.n_poses * problem.table.axis.n_frames > constants.MAX_BITS
 
 
 def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
@@ -264,14 +264,14 @@ def _solve_large(
     """The best among promising poses, bounded by the relaxation of all."""
     if on_stage is not None:
         on_stage("all poses")
-    every = presolve(problem, workers=effort.workers, drops_dominated=False)
+    every = presolve(problem, workers=effort.workers, rules=ALL_RULES - {Rule.DOMINATED_POSES})
     most = Search(every)
     apr, chosen = every.measure.limit, np.arange(0)
     if len(every.weight):
         end, n_units = deadline.of("relaxation"), every.limits.max_units
         root = polished(find_root(every, run_rows(every), n_units=n_units, deadline=end))
         apr = min(rounded_down(every, root.limit), apr)
-        chosen = np.argsort(-root.gains(), kind="stable")[: timing.POOL_POSES]
+        chosen = np.argsort(-root.gains(), kind="stable")[: constants.POOL_POSES]
     pool = np.union1d(every.pose_index[chosen], np.flatnonzero(problem.limits.is_forced))
     usable = (problem.limits.site_capacity[problem.limits.site_index] > 0)[pool]
     pool = pool[usable & ~problem.limits.is_forbidden[pool]]

@@ -18,7 +18,7 @@ from placement.optimiser import (
 @given(problem=st.from_type(PlacementProblem))
 def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.timing.MAX_BITS", 0)
+        patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
         solution = solve_placement(problem, effort=Effort(solver="relax"))
     n_poses, most = problem.table.n_poses, problem.limits.max_units
     values = [
