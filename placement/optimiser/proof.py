@@ -21,7 +21,14 @@ from .bitsets import (
 )
 from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_rows
 from .greedy import extend_greedily, improve, search_from_many_starts
-from .model import Cut, first_cuts, solve_window_model, solver_text, violated_cuts
+from .model import (
+    CELLS_PER_SECOND,
+    Cut,
+    first_cuts,
+    solve_window_model,
+    solver_text,
+    violated_cuts,
+)
 from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
 from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementValue, Requirement
@@ -164,10 +171,13 @@ class Search:
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
         cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
-        fits = problem.n_poses * problem.n_frames <= timing.MAX_CELLS
+        n_cells = problem.n_poses * problem.n_frames
+        fits = n_cells <= timing.MAX_CELLS
         while self.is_exact and fits and not self.deadline.is_over:
-            self.proofs[solver_text()] = None
             left_s = self.deadline.left_s()
+            if n_cells > left_s * CELLS_PER_SECOND:  # the model would take longer to be stated
+                break
+            self.proofs[solver_text()] = None
             result = solve_window_model(
                 problem, objective, requirements=demands, cuts=cuts, time_limit_s=left_s
             )

@@ -1,6 +1,5 @@
-"""The fewest units that reach the floors: by walks through all sets of a size, in the time given."""
+"""The fewest units that reach the floors: by walks through all sets of a size."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 from oracle import Oracle
 from problems import random_problem
-from small_tables import avoiding_problem
 
 from placement.optimiser import (
     Effort,
@@ -22,7 +20,6 @@ from placement.optimiser import (
     solve_placement,
 )
 from placement.optimiser.model import MilpResult
-from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.problem import Objective
 from placement.optimiser.timing import NEVER
 from placement.optimiser.walk import find_of_size
@@ -97,5 +94,3 @@ def test_three_units_are_ruled_out_on_a_junction_with_arms(monkeypatch: pytest.M
     assert solution.certificate.is_proven
     assert [stage.objective for stage in solution.certificate.stages][:1] == [4.0]
     assert solution.certificate.solver == "branch and bound"
-
-
