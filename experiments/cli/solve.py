@@ -41,9 +41,9 @@ def solve(
 ) -> None:
     """Solve a covering or placement problem from a file, and prove it.
 
-    Placement problems (instance.npz of a result folder) are solved as they were asked, unless
-    --budget, --budget-cost or --target asks something else, and with the file's own rule unless
-    --track-memory changes it.
+    Placement problems (instance.npz of a result folder) are solved as they were asked. --budget,
+    --budget-cost, --target and --track-memory take the place of the file's own; all its other
+    demands hold. --target is reached with the fewest units, however many the file allows.
 
     Chosen columns are numbered as in the file: from 1 in OR-Library's and Steiner triples, else
     from 0; --json says so in numbered_from.
@@ -119,8 +119,12 @@ def window_text(summary: "PlacementSolution") -> str:
     """The answer to a placement problem, with its frames and windows."""
     from ..parts.proof import stage_table
 
+    lines = [f"asked: {'; '.join(summary.question)}; fusion {summary.fusion}"]
+    if summary.replaced:
+        lines.append(f"in place of the file's own: {'; '.join(summary.replaced)}")
     answer = Part(
-        title=f"{summary.file}: {summary.goal} layout, fusion {summary.fusion}",
+        title=f"{summary.file}: {summary.goal} layout",
+        words=lines,
         table=stage_table(summary.stages),
         notes=[
             f"chosen: {', '.join(summary.chosen_names)}",

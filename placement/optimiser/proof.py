@@ -170,7 +170,7 @@ class Search:
         demands = (*problem.floors, *requirements)
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
-        cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
+        cuts: list[Cut] | None = None
         n_cells = problem.n_poses * problem.n_frames
         fits = n_cells <= timing.MAX_CELLS
         while self.is_exact and fits and not self.deadline.is_over:
@@ -178,6 +178,9 @@ class Search:
             if n_cells > left_s * CELLS_PER_SECOND:  # the model would take longer to be stated
                 break
             self.proofs[solver_text()] = None
+            if cuts is None:  # finding the first ones takes long, too
+                cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
+                left_s = self.deadline.left_s()
             result = solve_window_model(
                 problem, objective, requirements=demands, cuts=cuts, time_limit_s=left_s
             )
