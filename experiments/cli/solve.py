@@ -117,7 +117,7 @@ def solution_text(summary: "CoveringResult") -> str:
 
 def window_text(summary: "PlacementSolution") -> str:
     """The answer to a placement problem, with its frames and windows."""
-    from ..parts.proof import stage_table
+    from ..parts.proof import stage_conditions, stage_table
 
     lines = [f"asked: {'; '.join(summary.question)}; fusion {summary.fusion}"]
     if summary.replaced:
@@ -127,6 +127,7 @@ def window_text(summary: "PlacementSolution") -> str:
         words=lines,
         table=stage_table(summary.stages),
         notes=[
+            *stage_conditions(summary.stages),
             f"chosen: {', '.join(summary.chosen_names)}",
             f"presolve: {summary.presolve_effect}",
             f"solver: {summary.solver}; {summary.seconds:.2f} s",

@@ -193,5 +193,6 @@ def test_the_first_lines_say_what_is_asked_and_what_was_replaced(run, demanding,
     assert words.startswith(
         "one.npz: best layout asked: the best layout; first the highest APR that is left when "
         "any unit fails; at most 2 units; target: an APR of at least 20 %; min_case_apr in A: an "
-        "APR of at least 100 % in 1 of 3 runs; fusion any in place of the file's own: at most 1 unit "
+        "APR of at least 100 % in 1 of 3 runs; fusion any in place of the file's own: "
+        "at most 1 unit "
     )
