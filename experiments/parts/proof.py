@@ -71,7 +71,7 @@ def section(result: PlacementResult) -> Section:
         names = ", ".join(is_open)
         proof = tr("Not in full: proven are all objectives but {names}.", names=names)
     note = say("proof.solver", solver=said(result.solver) or NOTHING)
-    blocks = [proof, table(result), *conditions(result), note]
+    blocks: list[Block] = [proof, table(result), *conditions(result), note]
     return Section("proof", tr("How good is it, and is that proven?"), blocks)
 
 
