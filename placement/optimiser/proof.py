@@ -23,11 +23,27 @@ from .bitsets import (
 from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_rows
 from .constants import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .greedy import extend_greedily, improve, search_from_many_starts
-from .model import Cut, first_cuts, solve_window_model, solver_text, violated_cuts
+from .model import (
+    CELLS_PER_SECOND,
+    Cut,
+    first_cuts,
+    solve_window_model,
+    solver_text,
+    violated_cuts,
+)
 from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
 from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementValue, Requirement
-from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk, least_apr
+from .walk import (
+    SetWalk,
+    Tied,
+    TieSearch,
+    best_of_few,
+    best_of_tied,
+    can_walk,
+    find_of_size,
+    least_apr,
+)
 
 
 class Search:
@@ -178,11 +194,17 @@ class Search:
         demands = (*problem.floors, *requirements)
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
-        cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
-        fits = problem.n_poses * problem.n_frames <= constants.MAX_CELLS
+        cuts: list[Cut] | None = None
+        n_cells = problem.n_poses * problem.n_frames
+        fits = n_cells <= constants.MAX_CELLS
         while self.is_exact and fits and not self.deadline.is_over:
-            self.proofs[solver_text()] = None
             left_s = self.deadline.left_s()
+            if n_cells > left_s * CELLS_PER_SECOND:  # the model would take longer to be stated
+                break
+            self.proofs[solver_text()] = None
+            if cuts is None:  # finding the first ones takes long, too
+                cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
+                left_s = self.deadline.left_s()
             result = solve_window_model(
                 problem, objective, requirements=demands, cuts=cuts, time_limit_s=left_s
             )
@@ -255,11 +277,36 @@ class Stages:
             n_units = len(self._units())
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
-            if n_units > bound:
+            bound = float(self._fewest_by_walks(int(bound)))
+            if len(self._units()) > bound:
                 found = search.look_for(Objective.UNITS, ()) - constants.SOLVER_TOLERANCE
                 bound = max(bound, np.ceil(found))
         n_units = len(self._units())
         return self._restricted(float(n_units), bound, budget_units=n_units)
+
+    def _fewest_by_walks(self, fewest: int) -> int:
+        """No layout that reaches the floors has fewer units; `fewest` is such a bound.
+
+        All sets of ever more units are walked through, until some reach the floors, which is the
+        best set then, or the time is up.
+        """
+        search = self.search
+        reduced = search.reduced
+        if not (search.is_exact and reduced.floors and len(reduced.weight)):
+            return fewest
+        deadline = search.deadline.of("walk")
+        fewest = max(fewest, int(reduced.limits.is_forced.sum()))
+        most = min(len(self._units()) - 1, constants.MAX_WALK_UNITS)
+        while fewest <= most and not deadline.is_over:
+            search.proofs["branch and bound"] = None
+            units, is_finished = find_of_size(reduced, fewest, deadline=deadline)
+            if units is not None:
+                search.keep(units)
+                break
+            if not is_finished:
+                break
+            fewest += 1
+        return fewest
 
     def bound_first_cost_eur(self) -> float:
         """No layout that reaches the floors costs less; from here on none costs more."""

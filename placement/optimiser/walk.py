@@ -19,6 +19,7 @@ fail is asked for in the walk, too.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
@@ -37,7 +38,7 @@ from .bitsets import (
     union_apr,
     unions_of,
 )
-from .bounds import Root, rounded_down
+from .bounds import Root, find_root, rounded_down, run_rows
 from .constants import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
@@ -312,6 +313,57 @@ class _Task:
             )
             found.append(sets[:n_found])
         return found
+
+
+def find_of_size(
+    reduced: ReducedProblem, n_units: int, *, deadline: Deadline
+) -> tuple[IntArray | None, bool]:
+    """A set of exactly so many units within the limits that reaches the floors, (n_units,).
+
+    None if none was found; the flag says whether all sets were gone through. There is at least one
+    floor, and no set has fewer units than there are forced poses.
+
+    The walk is one for the hardest floor; what it asks for is necessary: the APR as a mean over all
+    worlds, and what is left when units fail, though sites may. What it meets is looked at exactly.
+    """
+    forced = forced_units(reduced)
+    if n_units <= len(forced):
+        return _first_that_will_do(reduced, forced[None, :]), True
+    floor = max(reduced.floors, key=lambda one: one.least / max(one.measure.limit, constants.TINY))
+    counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
+    rows = run_rows(counted)
+    rows = rows.of(rows.weight > 0.0)
+    root = find_root(counted, rows, n_units=n_units, deadline=deadline)
+    if root.limit < floor.least - TOLERANCE:
+        return None, True
+    has_failures = floor.n_failures < n_units and not len(forced)
+    walk = SetWalk(
+        counted,
+        root,
+        need=floor.least - TOLERANCE,
+        n_failures=floor.n_failures if has_failures else 0,
+        left=floor.least - TOLERANCE if has_failures else 0.0,
+    )
+    for block in walk.blocks(deadline):
+        units = _first_that_will_do(reduced, block)
+        if units is not None:
+            return units, False
+    return None, walk.is_finished
+
+
+def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | None:
+    """The first of some sets, (n_sets, n_units), within the limits that reaches the floors."""
+    if not sets.size:
+        return None
+    for begin in range(0, len(sets), constants.BLOCK_SETS):
+        part = sets[begin : begin + constants.BLOCK_SETS]
+        part = part[are_allowed(reduced.limits, part)]
+        if not len(part):
+            continue
+        will_do = np.flatnonzero(set_values(reduced, part).lacking == 0.0)
+        if len(will_do):
+            return np.sort(part[will_do[0]])
+    return None
 
 
 def widest_poses(
