@@ -23,7 +23,7 @@ from geometry.files import parse_json, read_bytes, read_table
 from placement.city.choose import Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
-from placement.optimiser.timing import TOLERANCE
+from placement.optimiser.constants import TOLERANCE
 from placement.recordings.files import json_of
 
 from ..language import language, tr, trn

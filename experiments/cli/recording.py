@@ -69,7 +69,7 @@ def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
 
 def recording_text(summary: "RecordedResult", out: Path | None) -> str:
     """The result of a recording for a terminal: the units that were chosen, if any, and all."""
-    from ..parts.proof import stage_table
+    from ..parts.proof import stage_conditions, stage_table
     from ..parts.recording import ALL_UNITS
 
     lines = sentences(tr("{recording} on {n} drives:", recording=summary.recording, n=summary.runs))
@@ -84,7 +84,8 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
             fusion=said(summary.fusion),
             chosen=chosen,
         )
-        best = Part(words=[words], table=stage_table(summary.stages))
+        conditions = stage_conditions(summary.stages)
+        best = Part(words=[words], table=stage_table(summary.stages), notes=conditions)
         lines = [answer_text([best], is_verbose=True), ""]
         all_units = say(
             "recording.all_units",
