@@ -33,12 +33,6 @@ if TYPE_CHECKING:
     import scipy.sparse as sp
 
 
-_COMPILED = 2.5
-"""Times as long as stating a model, cvxpy takes to compile it for HiGHS: measured 2.1."""
-CELLS_PER_SECOND = 2.4e6
-"""Poses x merged frames of a model that is stated and compiled in a second; measured."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
     """Answer of a solver to a problem that is maximised."""
@@ -350,7 +344,9 @@ def solve_window_model(
     problem = cp.Problem(cp.Maximize(goal), constraints)
     sign = -1.0 if objective is not None and objective.is_minimised else 1.0
     spent_s = now_s() - begun_s
-    if (1.0 + _COMPILED) * spent_s > constants.TIME_SHARES["model stated"] * time_limit_s:
+    if (1.0 + constants.COMPILED_TO_STATED) * spent_s > constants.TIME_SHARES[
+        "model stated"
+    ] * time_limit_s:
         return MilpResult(units=None, bound=sign * np.inf, is_finished=False)
     answer = run_solver(problem, time_limit_s=time_limit_s - spent_s)
     return MilpResult(

@@ -24,7 +24,6 @@ from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_
 from .constants import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .greedy import extend_greedily, improve, search_from_many_starts
 from .model import (
-    CELLS_PER_SECOND,
     Cut,
     first_cuts,
     solve_window_model,
@@ -199,7 +198,9 @@ class Search:
         fits = n_cells <= constants.MAX_CELLS
         while self.is_exact and fits and not self.deadline.is_over:
             left_s = self.deadline.left_s()
-            if n_cells > left_s * CELLS_PER_SECOND:  # the model would take longer to be stated
+            if (
+                n_cells > left_s * constants.CELLS_PER_SECOND
+            ):  # the model would take longer to be stated
                 break
             self.proofs[solver_text()] = None
             if cuts is None:  # finding the first ones takes long, too

@@ -29,9 +29,6 @@ from .proof import Search, Stages
 
 _log = logging.getLogger(__name__)
 
-_POOL_GROWTH = 4
-"""Of a large table's pool, each time that no layout of it meets the demands."""
-
 
 class UnmetError(InputError):
     """A wish that no layout meets, or none that was found."""
@@ -296,7 +293,7 @@ def _solve_large(
                 )
             if deadline.is_over:
                 raise _unmet_by_pool(error, pool, every) from None
-        n_pool *= _POOL_GROWTH
+        n_pool *= constants.POOL_GROWTH
     value = {stage.name: stage.objective for stage in found.certificate.stages}
     avoided = value[Objective.APR] if problem.tail == 1.0 else 0.0
     bounds = _loose_bounds(most, apr, avoided)

@@ -27,7 +27,7 @@ TAKES_USABLE = {Rule.NEEDLESS_POSES, Rule.DOMINATED_POSES}
 N_PROBLEMS = 150
 SUBSETS = [{rule} | ({Rule.UNUSABLE_POSES} & ALL_RULES) for rule in TAKES_USABLE]
 ALONE = [
-    *({rule} for rule in Rule if rule not in TAKES_USABLE),
+    *({rule} for rule in sorted(Rule) if rule not in TAKES_USABLE),
     *SUBSETS,
     set(ALL_RULES),
     ALL_RULES - {Rule.NEEDLESS_POSES},
