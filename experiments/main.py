@@ -76,7 +76,11 @@ for _command in (
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line: what users can mend is a line and exit code 2, all else code 70."""
+    """Run the command line; every problem that the user can mend is one line and exit code 2.
+
+    What nobody foresaw is one line, too, with exit code 70: it names a file with the
+    whole text.
+    """
     os.environ["MPLBACKEND"] = (
         "agg"  # no window is opened, whatever a user prefers elsewhere
     )

@@ -81,8 +81,21 @@ class Interrupted(BaseException):
 class StageProgress:
     """Shows which stage runs and how far it is, and keeps the time of each.
 
-    A bar on a terminal; elsewhere a line per stage; nothing before :meth:`start` or
+    A bar on a terminal, one line per stage elsewhere, nothing before :meth:`start` or
     with ``quiet``.
+
+    Attributes
+    ----------
+    stage : str
+        The stage that runs, or ran last.
+    seconds : dict of str to float
+        Time per finished stage. [s]
+    kept : str
+        What is on disk if the program ends now, in words.
+    is_verbose : bool
+        Whether the seconds of each stage are told when it ends.
+    shows_tracebacks : bool
+        Whether an unexpected error is shown in full.
     """
 
     def __init__(self) -> None:

@@ -26,7 +26,12 @@ _REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shape:
-    """One closed mesh of a body, (n, 3) in its frame with triangles (m, 3) that face outwards."""
+    """A body at one instant of its gait: one closed mesh.
+
+    `vertices_m` (n_vertices, 3) are in the body frame: origin on the road under the
+    middle of the box, x ahead, y left. Normals of the `triangles` (n_triangles, 3)
+    point outwards.
+    """
 
     vertices_m: FloatArray
     triangles: NDArray[np.int32]
@@ -53,7 +58,27 @@ def box_shape(length_m: float, width_m: float, height_m: float) -> Shape:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actor:
-    """A body with its bounding box; lengths in metres, in the body frame."""
+    """A body with its bounding box.
+
+    Attributes
+    ----------
+    name : str
+        Name in the catalogue.
+    class_name : str
+        "vehicle", "parked vehicle", "pedestrian" or "cyclist".
+    length_m, width_m, height_m : float
+        Bounding box of all shapes together, along x, y, z of the body frame. [m]
+    shapes : tuple of Shape
+        Evenly spaced over one cycle of the gait; the first is how the body stands at
+        rest. One where nothing moves.
+    cycle_m : float
+        Distance covered in one cycle of the gait; 0 where nothing moves. [m]
+    reference_ahead_m : float
+        Hip or crank shaft, ahead of the middle of the box (negative: behind it). [m]
+    wheelbase_m, front_axle_ahead_m : float
+        Of a vehicle; the front axle ahead of the middle of the box. 0 for all others.
+        [m]
+    """
 
     name: str  #: in the catalogue
     #: "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or "car"
@@ -127,7 +152,18 @@ class PlacedActor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingActor:
-    """A body that moves on the road, frame by frame."""
+    """A body that moves on the road, frame by frame.
+
+    Attributes
+    ----------
+    actor : Actor
+        The body.
+    position_m : (n_frames, 2) float
+        Middle of the footprint; not a number in frames in which it is not there. World
+        frame. [m]
+    yaw_deg : (n_frames,) float
+        Heading. [deg]
+    """
 
     actor: Actor
     position_m: (
@@ -163,7 +199,15 @@ def load_actors() -> dict[str, Actor]:
 
 
 def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
-    """Bodies of a catalogue by name, with the shapes in `source`; InputError: of another one."""
+    """Bodies of a catalogue laid out as ``data/actors.toml``, by name.
+
+    `source` has the shapes that ``geometry.body_shapes`` has built from it.
+
+    Raises
+    ------
+    InputError
+        A field is missing, or the shapes were built from another description.
+    """
     try:
         with source.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {key: stored[key] for key in stored.files}
@@ -225,7 +269,11 @@ class _ActorEntry(Struct, frozen=True, kw_only=True):
 def park_row(
     actors: Sequence[Actor], *, first_bumper_m: FloatArray, yaw_deg: float, gap_m: float
 ) -> tuple[PlacedActor, ...]:
-    """Place bodies nose to tail behind a point (2,), `gap_m` from bumper to bumper, world frame."""
+    """Place bodies nose to tail, from the first to the last, all looking the same way.
+
+    `first_bumper_m` (2,) is the middle of the first one's front bumper in the world
+    frame; `gap_m` leads from bumper to bumper.
+    """
     yaw = np.radians(yaw_deg)
     backwards = -np.array([np.cos(yaw), np.sin(yaw)])
     bumper = np.asarray(first_bumper_m, dtype=np.float64)

@@ -43,7 +43,17 @@ _MAX_STRETCH = 0.04
 
 
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
-    """Shapes of a body over one cycle of its gait; InputError: the description is wrong."""
+    """Shapes of a body of ``data/actors.toml`` over one cycle of its gait.
+
+    Each stands on the road, and together they fill exactly the body's box.
+
+    Raises
+    ------
+    InputError
+        The description is wrong; `where` names the body.
+    MissingExtraError
+        manifold3d is not installed.
+    """
     turns_deg = _take_turns(entry, where)
     if turns_deg:
         n_shapes = _N_SHAPES
@@ -174,6 +184,7 @@ def _bone_frames(
 def _build_mesh(
     entry: Table, turns_deg: Mapping[str, FloatArray], index: int, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
+    """One closed mesh of all parts at one instant: vertices and triangles."""
     frames = _bone_frames(entry, turns_deg, index, where)
     library = _manifold3d()
     body = library.Manifold()
@@ -199,6 +210,7 @@ def _build_mesh(
 def _place_part(
     part: Table, frames: Mapping[tuple[str, float], _Frame], where: str
 ) -> Iterator[Any]:
+    """Solids of one part: one, or one on each side."""
     on = part.get("on", _BODY)
     known = {bone: bone for bone, _ in frames}
     is_twice = pick(known, on, f"{where}.on") != _BODY or part.get("mirror", False)

@@ -33,7 +33,19 @@ def load_cameras() -> dict[str, CameraModel]:
 
 
 def load_catalogue(path: str | Path) -> dict[str, Sensor]:
-    """A user's own sensor models by name: tables ``[cameras.NAME]`` and ``[lidars.NAME]``."""
+    """A user's own sensor models, by name.
+
+    Parameters
+    ----------
+    path : Path
+        TOML with tables ``[cameras.NAME]`` and ``[lidars.NAME]``, whose fields are
+        those of ``data/sensors.toml`` and ``data/lidars.toml``.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has no model, or a field is missing or not of its kind.
+    """
     table = load_toml(Path(path))
     models: dict[str, Sensor] = {}
     expected = "[cameras.NAME] or [lidars.NAME]"

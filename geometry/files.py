@@ -48,7 +48,11 @@ _YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 # ---------- the door: every file of a user's is opened, read and written by these functions
 def check_file(path: Path, *, max_bytes: int | None = None) -> None:
-    """Raise InputError unless a path is a regular file, not too large, or is not there."""
+    """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
+
+    A pipe or a device could keep its reader waiting for ever. A file that does not
+    exist, or may not be looked at, is left to whoever opens it.
+    """
     try:
         found = path.stat()
     except (OSError, ValueError):  # ValueError: a zero byte in the name
@@ -229,7 +233,13 @@ def write_atomically(
 
 # ---------- TOML
 def load_toml(source: Path | Traversable) -> dict[str, Any]:
-    """Read a TOML file, or a data file of a package; InputError: it is none, or too large."""
+    """Read a TOML file, or a data file of a package, as a whole.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is larger than 20 MB, or is not TOML.
+    """
     if isinstance(source, Path):
         text = read_text(source, "valid TOML", max_bytes=MAX_TOML_BYTES)
     else:
@@ -393,6 +403,7 @@ def _check_finite(value: object, where: str) -> None:
 
 
 def _is_finite(value: object) -> bool:
+    """Whether a number, or each number in a list of lists, is finite."""
     if isinstance(value, list):
         return all(map(_is_finite, value))
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
@@ -486,6 +497,7 @@ def _of_tag(node: Any, value: Any) -> Any:
 
 
 def _step_into(node: Any, step: re.Match[str], value: Any) -> Any:
+    """Type of a field or of an item of a value."""
     if isinstance(node, msgspec.inspect.UnionType) and len(_members(node)) > 1:
         if step[1] == _members(node)[0].tag_field:
             return msgspec.inspect.LiteralType(tuple(one.tag for one in _members(node)))
@@ -575,7 +587,10 @@ def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
 # ---------- temporary files and folders: whose process is alive?
 @contextmanager
 def lock_while_alive(path: Path) -> Iterator[None]:
-    """Lock a file or folder, where the system can, until the process ends, however it ends."""
+    """Lock a file or folder; the system lifts the lock when the process ends, however it ends.
+
+    Where the system has no such locks, :func:`is_abandoned` never holds.
+    """
     try:
         import fcntl
     except ImportError:  # Windows

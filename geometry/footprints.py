@@ -11,7 +11,11 @@ from .arrays import FloatArray
 def footprint_corners(
     centre_m: ArrayLike, yaw_deg: ArrayLike, *, length_m: float, width_m: float
 ) -> FloatArray:
-    """Corners of rectangles around (..., 2), (..., 4, 2), counter-clockwise from front left."""
+    """Corners of oriented rectangles, (..., 4, 2), counter-clockwise from front left.
+
+    `centre_m` is (..., 2); the length points along `yaw_deg`, counter-clockwise from
+    east.
+    """
     centre = np.asarray(centre_m, dtype=np.float64)
     yaw = np.radians(np.asarray(yaw_deg, dtype=np.float64))[..., None]
     ahead = 0.5 * length_m * np.array([1.0, -1.0, -1.0, 1.0])

@@ -77,7 +77,11 @@ def parse_crs(declared: "str | CRS") -> "CRS":
 
 
 def to_geographic(points_m: ArrayLike, crs: str) -> FloatArray:
-    """Longitude and latitude (n, 2), WGS 84, degrees, of points of the world frame in a `crs`."""
+    """Longitude and latitude (WGS 84, degrees), (n, 2), of points of the world frame.
+
+    `points_m` are east, north(, up) in the coordinate reference system `crs`: anything
+    that pyproj accepts.
+    """
     from pyproj import Transformer
 
     points = np.asarray(points_m, dtype=np.float64)

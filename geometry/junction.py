@@ -101,7 +101,21 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm:
-    """A road that ends at a junction; its lanes are listed from the kerb to the road's axis."""
+    """A road that ends at a junction.
+
+    Attributes
+    ----------
+    name : str
+        Where it lies, seen from the junction: "north", "east", ...
+    lanes_in, lanes_out : tuple of Lane
+        Into the junction and out of it, whole as far as the map goes; from the kerb to
+        the road's axis, parking lanes too.
+    crosswalk : Line
+        Where pedestrians cross the arm.
+    cycleways_in, cycleways_out : tuple of Lane
+        Where cyclists ride into the junction and out of it, beside or between the
+        lanes; from the kerb to the road's axis.
+    """
 
     name: str  # where it lies, seen from the junction: "north", "east", ..
     lanes_in: tuple[Lane, ...]  # whole as far as the map goes; parking lanes too
@@ -129,7 +143,23 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Junction:
-    """Arms of a scene's junction."""
+    """Arms of a scene's junction.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene.
+    arms : mapping of str to Arm
+        By name, counter-clockwise from the east.
+    keeps_left : bool
+        Traffic keeps left.
+    connections : tuple of Lane
+        Lanes through the junction, each from the end of an entry lane to the begin of
+        an exit lane, and through others around it.
+    beyond : tuple of Lane
+        Lanes that are assumed, from beyond the map to the begin of an entry lane:
+        straight ones of two points, or bent past buildings.
+    """
 
     name: str  # of the scene
     arms: dict[str, Arm]  # by name, counter-clockwise from the east
@@ -183,9 +213,17 @@ def _led_on(before: Lane, entry: Lane) -> Lane:
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 
-    An arm is named after one of four points of the compass, or of eight or sixteen
-    where two arms would share a name; if even these do, numbers tell them apart. Raises
-    InputError: no lane begins or ends at the outline of the junction's road surface.
+    Lanes belong to one arm that lie side by side and lead the same way, and so do two
+    carriageways, one into the junction and one out of it, with a median of up to 25 m
+    between. An arm is named after one of four points of the compass, or of eight or
+    sixteen where two arms would share a name; if even these do, numbers tell them
+    apart. Where it has no crosswalk of its own, pedestrians cross 2 m inside the mouth,
+    as at Euro NCAP's junction.
+
+    Raises
+    ------
+    InputError
+        No lane begins or ends at the outline of the junction's road surface.
     """
     ends = _ends_at_outline(scene, ("driving", "parking"), _AT_OUTLINE_M)
     if not ends:
@@ -269,7 +307,12 @@ def mirrored(junction: Junction) -> Junction:
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
-    """Straight line along a lane's metres next to the junction, and the most it leaves it. [m]."""
+    """Straight line along the part of a lane next to the junction, and how far the lane leaves it.
+
+    The line runs through the lane's mouth in driving direction. At most `length_m` of
+    the lane count, and no more than it has; the largest distance from the line is in
+    metres.
+    """
     # the mouth comes last
     if is_in:
         points = lane.centreline_m
@@ -298,7 +341,16 @@ def lane_length_m(lane: Lane) -> float:
 
 
 def curve_between(before: Line, after: Line) -> FloatArray:
-    """Points (n, 2) of a cubic from line to line; ValueError: one is not ahead of the other."""
+    """Points (n, 2) from one line's point to another's: a cubic Hermite curve.
+
+    At its ends it has the lines' directions.
+
+    Raises
+    ------
+    ValueError
+        The other line's point does not lie ahead: more than 60 degrees aside of a
+        direction.
+    """
     begin = before.point_m
     end = after.point_m
     length_m = float(np.hypot(*(end - begin)))
@@ -319,7 +371,11 @@ def curve_between(before: Line, after: Line) -> FloatArray:
 
 
 def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> list[_End]:
-    """Lanes of some kinds into or out of the junction, at the nearer of their ends; no stubs."""
+    """Lanes of some kinds that lead into the junction (True) or out of it.
+
+    Of a piece so short that both its ends are at the outline the nearer end counts;
+    stubs that end nowhere are left out.
+    """
     ends = []
     for lane in (lane for lane in scene.lanes if lane.kind in kinds):
         tips = {True: lane.centreline_m[-1], False: lane.centreline_m[0]}
@@ -412,7 +468,11 @@ def _crosswalk(
 
 
 def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
-    """The lane with the pieces before or behind it, straight on through other junctions."""
+    """The lane with the pieces that lead to its begin, or on from its end.
+
+    Through other junctions it is followed along their connecting lanes, as straight on
+    as they go.
+    """
     pieces = [lane]
     while True:
         last = pieces[0 if is_in else -1]

@@ -22,8 +22,36 @@ _FILE = "lidars.toml"
 class LidarModel:
     """A LiDAR without moving base: lines and columns at equal steps of angle, all at one instant.
 
-    A surface of `reference_reflectivity`, met squarely in clear air at
-    `reference_range_m`, sends a pulse back with `reference_probability`.
+    Attributes
+    ----------
+    name : str
+        Name in the catalogue.
+    horizontal_fov_deg : float
+        Full angle, more than 0 and up to 360: then it scans all round. [deg]
+    vertical_fov_deg : float
+        Full angle, as much up as down; more than 0 and less than 180. [deg]
+    n_lines : int
+        Scan lines, one above the other.
+    points_per_second : float
+        Pulses, whether they come back or not. [1/s]
+    frame_rate_hz : float
+        Scans per second. [Hz]
+    range_m : float
+        Nothing farther is reported. [m]
+    reference_range_m, reference_reflectivity, reference_probability : float
+        A surface of this reflectivity, met squarely in clear air at this distance,
+        sends a pulse back with this probability. [m]
+    threshold_width : float
+        Of the logistic step between no return and return, in the logarithm of the
+        signal.
+    wavelength_nm : float
+        Of the laser. [nm]
+    range_noise_m : float
+        One standard deviation. [m]
+    near_m : float
+        Nothing nearer is reported. [m]
+    price_eur : float
+        Price of one unit. [EUR]
     """
 
     name: str  #: in the catalogue
@@ -120,14 +148,23 @@ class LidarModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarDetection:
-    """Points in one frame and reflectivity, 0 .. 1, that let a road user be found, by class."""
+    """What it takes to find a road user in a point cloud, by class.
+
+    `min_points` has the points in one frame of a "pedestrian", "child" and "cyclist",
+    `reflectivity` the share of the light that comes back diffusely, 0 .. 1.
+    """
 
     min_points: Mapping[str, int]
     reflectivity: Mapping[str, float]
 
 
 def beam_directions(lidar: LidarModel) -> FloatArray:
-    """Unit vectors of a frame's beams, (n_lines, n_columns, 3): upwards, from right to left."""
+    """Unit vectors of one frame's beams, (n_lines, n_columns, 3), in the body frame.
+
+    From the lowest line up, from right to left; x ahead, y left, z up. Each beam is in
+    the middle of its cell of azimuth and elevation: at 360 degrees the columns stand
+    evenly on the circle, and the seam is straight behind.
+    """
     elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[
         :, None
     ]
@@ -192,6 +229,8 @@ def noisy_ranges(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _DetectionEntry:
+    """A class of road users in ``data/lidars.toml``."""
+
     min_points: Annotated[int, Meta(ge=1, description="a whole number of points, > 0")]
     reflectivity: Annotated[float, Meta(gt=0.0, le=1.0, description="0 < share <= 1")]
 

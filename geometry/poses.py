@@ -17,7 +17,17 @@ R_BODY_CAMERA.setflags(write=False)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pose:
-    """A position and a direction without roll, world frame."""
+    """A position and a direction without roll, world frame.
+
+    Attributes
+    ----------
+    position_m : (3,) float
+        East, north, up. [m]
+    yaw_deg : float
+        Counter-clockwise from east. [deg]
+    pitch_deg : float
+        Positive up. [deg]
+    """
 
     position_m: FloatArray  #: (3,), east, north, up
     yaw_deg: float  #: counter-clockwise from east

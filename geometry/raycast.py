@@ -136,7 +136,21 @@ RAYS = ("auto", EmbreexCaster.name, Open3dCaster.name)
 
 
 def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
-    """Name of the library that casts rays; InputError: it cannot load, or is not in ``RAYS``."""
+    """Name of the library that casts rays.
+
+    Parameters
+    ----------
+    rays : str
+        One of ``RAYS``. By "auto" it is "embree", or "open3d" where embreex cannot
+        load.
+    where : str
+        What asked for it, for error messages.
+
+    Raises
+    ------
+    InputError
+        The name is unknown, or the library cannot load; the message says why.
+    """
     check_one_of(where, rays, RAYS)
     problems: dict[str, Callable[[], str | None]] = {
         EmbreexCaster.name: embreex_problem,
@@ -170,7 +184,23 @@ def open3d_problem() -> str | None:
 def build_caster(
     vertices_m: ArrayLike, triangles: ArrayLike, *, library: str | None = None
 ) -> RayCaster:
-    """Prepare triangles (m, 3) of vertices (n, 3) near the origin for rays in float32."""
+    """Prepare triangles for rays, which may be cast from any thread.
+
+    Parameters
+    ----------
+    vertices_m : (n, 3) float
+        World or body frame, near the origin: rays are cast in single precision. [m]
+    triangles : (m, 3) int
+        Vertex indices; none at all is allowed.
+    library : str, optional
+        One of ``RAYS``; by default "auto".
+
+    Raises
+    ------
+    InputError
+        A vertex is not finite, a triangle points outside the vertices, or the library
+        cannot load.
+    """
     return CASTERS[caster_name(library or "auto", where="library")](
         vertices_m, triangles
     )

@@ -33,7 +33,26 @@ _MIN_AREA_M2 = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Site:
-    """A place where sensors can be mounted."""
+    """A place where sensors can be mounted.
+
+    Attributes
+    ----------
+    id : str
+        Name.
+    position_m : (3,) float
+        Foot of the pole, or the point of the road below the mount. World frame. [m]
+    kind : str
+        "lamp post", "traffic light" or "mast arm".
+    height_range_m : (2,) float
+        Lowest and highest mount above the road. [m]
+    capacity_units : int
+        How many units it can carry.
+    cost_eur : float
+        Of making it ready - power, network, bracket -, paid once if it carries
+        anything. [EUR]
+    use : {"free", "forced", "forbidden"}
+        Whether it may carry units, must, or must not.
+    """
 
     id: str  #: name
     position_m: (
@@ -86,7 +105,19 @@ class Instance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeadingRoad:
-    """A road of the map that leads to a junction, counted without looking at its lanes' lines."""
+    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+
+    Attributes
+    ----------
+    name : str
+        Of the street, or else the id that the map gives it.
+    point_m : (2,) float
+        Where it meets the junction's outline, or a little farther out. [m]
+    direction : (2,) float
+        Unit vector away from the junction.
+    lanes_in, lanes_out : int
+        Driving lanes into the junction and out of it, by the map's own words.
+    """
 
     name: str  # of the street, or else the id that the map gives it
     point_m: (
@@ -222,10 +253,15 @@ def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
 
 
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
-    """The solid thing that a point lies in, but for posts; None in the open air.
+    """The building, wall, plant or parked vehicle that a point lies in; None in the open air.
 
-    The triangles of a closed mesh around a point fill the whole sphere: A. van
-    Oosterom, J. Strackee, "The solid angle of a plane triangle", 1983.
+    Posts and masts carry sensors and are not looked at.
+
+    References
+    ----------
+    .. [1] A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", 1983:
+       the triangles
+       of a closed mesh that surrounds a point fill the whole sphere around it.
     """
     point = float_array(position_m, (3,), "position_m")
     for index, instance in enumerate(scene.instances):
@@ -283,7 +319,10 @@ def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
 
 @lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
-    """A thing's triangles seen from above: a shapely geometry, empty where it is but a line."""
+    """A thing's triangles seen from above, put together: a shapely polygon or several, with holes.
+
+    It is empty where the thing is but a line from above. World frame, metres.
+    """
     return flat_union(
         scene.vertices_m[scene.triangles[scene.triangle_instance == index]]
     )

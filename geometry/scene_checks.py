@@ -158,7 +158,21 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
-    """Findings on roads that are part of no arm, and arms with other lanes than their roads."""
+    """Compare the arms of a junction, found by its lanes, with the roads that lead to it.
+
+    Parameters
+    ----------
+    junction : Junction
+        See :func:`geometry.junction.build_junction`.
+    roads : sequence of LeadingRoad
+        Roads as the map has them.
+
+    Yields
+    ------
+    finding : Finding
+        A road that is part of no arm, an arm without a road, or an arm whose driving
+        lanes are not those of its roads.
+    """
     found: dict[str, list[LeadingRoad]] = {name: [] for name in junction.arms}
     for road in roads:
         name = arm_of_road(road, junction)

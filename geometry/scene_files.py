@@ -195,7 +195,14 @@ def save_scene(
 
 
 def load_scene_folder(path: Path) -> Scene:
-    """Read a scene that :func:`save_scene` has written, or the same as a .zip; or InputError."""
+    """Read a scene that :func:`save_scene` has written, from its folder or the same as a .zip file.
+
+    Raises
+    ------
+    InputError
+        It is no such folder, a field is missing or not of its kind, or the meshes do
+        not fit.
+    """
     with _as_folder(path) as folder:
         table = _read_scene_file(folder, shown=path)
         where = f"{path}/{SCENE_FILE}"

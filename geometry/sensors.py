@@ -167,7 +167,14 @@ class CameraModel:
 
 
 def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
-    """A camera with its varifocal lens at another field of view; InputError: out of its reach."""
+    """A camera with its varifocal lens set to another horizontal field of view.
+
+    Raises
+    ------
+    InputError
+        The lens is fixed at another field of view, or does not reach this one; `where`
+        says what asks for it.
+    """
     if fov_deg == camera.horizontal_fov_deg:
         return camera
     if camera.fov_range_deg is None:
@@ -276,9 +283,19 @@ def is_shown(at_depth_1: FloatArray, camera: CameraModel) -> BoolArray:
 
 
 def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> FloatArray:
-    """Columns and rows [px] and depths [m] of points (n, 3) in an image; NaN behind the camera.
+    """Project points (n, 3) of the world frame into the image of a camera.
 
-    And where a lens shows nothing.
+    Returns
+    -------
+    projected : (n, 3) float
+        Column and row in pixels (the centre of the first pixel is (0.5, 0.5)) and the
+        depth along the optical axis in metres; column and row are NaN where the depth
+        is not positive.
+
+    References
+    ----------
+    .. [1] R. Hartley, A. Zisserman, "Multiple View Geometry", section 6.1 (pinhole
+       camera).
     """
     offsets = np.asarray(points_m, dtype=np.float64) - pose.position_m
     in_camera = offsets @ camera_rotation(pose.yaw_deg, pose.pitch_deg)

@@ -31,7 +31,15 @@ _MAX_CELLS = 150  # along each side
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Terrain:
-    """Heights of the ground on a grid."""
+    """Heights of the ground on a grid.
+
+    Attributes
+    ----------
+    east_m, north_m : (n_columns,), (n_rows,) float
+        Lines of the grid, in rising order. World frame. [m]
+    height_m : (n_rows, n_columns) float
+        Of its nodes; the ground between them is two triangles per cell. [m]
+    """
 
     # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
     east_m: FloatArray
@@ -208,7 +216,10 @@ def pitch_on_ground_deg(
     front_m: float,
     wheelbase_m: float,
 ) -> FloatArray:
-    """By how much vehicles at (n, 2), front axles `front_m` ahead, look up, (n,), in degrees."""
+    """By how much vehicles on two axles look up, (n,), in degrees; zeros on the plane.
+
+    Their middles are at points (n, 2), their front axles `front_m` ahead of them.
+    """
     position = np.asarray(position_m, dtype=np.float64)
     if terrain is None:
         return np.zeros(position.shape[:-1])
@@ -234,7 +245,12 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
 
 
 def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
-    """Terrain of a square from points (n, 3): Delaunay's, beyond them that of the nearest. [m]."""
+    """Terrain of a square around the origin from points (n, 3) of the ground.
+
+    Linear between the points, by their Delaunay triangulation; beyond them as high as
+    the nearest place between them. Lines are `step_m` apart, or farther where there
+    would be too many. In metres.
+    """
     from scipy.interpolate import NearestNDInterpolator
     from scipy.ndimage import distance_transform_edt
 
@@ -261,6 +277,7 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
 
 
 def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
+    """Heights at nodes (..., 2) between points (n, 3); NaN beyond them."""
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import QhullError
     from threadpoolctl import threadpool_limits

@@ -129,6 +129,7 @@ def _recognised(
 def _extract(
     archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path, where: str
 ) -> None:
+    """Write files into a folder and count their bytes: the sizes in the archive may be wrong."""
     n_bytes = 0
     for entry in members:
         target = folder / entry.filename
@@ -208,7 +209,11 @@ def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
 
 # ---------- XML
 def read_xml(path: Path, *, expected: str) -> Element:
-    """Root of an XML document in a format, `expected`; InputError: broken, large or dangerous."""
+    """Read a whole XML document and return its root; `expected` names the format: "OpenDRIVE".
+
+    Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
+    well-formed, or has entities or other dangerous parts.
+    """
     from defusedxml.ElementTree import parse
 
     with _open_xml(path, expected, f"{expected}: well-formed XML") as file:
@@ -284,7 +289,11 @@ class _Gltf(Struct, frozen=True):
 
 
 def check_gltf(path: Path) -> None:
-    """Raise InputError for claims of a glTF 2 file before memory is given to them."""
+    """Check the claims of a glTF 2 file before memory is given to it.
+
+    Raises InputError if it is no glTF 2; claims more elements than five million
+    triangles have; or has nodes with several parents, or that are their own ancestors.
+    """
     where = str(path)
     if path.suffix.lower() == ".glb":
         text = _binary_header(path)
@@ -390,6 +399,7 @@ def _texts(block: bytes) -> Iterator[bytes]:
 
 
 def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
+    """Numbers and values of a message's fields."""
     at = 0
     end = len(data)
     while at < end:

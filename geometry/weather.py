@@ -18,7 +18,28 @@ _DB_PER_NEPER = 10.0 / math.log(10.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Weather:
-    """Light and air."""
+    """Light and air.
+
+    Attributes
+    ----------
+    name : str
+        "day", "night", "rain" or "fog".
+    visibility_m : float
+        Meteorological optical range of haze and fog, without rain. [m]
+    rain_rate_mmph : float
+        Rain. [mm/h]
+    sun_elevation_deg, sun_yaw_deg : float
+        Where the sun stands: above the horizon, counter-clockwise from east. [deg]
+    sun_lux, sky_lux : float
+        On a surface that faces the sun, and on level ground from the sky. [lx]
+    has_lamps : bool
+        Street lamps and headlights are on.
+    contrast : float
+        Of a VRU against what is behind it, before the air takes its part; 1 in full
+        daylight.
+    wetness : float
+        How much of a mirror the road is, 0 .. 1.
+    """
 
     name: str  # "day", "night", "rain" or "fog"
     visibility_m: float  # meteorological optical range of haze and fog, without rain
@@ -60,7 +81,13 @@ class Weather:
 
     @property
     def extinction_per_m(self) -> float:
-        """Share of visible light lost per metre: -ln(0.05) / visibility (Koschmieder), and rain."""
+        """Share of visible light lost per metre, by Beer and Lambert.
+
+        References
+        ----------
+        .. [1] H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924: -ln(0.05) /
+           visibility.
+        """
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:

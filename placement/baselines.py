@@ -27,7 +27,17 @@ _MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
 # ---------- random layouts
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RandomLayouts:
-    """Worth of layouts of poses drawn at random, on the detection table."""
+    """What layouts of poses drawn at random prevent, on the detection table.
+
+    Attributes
+    ----------
+    n_units : int
+        Of each.
+    apr : (n,) float
+        Accident prevention ratio of each, 0..1.
+    mean_by_world : (n_worlds,) float
+        Mean of all in each sampled world; one number where nothing was sampled.
+    """
 
     n_units: int  # of each
     apr: FloatArray  # (n,): accident prevention ratio of each, 0..1
@@ -54,11 +64,33 @@ class RandomLayouts:
 def random_sets(
     limits: Limits, n_units: int, *, n: int = N_RANDOM, rng: np.random.Generator
 ) -> tuple[tuple[int, ...], ...]:
-    """Sets of `n_units` ascending rows drawn at random within the limits, forced ones among them.
+    """Sets of poses drawn at random within the limits.
 
-    One pose after the other is drawn, any that the limits still admit as likely as
-    another; what cannot be completed is drawn anew. There are `n`, one perhaps twice;
-    fewer where the limits leave hardly any.
+    Each begins with the poses that are forced. Then one pose after the other is drawn,
+    any of those that the limits still admit as likely as another. What cannot be
+    completed is drawn anew.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together; no set exceeds them.
+    n_units : int
+        Poses of each set, those that are forced among them.
+    n : int
+        Sets to draw.
+    rng : Generator
+        Of random numbers: the same one gives the same sets.
+
+    Returns
+    -------
+    sets : tuple of tuple of int
+        Rows, ascending. A set may be drawn twice. There are fewer where the limits
+        leave hardly any set of that size, or none.
+
+    Raises
+    ------
+    InputError
+        A number is below 1.
     """
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
 
@@ -151,9 +183,15 @@ def corner_poses(
 ) -> dict[str, int]:
     """The pose at each corner of a junction that looks at a point (3,) the most directly.
 
-    Each corner has a site of its own, the nearest ones in sum; a corner without is left
-    out, and so are forbidden poses. Of equally direct poses the first counts. Rows by
-    names of corners.
+    Each corner has a site of its own: the nearest one, and where two corners want the
+    same, those that are the nearest in sum. Corners for which there is no site are left
+    out. Poses and sites that are forbidden do not count; of poses that look equally
+    directly the first one does.
+
+    Returns
+    -------
+    rows : dict of str to int
+        Candidates by the names of the corners, clockwise from north.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -190,7 +228,20 @@ def _most_direct(
 # ---------- both
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """Layouts to compare with, before their detections are known: rows of candidates."""
+    """What to compare with, before anything is known of what it detects: rows of candidates.
+
+    Attributes
+    ----------
+    n_units : int
+        Of each random layout; the expert's has at most as many.
+    random : tuple of tuple of int
+        See :func:`random_sets`.
+    forced : tuple of int
+        For each site that must carry a unit, the one there that looks at the junction's
+        middle the most directly.
+    corners : dict of str to int
+        See :func:`corner_poses`.
+    """
 
     n_units: int  # of each random layout; the expert's has at most as many
     random: tuple[tuple[int, ...], ...]  # see :func:`random_sets`
@@ -242,7 +293,18 @@ def propose(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Baselines:
-    """Layouts to compare a layout with."""
+    """What there is to compare a layout with.
+
+    Attributes
+    ----------
+    random : RandomLayouts, optional
+        None where no random layout is within the limits.
+    expert : tuple of int
+        Rows of the detection table, ascending; empty where the rule is not within the
+        limits.
+    corners : tuple of str
+        Corners whose camera is among them, in the order of choice.
+    """
 
     random: RandomLayouts | None  # None where no random layout is within the limits
     # rows of the detection table, ascending; empty where the rule is not within the
@@ -254,11 +316,13 @@ class Baselines:
 
 
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
-    """Worth of proposals on a detection table, whose rows are theirs.
+    """What proposals are worth on a detection table, whose rows are theirs.
 
-    The expert mounts what is forced, then a camera at each corner that looks at the
-    middle, those first that prevent the most by themselves, as far as they fit into the
-    limits.
+    The expert mounts what is forced, then a camera at each corner of the junction that
+    looks at its middle: the corner whose camera prevents the most by itself comes
+    first, of equal ones the first clockwise from north. Corners whose camera does not
+    fit into the limits are passed over. Targets do not matter, only what may be mounted
+    together.
     """
     limits = problem.limits
     corners = proposals.corners

@@ -28,7 +28,22 @@ if TYPE_CHECKING:  # solvers of differential equations come with it
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidatePose:
-    """A sensor that could be mounted."""
+    """A sensor that could be mounted.
+
+    Attributes
+    ----------
+    id : str
+        Unique name.
+    site_id : str
+        Site of the scene that carries it; empty for a pose that belongs to no known
+        site.
+    pose : Pose
+        Where it is and looks. World frame.
+    sensor : CameraModel or LidarModel
+        What is mounted.
+    latency_s : float, optional
+        From its frame to the onset of braking; by default that of the braking rule. [s]
+    """
 
     id: str  #: unique name
     site_id: (
@@ -61,7 +76,25 @@ def above_ground(unit: CandidatePose, scene: Scene) -> CandidatePose:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CandidateGrid:
-    """Which poses are tried at every site."""
+    """Which poses are tried at every site.
+
+    Attributes
+    ----------
+    heights_m : (n,) float
+        Above the road; at a site with a smaller range the nearest height in its range.
+        [m]
+    yaw_step_deg : float
+        Yaws are the multiples of this all around; it divides 360. [deg]
+    pitches_deg : (n,) float
+        Positive up. [deg]
+    sensors : tuple of CameraModel or LidarModel
+        Models to choose from.
+    ring_pitches_deg : (n,) float
+        In place of `pitches_deg`, of LiDARs that scan all round. Level by default: a
+        ring that is tilted down on one side looks into the sky on the other, which
+        suits none but a mount at the edge of everything that matters. Positive up.
+        [deg]
+    """
 
     # : (n,): above the road; at a site the nearest height in its range. [m]
     heights_m: FloatArray
@@ -99,7 +132,11 @@ class CandidateGrid:
         return round(360.0 / self.yaw_step_deg)
 
     def directions_deg(self, sensor: Sensor) -> list[tuple[float, float]]:
-        """Where a sensor is tried to look: yaw and pitch, each direction that differs once."""
+        """Where a sensor is tried to look: yaw and pitch, each direction that differs once.
+
+        A LiDAR that scans all round sees the same however it is turned, as long as it
+        is level: then only yaw 0 is tried.
+        """
         # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a
         # hair.
         yaws_deg = (
@@ -155,9 +192,26 @@ def build_candidates(
     *,
     extra: Sequence[CandidatePose] = (),
 ) -> tuple[CandidatePose, ...]:
-    """Every site x height x sensor x direction of a grid, then some `extra` poses by name.
+    """Every site x height x sensor x direction, and some more by name.
 
-    Raises InputError: there is no site, or two ids are equal.
+    Parameters
+    ----------
+    scene : Scene
+        Its sites are used.
+    grid : CandidateGrid, optional
+        What is tried at each; by default :func:`load_candidate_grid`.
+    extra : sequence of CandidatePose
+        Added behind, such as the poses of an existing layout.
+
+    Returns
+    -------
+    candidates : tuple of CandidatePose
+        Ids are unique.
+
+    Raises
+    ------
+    InputError
+        There is no site, or two ids are equal.
     """
     if not scene.sites:
         refuse(f"{scene.name}: sites", "none", "at least one mount site")

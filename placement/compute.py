@@ -57,10 +57,32 @@ RAYS = ("auto", "embree", "open3d")  # as geometry.raycast has them, which loads
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compute:
-    """How a result is computed; only `seed` changes it.
+    """How a result is computed.
 
-    Raises InputError: the seed or the number of workers is not a whole number, or too
-    small; `rays` names no library.
+    Only `seed` changes results; they do not depend on the number of workers, the cache,
+    or the library that casts rays.
+
+    Attributes
+    ----------
+    seed : int
+        Of all that is left to chance: points on the road users, misses, lost messages.
+        At least 0.
+    workers : int
+        Threads, at least 1; by default one per processor.
+    cache_folder : Path, optional
+        Where detection tables, and what units detect, are kept for the next call; by
+        default nowhere.
+    progress : Progress
+        Is told the stages; by default nobody is.
+    rays : str
+        Library that casts rays: "embree", "open3d", or by default "auto", the fastest
+        that loads.
+
+    Raises
+    ------
+    InputError
+        The seed or the number of workers is not a whole number, or too small; `rays`
+        names no library.
     """
 
     # : of all that is left to chance: points on the road users, misses, lost messages

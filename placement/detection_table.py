@@ -22,7 +22,18 @@ from scenarios.scores import Levels
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DetectionTable:
-    """Detections of every candidate pose in every frame."""
+    """Detections of every candidate pose in every frame.
+
+    Attributes
+    ----------
+    pose_ids : tuple of str
+        Ids of the candidate poses: the rows.
+    axis : FrameAxis
+        Runs and frames: the columns.
+    packed : (n_poses, ceil(n_frames / 8)) uint8
+        Bits along the frames, lowest bit first (``numpy.packbits(...,
+        bitorder="little")``).
+    """
 
     pose_ids: tuple[str, ...]  #: ids of the candidate poses: the rows
     axis: FrameAxis  #: runs and frames: the columns

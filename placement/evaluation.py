@@ -118,9 +118,21 @@ class Evaluation:
 
 
 def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:
-    """Accident prevention ratio: weight of avoided runs / weight of all, 0 .. 1.
+    """Accident prevention ratio: weight of avoided runs / weight of all.
 
-    NaN if the runs counted, by default all, have no weight.
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs and their weights.
+    run_mask : (n_runs,) bool, optional
+        Count these runs only.
+
+    Returns
+    -------
+    apr : float
+        0 .. 1; NaN if the runs counted have no weight.
     """
     if run_mask is None:
         weight = axis.weight

@@ -43,7 +43,15 @@ class LatencyPart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyBudget:
-    """Parts that add up, each independent of the others."""
+    """Parts that add up, each independent of the others.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    parts : tuple of LatencyPart
+        In the order in which they happen; names are unique.
+    """
 
     name: str
     parts: tuple[

@@ -62,7 +62,17 @@ _MAX_DISTANCE_M = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:
-    """Units that are mounted together."""
+    """Units that are mounted together.
+
+    Attributes
+    ----------
+    name : str
+        Name.
+    units : tuple of CandidatePose
+        The units; ids are unique.
+    scene_name : str
+        Where it was made for; empty: unknown.
+    """
 
     name: str
     units: tuple[CandidatePose, ...]  #: ids are unique
@@ -109,7 +119,19 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
-    """One of the objectives that are optimised in order, each holding those before it."""
+    """One of the objectives that are optimised in order, each holding those before it.
+
+    Attributes
+    ----------
+    name : str
+        "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s".
+    objective, bound : float
+        Value of the layout, and what no layout can exceed.
+    gap : float
+        (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal.
+    seconds : float
+        Time spent. [s]
+    """
 
     name: (
         str  #: such as "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s"
@@ -123,7 +145,15 @@ class Stage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """How good a layout is proven to be, on the detection table."""
+    """How good a layout is proven to be, on the detection table.
+
+    Attributes
+    ----------
+    stages : tuple of Stage
+        In order; the first is the APR.
+    solver : str
+        Name and version.
+    """
 
     stages: tuple[Stage, ...]  #: in order
     solver: str  #: name and version

@@ -16,8 +16,24 @@ _LIMIT_FILES = (
 
 
 def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
-    """Memory of a placement at its peak, when presolve has the whole detection table, in bytes.
+    """Memory of a placement at its peak, when presolve has the whole detection table.
 
+    Parameters
+    ----------
+    n_poses : int
+        Candidates.
+    n_frames : int
+        Of all runs, in one world.
+    n_worlds : int
+        Sampled worlds; 1 for the world as planned.
+
+    Returns
+    -------
+    size : int
+        A part that grows with poses x frames x worlds, and one that does not. [bytes]
+
+    Examples
+    --------
     >>> round(needed_bytes(5772, 18311) / 2**30, 1)
     0.5
     >>> round(needed_bytes(5772, 18311, n_worlds=64) / 2**30, 1)
@@ -66,7 +82,19 @@ def available_bytes() -> int:
 
 
 def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
-    """Raise InputError for a question that cannot fit into the memory of this machine."""
+    """Refuse a question that cannot fit into the memory of this machine.
+
+    Parameters
+    ----------
+    n_poses, n_frames, n_worlds : int
+        See :func:`needed_bytes`.
+
+    Raises
+    ------
+    InputError
+        It needs more than there is. The message says how much, and what makes it
+        smaller.
+    """
     needed = needed_bytes(n_poses, n_frames, n_worlds=n_worlds)
     there = machine_bytes()
     if there is None or needed <= there:
@@ -89,10 +117,21 @@ def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
 
 
 def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
-    """Raise InputError if something takes more memory than there is.
+    """Refuse what takes more memory than can be had.
 
-    `where` and `what` say what is read or solved and how large it is, `remedy` what
-    helps.
+    Parameters
+    ----------
+    where, what : str
+        What is read or solved, and how large it is.
+    needed_bytes : int
+        Memory that it takes. [bytes]
+    remedy : str
+        What helps.
+
+    Raises
+    ------
+    InputError
+        It takes more than there is.
     """
     free = available_bytes()
     if needed_bytes > free:

@@ -163,7 +163,21 @@ class Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Retrofit:
-    """The best changes of a layout, by kind."""
+    """The best changes of a layout, by kind.
+
+    Attributes
+    ----------
+    before : PlacementValue
+        Of what is mounted now.
+    removals : tuple of Change
+        Of every unit, the one that loses least first.
+    re_aims : tuple of Change
+        The best of every unit, the best first; they may be worse than no change.
+    addition : Change or None
+        The best new unit; None if no addition is an improvement.
+    combination : Change or None
+        The best re-aims and additions together within the budget, if there is one.
+    """
 
     before: PlacementValue  # of what is mounted now
     removals: tuple[Change, ...]  # of every unit, the one that loses least first
@@ -370,7 +384,21 @@ LEAST_GAIN = 1.0e-9  # an APR that is higher by less is the same
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Advice:
-    """A layout that answers a question, and how good it is proven to be."""
+    """A layout that answers a question, and how good it is proven to be.
+
+    Attributes
+    ----------
+    units : tuple of CandidatePose
+        All that would hang then; those that stay keep their ids.
+    before, after : PlacementValue
+        What hangs, and what would hang, on the detection table; `before` is None where
+        nothing hangs. Costs are of the same kind: of what is new, or of everything, see
+        the question.
+    certificate : Certificate, optional
+        Of a search; None where all alternatives were tried one by one.
+    n_compared : int
+        How many were tried so; 0 of a search.
+    """
 
     units: tuple[
         CandidatePose, ...

@@ -29,7 +29,15 @@ _OTHERWISE = "pole"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Something that a site takes."""
+    """Something that a site takes.
+
+    Attributes
+    ----------
+    eur : float
+        Its price. [EUR]
+    source : str
+        Where the price comes from; it begins with "assumption" where that is nowhere.
+    """
 
     eur: Annotated[
         float, Meta(ge=0.0, description="euros, at least 0")
@@ -40,7 +48,16 @@ class Part:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SitePrices:
-    """The content of ``data/prices.toml``."""
+    """The content of ``data/prices.toml``.
+
+    Attributes
+    ----------
+    parts : dict of str to Part
+        What sites may take, by name.
+    kinds : dict of str to tuple of str
+        Names of the parts that a site takes, by its kind; "pole" stands for all other
+        kinds.
+    """
 
     parts: dict[str, Part]  # what sites may take, by name
     # names of the parts that a site takes, by its kind; "pole" stands for all other
@@ -368,6 +385,7 @@ def read_wishes(
 
 
 def _target(text: str) -> float | None:
+    """A share of the weight; None for all that can be covered."""
     if not text:
         return None
     if text == "max":

@@ -21,7 +21,24 @@ TIME_TOLERANCE_S = 1.0e-9
 # ---------- how the VUT brakes
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AebRule:
-    """From detected frames to braking."""
+    """From detected frames to braking.
+
+    Attributes
+    ----------
+    deceleration_mps2 : float
+        Constant once it is built up. [m/s^2]
+    build_up_s : float
+        From the onset the deceleration rises linearly for so long. [s]
+    latency_s : float
+        From the confirming frame to the onset of braking. [s]
+    n_confirmations : int
+        Consecutive detected frames that confirm a VRU.
+    frame_rate_hz : float
+        Frames per second. [Hz]
+    track_memory_s : float
+        A confirmed VRU stays known for so long without being detected; infinite: for
+        ever, as the study reads it. [s]
+    """
 
     deceleration_mps2: float  #: Constant once it is built up. [m/s^2]
     latency_s: float  #: From the confirming frame to the onset of braking. [s]

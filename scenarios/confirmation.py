@@ -39,13 +39,29 @@ def held_frames(
 
     A track that is confirmed in such a frame is alive at `until_s`: neither between two
     detections from then on, nor from the last one until then, more than `memory_s` have
-    passed. More detections never make fewer frames held.
+    passed.
 
-    `detected` (..., n_frames): of the frames that the VUT knows of when it matters.
-    `time_s` (n_frames,): ascending within a run. `until_s`: when the track must be
-    alive; the same in all frames of a run. `last_frame` (n_frames,): of each frame's
-    run; by default there is one run.
+    Parameters
+    ----------
+    detected : (..., n_frames) bool
+        Frames in which the VRU is detected, of those that the VUT knows of when it
+        matters.
+    time_s : (n_frames,) float
+        Ascending within a run. [s]
+    until_s : float or (n_frames,) float
+        When the track must be alive; the same in all frames of a run. [s]
+    memory_s : float
+        How long a track lives without detections; may be infinite. [s]
+    last_frame : (n_frames,) int, optional
+        The last frame of each frame's run; by default all belong to one run.
 
+    Returns
+    -------
+    held : (..., n_frames) bool
+        More detections never make fewer frames held.
+
+    Examples
+    --------
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=2.0).astype(int)
     array([1, 1, 0, 1, 0, 1])
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=1.0).astype(int)

@@ -37,6 +37,19 @@ class Course:
     """A smooth line on the road, and straight on beyond both its ends.
 
     Stations are metres along it from its origin: the mouth of the lane that it follows.
+
+    Attributes
+    ----------
+    begin_m : float
+        Station of the first point. [m]
+    points_m : (n, 2) float
+        Every centimetre. World frame. [m]
+    yaw_rad : (n,) float
+        Direction there, without jumps by full turns. [rad]
+    max_bend_per_m : float
+        Largest curvature. [1/m]
+    max_bend_change_per_m2 : float
+        Most that the curvature changes in a metre; infinite where it jumps. [1/m^2]
     """
 
     begin_m: float  # station of the first point
@@ -284,7 +297,22 @@ _ANGLE_TOLERANCE_DEG = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """A curve between two straights, the same from both ends."""
+    """A curve between two straights, the same from both ends.
+
+    Attributes
+    ----------
+    first_radius_m : float
+        Where the curve begins and ends; infinite: as straight as what comes before. [m]
+    radius_m : float
+        Of the arc in the middle; smaller than the first. [m]
+    clothoid_deg : float
+        By how much each clothoid turns: its curvature grows linearly with its length.
+        [deg]
+    arc_deg : float
+        By how much the arc turns. [deg]
+    side : int
+        ``LEFT`` = +1, ``RIGHT`` = -1.
+    """
 
     # where the curve begins and ends; infinite: as straight as what comes before
     first_radius_m: float

@@ -32,7 +32,16 @@ _N_TOGETHER = 1024  # cells to divide in one go
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Encounter:
-    """Two bodies on collision course: without braking they first touch at time 0."""
+    """Two bodies on collision course: without braking they first touch at time 0.
+
+    Attributes
+    ----------
+    vut, vru : Actor
+        The bodies; only their footprints count here.
+    vut_motion, vru_motion : Motion
+        Without braking; the VUT is up to speed when it sets off. Paths are those of the
+        middle of the footprint.
+    """
 
     # the bodies; only their footprints count here
     vut: Actor
@@ -57,7 +66,11 @@ class Encounter:
     def separation_m(
         self, vut_distance_m: FloatArray, vru_distance_m: FloatArray
     ) -> FloatArray:
-        """Separation of the footprints after distances that broadcast; up to zero: they touch."""
+        """Separation of the footprints after distances along their paths, which broadcast.
+
+        Zero or less means that they touch; see
+        :func:`geometry.footprints.footprint_separation`.
+        """
         separation: FloatArray = self.gaps_m(vut_distance_m, vru_distance_m).max(axis=0)
         return separation
 
@@ -175,7 +188,17 @@ class Cells(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures:
-    """Measured properties of cells, (n,) each."""
+    """What is known of cells, (n,) each.
+
+    Attributes
+    ----------
+    may_touch : (n,) bool
+        False: there is no contact anywhere in the cell.
+    touches : (n,) bool
+        True: there is one at the middle of its first time.
+    is_cut_along_first : (n,) bool
+        Along which time to divide it: where more is unknown.
+    """
 
     may_touch: BoolArray  # (n,); false: there is no contact anywhere in the cell
     touches: BoolArray  # (n,); true: there is one at the middle of its first time

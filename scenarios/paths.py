@@ -53,8 +53,24 @@ class StraightPath:
 class TurnPath:
     """A vehicle's way: straight on, round a turn, and straight on without end.
 
-    Distances are those of the front axle's centre, the protocol's control point, which
-    follows the line. The rear axle is dragged behind it and never slips sideways.
+    Distances are those of the front axle's centre, which follows the line: the
+    protocol's control point. The rear axle is dragged behind it and never slips
+    sideways.
+
+    Attributes
+    ----------
+    start_m : (2,) float
+        East, north of the front axle's centre at distance 0. [m]
+    yaw_deg : float
+        Direction there, counter-clockwise from east. [deg]
+    straight_m : float
+        From there to the start of the turn. [m]
+    turn : Turn
+        The curve.
+    wheelbase_m : float
+        Front axle to rear axle. [m]
+    front_axle_ahead_m : float
+        Front axle ahead of the middle of the footprint. [m]
     """
 
     start_m: FloatArray  # (2,); east, north of the front axle's centre at distance 0
@@ -127,7 +143,15 @@ def _aligned_rad(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoursePath:
-    """A road user's way along a course: the middle of the footprint stays on it, heading along."""
+    """A road user's way along a course: the middle of the footprint stays on it, heading along.
+
+    Attributes
+    ----------
+    course : Course
+        The line.
+    start_m : float
+        Station of the middle of the footprint at distance 0. [m]
+    """
 
     course: Course  # the line
     start_m: float  # station of the middle of the footprint at distance 0
@@ -151,9 +175,20 @@ class CoursePath:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TowedPath:
-    """A vehicle's way along a course, which its front axle follows, as on a :class:`TurnPath`.
+    """A vehicle's way along a course, which the centre of its front axle follows.
 
-    Far behind, where the course is straight, the body is aligned with it.
+    The rear axle is dragged behind it and never slips sideways, as on a
+    :class:`TurnPath`. Far behind, where the course is straight, the body is aligned
+    with it.
+
+    Attributes
+    ----------
+    course : Course
+        The line.
+    start_m : float
+        Station of the front axle's centre at distance 0. [m]
+    wheelbase_m, front_axle_ahead_m : float
+        As of a :class:`TurnPath`. [m]
     """
 
     course: Course  # the line

@@ -16,7 +16,17 @@ from .cases import Case
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """A place along the VUT's way."""
+    """A place along the VUT's way.
+
+    Attributes
+    ----------
+    is_behind : bool
+        On the arm straight ahead, by which the VUT leaves the junction; else on the arm
+        from which it comes.
+    distance_m : float
+        How far before the place of the protocol, or beyond the crosswalk of the arm
+        ahead. [m]
+    """
 
     # : On the arm straight ahead, by which the VUT leaves the junction; else on the arm
     # from which : it comes.
@@ -168,7 +178,11 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 # ---------- positions of cases
 def is_bound(case: Case) -> bool:
-    """True if a case has one place: the VUT turns, the VRU's road is there, or it was recorded."""
+    """Whether a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
+
+    All others - people who cross the VUT's lane, those who move ahead in it - may
+    happen anywhere along an arm.
+    """
     if case.kind in ("turning", "recorded"):
         return True
     return case.vru_line is not None and case.vru_line.along != "crosswalk"

@@ -24,7 +24,22 @@ _ANGLE_TOLERANCE_DEG = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CasePlacement:
-    """Where a case is driven at a junction, in the world frame."""
+    """Where a case is driven at a junction, in the world frame.
+
+    Attributes
+    ----------
+    scene_name, approach : str
+        The junction, and the arm from which the VUT comes.
+    case : Case
+        What is driven.
+    vut_path, vru_path : StraightPath
+        From the start points on.
+    vut_meeting_m, vru_meeting_m : float
+        Distances along the paths from their starts to where the middle of the VRU is at
+        the impact, and to the point beside it on the VUT's path. [m]
+    obstruction : tuple of PlacedActor
+        Parked bodies that belong to this case only.
+    """
 
     # the junction, and the arm from which the VUT comes
     scene_name: str

@@ -47,7 +47,46 @@ _ROWS_TOGETHER = 64  # detections of so many sets of poses are looked at in one 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """One drive."""
+    """One drive.
+
+    Attributes
+    ----------
+    id : str
+        "case/approach/speed", by day; else "case/approach/speed/weather". At other
+        positions than 0 the position stands behind the approach:
+        "case/approach-15/speed".
+    case : Case
+        What is driven.
+    approach : str
+        The arm from which the VUT comes.
+    position : str
+        Where along its way, see :class:`scenarios.positions.Position`: "0", "-15",
+        "+0", "+15".
+    weather : str
+        One of ``WEATHERS``.
+    vut_speed_kmh : float
+        Constant. [km/h]
+    encounter : Encounter
+        Bodies and motions without braking.
+    time_s : (n_frames,) float
+        Times of the frames, ascending, relative to the impact; the last one is 0, or at
+        most one frame before. [s]
+    vut_position_m, vru_position_m : (n_frames, 2) float
+        Middles of the footprints. World frame. [m]
+    vut_yaw_deg, vru_yaw_deg : (n_frames,) float
+        Headings. [deg]
+    vru_shape : (n_frames,) int
+        Which shape of its gait the VRU has.
+    obstruction : tuple of PlacedActor
+        Parked bodies of this run.
+    last_brake_time_s : float
+        Latest onset of braking that avoids. [s]
+    traffic : tuple of MovingActor
+        Vehicles that drive by, frame by frame; nobody touches VUT or VRU before the
+        impact.
+    terrain : Terrain or None
+        The ground on which all of them stand; None: the plane z = 0.
+    """
 
     # : "case/approach/speed", by day; else "case/approach/speed/weather". At other
     # positions than 0 : the position stands behind the approach:
@@ -99,7 +138,21 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameAxis:
-    """All frames of some runs, laid end to end: the second axis of every detection array."""
+    """All frames of some runs, laid end to end: the second axis of every detection array.
+
+    Attributes
+    ----------
+    run_ids, cases, approaches, weathers : tuple of str
+        Per run.
+    positions : tuple of str
+        Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
+    vut_speed_kmh, weight, last_brake_time_s : (n_runs,) float
+        Per run; weights sum to 1. [km/h], share, [s]
+    run_start : (n_runs + 1,) int
+        Frames of run r are run_start[r] .. run_start[r + 1] - 1.
+    time_s : (n_frames,) float
+        Relative to the impact. [s]
+    """
 
     run_ids: tuple[str, ...]  #: Per run, as those that follow.
     cases: tuple[str, ...]
@@ -226,7 +279,20 @@ def live_confirmation_times_s(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Onsets:
-    """From messages to braking, (n_runs,) each."""
+    """From messages to braking, (n_runs,) each.
+
+    Attributes
+    ----------
+    confirmation_s : (n_runs,) float
+        When the track for which the VUT brakes was confirmed. Where no track is alive
+        at the last moment: when one is confirmed too late, or else the first that was
+        lost again; infinite if none is ever confirmed. [s]
+    onset_s : (n_runs,) float
+        When the VUT knows of that confirmation, so that braking may set in; infinite if
+        no track is confirmed, or the only ones were lost before the last moment. [s]
+    is_in_time : (n_runs,) bool
+        A confirmed track is alive at the last moment, and its messages have arrived.
+    """
 
     # (n_runs,); when the track for which the VUT brakes was confirmed. Where no track
     # is alive at the last moment: when one is confirmed too late, or else the first

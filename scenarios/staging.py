@@ -59,7 +59,21 @@ class TooFastError(NoRoadError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Staging:
-    """A run without its frames."""
+    """A run without its frames.
+
+    Attributes
+    ----------
+    encounter : Encounter
+        Its impact is at time 0.
+    obstruction : tuple of PlacedActor
+        Parked bodies, or a wall, of this run only.
+    aside, back : (2,) float
+        Unit vectors in which the obstruction may give way to what stands there: away
+        from whom it stands beside, and away from where the ways cross; zero without
+        one.
+    max_aside_m : float
+        How far it may be moved aside. [m]
+    """
 
     encounter: Encounter  # its impact is at time 0
     obstruction: tuple[PlacedActor, ...]  # parked bodies, or a wall, of this run only

@@ -250,6 +250,7 @@ def way_across(
 
 
 def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
+    """Points (n, 2) from the end of a lane to the begin of another one."""
     before = courses.follow_lane(entry.centreline_m, is_in=True).tangent(0.0)
     after = courses.follow_lane(leaving.centreline_m, is_in=False).tangent(0.0)
     begin = replace(before, point_m=entry.centreline_m[-1])

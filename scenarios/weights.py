@@ -340,7 +340,10 @@ WEIGHT_WORDS = ("run", "case", CRASH_TYPES, RATING)
 
 
 def default_weights(cases: str) -> str:
-    """The word for :func:`weigh` by default: of the study's set "run", else "case"."""
+    """The word for :func:`weigh` where the user gives none, by the words for the cases.
+
+    The runs of the study's set count the same, as in the study; else all cases do.
+    """
     if is_study_set(cases):
         return "run"
     return "case"

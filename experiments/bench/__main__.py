@@ -235,6 +235,7 @@ def _distance_m(world: World, mount: CandidatePose) -> FloatArray:
 
 
 def _split(rays: Sequence[Rays], n_parts: int) -> Iterator[Rays]:
+    """All rays in as many parts, each in one piece."""
     origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
     yield from zip(
         np.array_split(origins, n_parts), np.array_split(vectors, n_parts), strict=True

@@ -151,7 +151,19 @@ class CityEntry(Record, frozen=True, kw_only=True):
 
 
 class CityManifest(Record, frozen=True, kw_only=True):
-    """``manifest.json``: which city a folder is of, and the junctions that are done."""
+    """``manifest.json``: which city a folder is of, and what has been computed.
+
+    Attributes
+    ----------
+    maps : tuple of CityMapRecord
+        Files and their hashes.
+    crs : str
+        Of `bounds`; empty: the maps' own.
+    bounds : tuple of float
+        West, south, east and north of the junctions.
+    junctions : tuple of CityEntry
+        Those that are done.
+    """
 
     schema: str = SCHEMA
     maps: tuple[CityMapRecord, ...]

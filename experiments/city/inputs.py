@@ -89,7 +89,25 @@ _TOGETHER = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CitySearch:
-    """Effort for the front of each junction; its scene: see ``scene import``."""
+    """How the fronts of the junctions are looked for.
+
+    Attributes
+    ----------
+    is_coarse : bool
+        Whether a ninth of the poses is tried.
+    max_units : int
+        Most new units at a junction.
+    max_junction_s : float
+        For each junction. [s]
+    radius_m : float
+        Of what is kept around a junction. [m]
+    sites : str
+        See :class:`geometry.maps.importing.ImportOptions`.
+    reading : ReadingOptions
+        What map files do not say of themselves.
+    gap : float
+        Relative gap at which the city's choice counts as settled.
+    """
 
     is_coarse: bool = False  # a ninth of the poses
     max_units: int = 6  # new ones at a junction

@@ -373,6 +373,7 @@ def _count_up(values: ArrayLike, per_one: float) -> IntArray:
 
 
 def _tenths(value: float) -> int:
+    """Tenths as the standard counts them: n is more than n - 1 and at most n of them."""
     return int(_count_up(value, 10.0))
 
 

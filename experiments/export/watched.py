@@ -30,9 +30,27 @@ _RUN_ID = (
 
 
 def find_run(run_id: str, scene: Scene, *, weather: str | None = None) -> Run:
-    """The run that an id names, see :attr:`scenarios.runs.Run.id`, laid on a junction.
+    """The run that an id names.
 
-    `weather` takes the place of the id's. Raises InputError if some part is unknown.
+    Parameters
+    ----------
+    run_id : str
+        "case/approach/speed", by day, or "case/approach/speed/weather"; see
+        :attr:`scenarios.runs.Run.id`.
+    scene : Scene
+        The junction.
+    weather : str, optional
+        In place of the id's.
+
+    Returns
+    -------
+    run : Run
+        Laid on the junction.
+
+    Raises
+    ------
+    InputError
+        Some part of it is unknown; says what is known.
     """
     parts = run_id.split("/")
     if len(parts) not in (3, 4) or not all(parts):

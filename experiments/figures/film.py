@@ -59,10 +59,20 @@ _BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1
 
 
 def plot_film(scene: Scene, run: Run) -> list[Axes]:
-    """Film strip of a run in which nobody brakes: six plan views, in metres, north up.
+    """Film strip of a run: six plan views from its begin to the impact.
 
-    The fourth shows the last frame in which braking still helps, the last one the
-    impact.
+    Parameters
+    ----------
+    scene : Scene
+        What stands still.
+    run : Run
+        What moves. Nobody brakes.
+
+    Returns
+    -------
+    axes : list of Axes
+        One pair per instant, in metres, north up. The fourth shows the last frame in
+        which braking still helps, the last one the impact.
     """
     figure = new_figure(_COLUMNS * _PANEL_IN, _ROWS * (_PANEL_IN + 0.3) + 1.0, dpi=_DPI)
     figure.suptitle(_title(run), fontsize=11)
@@ -83,8 +93,21 @@ def save_film(
 ) -> None:
     """Write a run as a film strip or, to a ``.gif``, as an animation in real time.
 
-    `progress` gets the frames of an animation. Raises InputError if the suffix is
-    unknown, OSError if the file cannot be written.
+    Parameters
+    ----------
+    path : Path
+        Its suffix says what is written.
+    scene, run
+        As for :func:`plot_film`.
+    progress : Progress
+        Is told the frames of an animation.
+
+    Raises
+    ------
+    InputError
+        The suffix is unknown.
+    OSError
+        The file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix == ANIMATION:

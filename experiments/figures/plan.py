@@ -235,10 +235,28 @@ def plot_plan(
 ) -> Axes:
     """Plan of the junction with a layout: where its units are and what ground they look at.
 
-    `others` are drawn lighter. The square around the middle of the junction is by
-    default 45 m each way, or what shows all units and places along the arms. Fields of
-    view end at `max_range_m`. The axes are in metres, north up; by default in a new
-    figure.
+    Parameters
+    ----------
+    setting : Setting
+        Junction and runs.
+    layout : Layout
+        Drawn with labels and fields of view.
+    others : sequence of Layout
+        Drawn lighter, without fields of view.
+    half_size_m : float, optional
+        Half the side of the square that is shown, around the middle of the junction; by
+        default 45, or what shows all units and places along the arms. [m]
+    max_range_m : float
+        Fields of view end here; the camera itself sees farther. [m]
+    width_in : float
+        Of a new figure. [inch]
+    axes : Axes, optional
+        Where to draw; by default in a new figure.
+
+    Returns
+    -------
+    axes : Axes
+        In metres, north up.
     """
     entries = _plan_legend(setting, layout, others)
     if width_in < WIDTH_IN:
@@ -505,7 +523,11 @@ def ground_rings(
 
 
 def blind_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
-    """Ground around a wide LiDAR's foot that its beams pass over, (n, 2), in metres; or empty."""
+    """Ground around the foot of a wide LiDAR that its lowest beams pass over.
+
+    Shape (n, 2). Empty if there is none, and of every other sensor: its outline says
+    where it sees. [m]
+    """
     if not is_wide(unit):
         return np.empty((0, 2))
     return ground_rings(unit, max_range_m=max_range_m)[1]

@@ -166,6 +166,7 @@ class GroundViews:
 
 
 def _mount_key(unit: CandidatePose) -> tuple[float, ...]:
+    """Equal for units that look from the same place, with any setting of the same lens."""
     return (*unit.pose.position_m.tolist(), unit.sensor.near_m)
 
 

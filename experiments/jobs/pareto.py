@@ -68,9 +68,33 @@ def run_pareto(
 ) -> FrontResult:
     """Find what each further unit, or more money, buys; write it to `out` if asked to.
 
-    The question's time is for all points together; `max_units` are next to existing
-    ones, and `all_stages` optimises margins and cost, too. Raises InputError if a wish
-    cannot be met, or `out` cannot be written.
+    Parameters
+    ----------
+    question : Question
+        What is driven.
+    question : Question
+        What is asked beside the number of units, and how it is looked for: its time is
+        for all points together.
+    by : {"units", "cost"}
+        See :class:`placement.optimiser.front.Front`.
+    max_units : int
+        Most units, beside those that are kept.
+    all_stages : bool
+        Optimise margins and cost, too.
+    out : Path, optional
+        Folder that gets ``pareto.csv``, ``pareto.json`` and ``pareto.png``; what else
+        it holds stays.
+    compute : Compute
+        Seed, threads, cache; its progress is `progress`.
+    command : str
+        Command line that makes the result again.
+    progress : StageProgress
+        Is told the stages.
+
+    Raises
+    ------
+    InputError
+        A wish cannot be met, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
     expect_files(out, progress)

@@ -295,7 +295,10 @@ def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
 
 
 def case_table(setting: Setting) -> Table:
-    """The cases driven: what, how fast, from where, how late to brake; and their weights."""
+    """The cases that are driven: what, how fast, from where, how late braking may begin.
+
+    A case's share of the weight is told where not every run counts the same.
+    """
     has_weights = is_weighted(setting.axis)
     refused = [refusal.approach for refusal in setting.refusals]
     every = dict.fromkeys([*(run.approach for run in setting.runs), *refused])
@@ -383,7 +386,11 @@ def runs_by_case(setting: Setting) -> dict[str, list[int]]:
 
 
 def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """A row per run, the least time to spare first; the first evaluation is the subject."""
+    """A row per run, those with the least time to spare first: hits come before the rest.
+
+    Evaluations by display name, on the same runs; the first one is the subject. Weather
+    and weight have a column where they differ.
+    """
     subject = next(iter(evaluations.values()))
     axis = subject.axis
     verdicts = [*(item.headline for item in evaluations.values()), subject.vut]

@@ -424,7 +424,11 @@ def failure_table(
 def failures_section(
     evaluation: Evaluation, rule: AebRule, labels: Mapping[str, str]
 ) -> Section:
-    """What remains if a unit fails, or two, or a pole; `labels` are short names of units by id."""
+    """What is left if a unit fails, or two, or a pole with all its units.
+
+    There is no table of pairs where it says nothing new, or where pairs are not looked
+    at. `labels` are short names of the units, by id.
+    """
     failures = find_failures(evaluation, rule)
     tables = [failure_table(failures.one_failed, labels, of="unit")]
     if len(failures.two_failed) > 1:

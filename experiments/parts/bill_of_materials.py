@@ -54,7 +54,17 @@ class Item:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BillOfMaterials:
-    """Sensors and sites that a layout needs, with their prices."""
+    """What a layout takes.
+
+    Attributes
+    ----------
+    sensors : tuple of Item
+        One per model.
+    sites : tuple of Item
+        One per site that is used, in the layout's order.
+    assumed : tuple of str
+        What is assumed of sites without a price, in sentences.
+    """
 
     sensors: tuple[Item, ...]  # one per model
     sites: tuple[Item, ...]  # that are used, in the layout's order

@@ -210,7 +210,11 @@ def section(
 
 
 def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
-    """Share of the runs avoided: a row per position as the car passes, a column per approach."""
+    """Share of the runs that a layout avoids, by position along the arms and approach of the car.
+
+    A row for each position as the car passes them, with how many of its runs are
+    avoided.
+    """
     approaches = groups_by(axis, "direction")
 
     def share(mask: BoolArray) -> str:
@@ -234,7 +238,15 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Place:
-    """Place where some runs end in an impact if nobody brakes."""
+    """Where some runs end in an impact if nobody brakes.
+
+    Attributes
+    ----------
+    position_m : (2,) float
+        Middle of the road users then. World frame. [m]
+    runs : (n,) int
+        Indices of the runs.
+    """
 
     position_m: FloatArray  # (2,): middle of the road users then. World frame. [m]
     runs: IntArray  # (n,): indices of the runs

@@ -357,7 +357,12 @@ def _move(move: Move) -> MoveRecord:
 
 
 def refinement_sentences(found: RefinementRecord) -> list[str]:
-    """Sentences on the changes by refinement and their proof."""
+    """What refinement changed, and what is proven of it.
+
+    Of one unit at the study's junction: "Refinement turned U1 by -6.94 deg and raised
+    it by 0.22 m: smallest time to spare 0.33 s to 0.43 s, mean time to spare 3.81 s to
+    3.74 s."
+    """
     n_tried = found.poses_tried
     n_grid = found.grid_candidates
     if not found.is_improved:

@@ -107,9 +107,31 @@ def run_latency(
 ) -> LatencyResult:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
 
-    The budget is the question's latency, or one by name; shown up to `max_latency_s`,
-    by default half a second or as far as it reaches. Raises InputError if the budget is
-    unknown or given twice, a unit is inside something, or `out` cannot be written.
+    Parameters
+    ----------
+    question : Question
+        What is driven. Its latency, if it has one, is the budget.
+    layout : Layout
+        Evaluated once.
+    budget : str, optional
+        See :func:`placement.latency.load_latency_budget`; by default the study's.
+    vut_latency_s : float, optional
+        See :func:`placement.latency.apr_by_latency`. [s]
+    max_latency_s : float, optional
+        Shown up to here; by default as far as the budget reaches, and the RSUs' APR
+        falls. [s]
+    out : Path, optional
+        Folder that gets ``latency.csv`` and ``latency.png``; what else it holds stays.
+    compute : Compute
+        Seed and threads; its progress is `progress`.
+    progress : StageProgress
+        Is told the stages.
+
+    Raises
+    ------
+    InputError
+        The budget is unknown or given twice, a
+        unit hangs inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
     expect_files(out, progress)
@@ -159,7 +181,13 @@ def run_latency(
 
 
 def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
-    """The budget that a user named, or the one latency of a question; not both."""
+    """The budget that a user named, or the one number of ``--latency``.
+
+    Raises
+    ------
+    InputError
+        Both are given, or the budget is not what it should be.
+    """
     if question.latency_s is None:
         return load_latency_budget(
             *([] if budget is None else [budget]), where="--budget"

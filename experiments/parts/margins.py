@@ -219,7 +219,11 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]
 
 
 def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
-    """Margins by case, speed and direction, to unfold: a row per group and layout or car."""
+    """Margins by case, by speed and by direction, to unfold.
+
+    In each, a row per group and layout, and one for the car alone; the first group is
+    all runs.
+    """
     axis = next(iter(evaluations.values())).axis
     everything = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
     by: tuple[GroupedBy, ...] = ("case", "speed", "direction")

@@ -120,7 +120,10 @@ def to_base64(array: NDArray[Any]) -> str:
 
 
 def pack_bits(bits: ArrayLike) -> str:
-    """Rows of bits, (n_rows, n), each padded to whole bytes, the first bit highest, in base64."""
+    """Rows of bits, each padded to whole bytes, the first bit highest, in base64.
+
+    `bits` is (n_rows, n); :func:`unpack_bits` and the player's script give it back.
+    """
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
 
 

@@ -48,7 +48,23 @@ _A_WHOLE = "a whole file, as place-rsus has written it"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredResult:
-    """A folder that a job has written; for its tables see :mod:`experiments.results.tables`."""
+    """What a placement, an evaluation or a comparison has written to a folder.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it was read from.
+    summary : Result
+        The numbers of ``summary.json``.
+    layout : Layout
+        What was found or evaluated; of a comparison the first one.
+    runs : DataFrame
+        A row per layout, sensing party and run; see
+        :func:`experiments.results.tables.runs_table`.
+    apr : DataFrame
+        A row per layout, sensing party and group of runs; see
+        :func:`experiments.results.tables.apr_table`.
+    """
 
     folder: Path
     summary: Result
@@ -64,10 +80,23 @@ class StoredResult:
 
 
 def load_result(folder: Path | str) -> StoredResult:
-    """Results from the folder that ``--out`` names, checked to be whole and to belong together.
+    """Results from the folder that ``--out`` names.
 
-    Raises InputError if a file is missing, broken, of another version, or of other
-    results.
+    Parameters
+    ----------
+    folder : Path or str
+        Written by a placement, an evaluation or a comparison.
+
+    Returns
+    -------
+    result : StoredResult
+        All of it, checked to be whole and to belong together.
+
+    Raises
+    ------
+    InputError
+        A file is missing, broken, of another version, or not of the same results as the
+        others.
 
     Examples
     --------

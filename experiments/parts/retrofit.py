@@ -190,10 +190,31 @@ def run_retrofit(
 ) -> RetrofitResult:
     """Find what to remove, re-aim or add, and write it to `out` if asked to.
 
-    The question says what may be added, the money for all together, and how long to
-    search. A visit is by default priced as :func:`placement.retrofit.load_labour` does.
-    Raises InputError if a unit is inside something, a word is unknown, or `out` cannot
-    be written.
+    Parameters
+    ----------
+    question : Question
+        What is driven.
+    question : Question
+        What may be added, the money for all together, and how it is looked for.
+    layout : Layout
+        What hangs.
+    visit_eur : float, optional
+        Of a re-aim or a removal; by default by :func:`placement.retrofit.load_labour`.
+        [EUR]
+    out : Path, optional
+        Folder that gets ``retrofit.csv`` and ``retrofit.json``; what else it holds
+        stays.
+    compute : Compute
+        Seed, threads, cache; its progress is `progress`.
+    command : str
+        Command line that makes the result again.
+    progress : StageProgress
+        Is told the stages.
+
+    Raises
+    ------
+    InputError
+        A unit hangs inside something, a word is unknown, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
     expect_files(out, progress)
@@ -255,7 +276,15 @@ def run_retrofit(
 
 
 def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
-    """A row per change, the first one for what is mounted; run ids have spaces between."""
+    """One row per change.
+
+    Returns
+    -------
+    table : DataFrame
+        Columns kind, change, price_eur, apr, apr_one_failed, smallest_margin_s,
+        mean_margin_s, gained, lost (run ids with spaces between), is_better, is_proven.
+        The first row is what hangs.
+    """
     import pandas as pd
 
     before = {

@@ -23,7 +23,15 @@ _LARGEST_MEAN_ERROR = 1.5  # of 255, of any one channel: not seen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table; with `summary` one to unfold, below these words."""
+    """A table; with `summary` one to unfold, below these words.
+
+    Attributes
+    ----------
+    numeric : collection of int
+        Columns that are numbers.
+    is_open : bool
+        Whether a table to unfold is unfolded from the start.
+    """
 
     kind: ClassVar[str] = "table"
     caption: str
@@ -155,7 +163,11 @@ def build_picture(
 
 
 def with_palette(png: bytes) -> bytes:
-    """A PNG file of at most 256 colours, where that spares much and is not seen; else the same."""
+    """A PNG file with at most 256 colours where that spares much and is not seen.
+
+    It is the same file where that is small, would not become smaller, or would look
+    different.
+    """
     if len(png) <= MAX_TRUE_COLOUR_BYTES:
         return png
     image = Image.open(BytesIO(png)).convert("RGB")

@@ -57,7 +57,25 @@ def mounting_sheet(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> bytes:
-    """A PDF with an A4 page per unit: where, how high, where it looks, what it will see."""
+    """A PDF with a page for each unit: where, how high, where it looks, what it will see.
+
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    setting : Setting
+        Scene and runs; the picture shows one of these, the unit's first in which the
+        road user is near.
+    tolerances : sequence of Tolerance
+        One for each unit, in their order.
+    compute : Compute
+        Its seed is that of sensor noise.
+
+    Returns
+    -------
+    pdf : bytes
+        A4 pages.
+    """
     labels = unit_labels(layout)
     buffer = io.BytesIO()
     metadata = {"Title": tr("Mounting sheet: {name}", name=layout.name)}

@@ -73,12 +73,25 @@ def on_study_cases(
     build: Callable[[Question], Setting],
     compute: Compute,
 ) -> StudyCases | None:
-    """Score layouts on the study's cases, where these are a part of what was asked about.
+    """What layouts prevent in the study's cases; None where these are what was asked about.
 
-    None at another junction, where some of its cases are left out, and where they are
-    all that was asked about. Evaluations are in the setting `asked`; `build` makes one
-    of another question at the same scene. Raises InputError if no arm carries any of
-    the cases.
+    Parameters
+    ----------
+    question : Question
+        What was asked.
+    asked : Setting
+        What it led to, and the layouts were evaluated in.
+    evaluations : mapping of str to Evaluation
+        By display name. Where the same frames were looked at there, nobody looks again.
+    build : function of Question
+        Setting of a question at the same scene.
+    compute : Compute
+        Of further evaluations.
+
+    Raises
+    ------
+    InputError
+        No arm of the junction carries any of the study's cases.
     """
     given = {
         case.name for case in select_cases(question.cases, force=question.force).cases

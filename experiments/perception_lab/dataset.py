@@ -77,7 +77,21 @@ _NOWHERE = Pose(position_m=np.zeros(3), yaw_deg=0.0)  # of the camera that drive
 
 
 class DatasetUnit(Record, frozen=True):
-    """A unit of a dataset: its folder, and its camera's calibration as OpenCV has it."""
+    """A unit of a dataset: its folder, and its camera's calibration as OpenCV has it.
+
+    Attributes
+    ----------
+    folder : str
+        Name of its folder.
+    id : str
+        Of the unit in its layout, or "VUT".
+    width_px, height_px : int
+        Size of the pictures.
+    camera_matrix : tuple
+        K; the middle of the first pixel is (0, 0). [px]
+    world_to_camera, translation_m : tuple or None
+        R and t, x_camera = R x_world + t; None of the VUT's camera, which drives.
+    """
 
     folder: str  # name of its folder
     id: str  # of the unit in its layout, or "VUT"
@@ -94,7 +108,19 @@ class DatasetUnit(Record, frozen=True):
 
 
 class DatasetDrive(Record, frozen=True):
-    """A run as part of a dataset: files of its frames are called SCENARIO_NUMBER."""
+    """A run as part of a dataset: files of its frames are called SCENARIO_NUMBER.
+
+    Attributes
+    ----------
+    run : str
+        Id.
+    weather : str
+        Of the run.
+    scenario, first_number, frames : int
+        Of the names of its files; numbers run on.
+    last_brake_time_s : float or None
+        Relative to the impact, which is the last frame; None: braking cannot help. [s]
+    """
 
     run: str  # id
     weather: str  # of the run
@@ -117,7 +143,33 @@ class DatasetDrive(Record, frozen=True):
 
 
 class DatasetRecord(Record, frozen=True):
-    """``dataset.json``: what a dataset holds; a folder with another one is not added to."""
+    """``dataset.json``: what a dataset holds; a folder with another one is not added to.
+
+    Attributes
+    ----------
+    schema : str
+        Name and version of the file's format.
+    format : str
+        One of ``FORMATS``.
+    scene : str
+        Name of the junction.
+    detector : str
+        Whose detections are in ``Eval``.
+    every : int
+        Pictures are of every so many frames of a run.
+    lidar : str
+        Model of the LiDAR beside each camera; "none" for none.
+    masks, depth : bool
+        Whether there are pictures of instances and of depths.
+    vehicles : bool
+        Whether vehicles have labels, too, in frames with pictures.
+    vary : bool
+        Whether clothes, paints and facades are others in each run.
+    seed : int
+        Of noise, of what is left to chance.
+    units, drives : tuple
+        Who looks, and at what.
+    """
 
     schema: str  # name and version of the file's format
     format: str  # one of ``FORMATS``
@@ -137,7 +189,21 @@ class DatasetRecord(Record, frozen=True):
 
 
 class DatasetSummary(Record, frozen=True):
-    """Summary of a call."""
+    """What a call has done.
+
+    Attributes
+    ----------
+    folder : str
+        Where the dataset is.
+    pictures, drawn : int
+        In it, and of these drawn by this call.
+    frames, runs, units : int
+        Of the dataset.
+    size_bytes : int
+        Of pictures and clouds drawn by this call.
+    seconds : float
+        For drawing.
+    """
 
     folder: str  # where the dataset is
     # pictures, drawn: in it, and of these drawn by this call
@@ -166,12 +232,32 @@ def run_dataset(
     progress: StageProgress,
     tell: Callable[[str], None],
 ) -> DatasetSummary:
-    """Write a dataset into a folder, or go on with one that is there.
+    """Write a dataset, or go on with one.
 
-    The folder is new, empty, or of the same dataset; `tell` gets a sentence on how much
-    will be drawn. Raises InputError if the layout has no such units, or LiDARs among
-    them, the folder holds something else; OSError if the disk is full: what is drawn
-    stays.
+    Parameters
+    ----------
+    question : Question
+        What is driven, and the detector whose detections are written.
+    layout : Layout
+        Whose cameras look.
+    wish : DatasetWish
+        What is written.
+    out : Path
+        Folder: new, empty, or of the same dataset.
+    compute : Compute
+        Seed, and number of processes.
+    progress : StageProgress
+        Is told the stages.
+    tell : callable
+        Is told, before anything is drawn, how much it will be.
+
+    Raises
+    ------
+    InputError
+        The layout has no such units, or LiDARs among them; the folder holds something
+        else; the scheduler does not answer.
+    OSError
+        The disk is full: what is drawn stays.
     """
     if wish.lidar == NO_LIDAR:
         lidar = None

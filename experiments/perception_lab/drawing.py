@@ -342,9 +342,17 @@ def depth_image(picture: Picture) -> NDArray[np.uint16]:
 
 
 def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
-    """Colours (n + 1, 3) of things, sRGB, that differ in hue and in lightness.
+    """Colours of things that differ in hue and in lightness.
 
-    The VRU's is the lightest; the last one, for sky, is black.
+    Parameters
+    ----------
+    names : tuple of str
+        Of the things.
+
+    Returns
+    -------
+    colours : (n + 1, 3) uint8
+        sRGB; the VRU's is the lightest; the last one, for sky, is black.
     """
     import colorsys
 

@@ -140,12 +140,29 @@ def run_detector_fit(
     compute: Compute,
     progress: StageProgress,
 ) -> FitResult:
-    """Fit a response table to what a detector finds; table, figure and numbers go to `out`.
+    """Fit a response table to what a detector finds; table, figure and numbers to `out`.
 
-    The question says what is driven where pictures are rendered, by which network, and
-    how many frames confirm. The seed decides which pictures are looked at, their noise
-    and the bootstrap. Raises InputError if a source is not what it should be, there are
-    too few frames, or `out` cannot be written.
+    Parameters
+    ----------
+    question : Question
+        What is driven where pictures are rendered, and the network; how many frames
+        confirm.
+    wish : FitWish
+        The source.
+    out : Path, optional
+        Folder that gets ``response.toml``, ``fit.json`` and ``calibration.png``.
+    command : str
+        How this was called.
+    compute : Compute
+        Seed of the choice of pictures, of noise and of the bootstrap; threads.
+    progress : StageProgress
+        Is given the stages.
+
+    Raises
+    ------
+    InputError
+        A source is not what it should be, there are too few frames, or `out` cannot be
+        written.
     """
     expect_files(out, progress)
     source = _open_source(question, wish, compute, progress)
@@ -606,7 +623,18 @@ def table_text(
 
 
 def plot_calibration(result: FitResult) -> "Figure":
-    """Share found by predicted probability and by height in the image, with 95 % intervals."""
+    """Share found against predicted probability, and by height in the image, with 95 % intervals.
+
+    Parameters
+    ----------
+    result : DetectorFitResult
+        What was fitted.
+
+    Returns
+    -------
+    figure : Figure
+        Two pairs of axes.
+    """
     from ..figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 
     figure = new_figure(WIDTH_IN, 3.2)

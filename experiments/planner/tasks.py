@@ -106,7 +106,7 @@ class Tasks:
         return with_sight(setting, compute=self._compute)
 
     def open_setting(self) -> Setting:
-        """The setting itself, for the server."""
+        """The setting itself, for the server: the message where it cannot be built is told once."""
         return self.setting
 
     def evaluate(self, layout: Layout) -> dict[str, Any]:

@@ -64,7 +64,13 @@ def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Hashes by file name of ``SHA256SUMS``, if there; InputError if it is no such list."""
+    """Hashes by file name, as ``SHA256SUMS`` lists them; nothing where there is no such file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is not a list of hashes and names.
+    """
     path = folder / MANIFEST
     if not path.exists():
         return {}
@@ -87,7 +93,13 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def changed_files(folder: Path) -> dict[str, str]:
-    """Files not as ``SHA256SUMS`` lists them, each "missing", "changed" or "not listed" there."""
+    """What is not as ``SHA256SUMS`` lists it: "missing", "changed" or "not listed", by file name.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_manifest`; or a file cannot be read.
+    """
     listed = read_manifest(folder)
     found = listed_files(folder)
     changes = {name: "missing" for name in listed if name not in found}
@@ -120,7 +132,18 @@ def _is_filled_folder(path: Path) -> bool:
 
 
 def check_result_folder(folder: Path) -> None:
-    """Check that a folder is new, empty or an earlier result, and writable; else InputError."""
+    """Check, before anything is computed, that a result folder can be written; changes nothing.
+
+    Parameters
+    ----------
+    folder : Path
+        New, empty, or an earlier result as it was written.
+
+    Raises
+    ------
+    InputError
+        It is a file, holds other things, or cannot be replaced or written to.
+    """
     _check_name(folder)
     try:
         real = folder.resolve()

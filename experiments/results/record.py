@@ -57,7 +57,13 @@ StageValues = Annotated[
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A part of a result. Each field says what it is; UNSET ones are not written."""
+    """A part of a result. Each field says what it is; fields that are UNSET are not written.
+
+    Attributes
+    ----------
+    schema_rules : mapping
+        What the JSON schema says of the keys beside their types, such as "oneOf".
+    """
 
     schema_rules: ClassVar[
         dict[str, object]

@@ -37,18 +37,42 @@ def parties(evaluation: Evaluation) -> dict[str, Verdict]:
 
 
 def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
-    """Last brake time less onset, (n_runs,) [s]; negative: too late; -inf: never, or no use."""
+    """Last brake time minus (confirmation + latency), per run.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Whose.
+    axis : FrameAxis
+        Runs.
+
+    Returns
+    -------
+    margin_s : (n_runs,) float
+        Negative: too late. Minus infinity: never confirmed, or no braking avoids. [s]
+    """
     # At most one infinity of each sign: an onset is never -inf, so this is never NaN.
     margin: FloatArray = axis.last_brake_time_s - verdict.onset_time_s
     return margin
 
 
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Ratios of every party, by case, approach, position, weather and speed.
+    """Accident prevention ratios of every party, by case, approach, position, weather and speed.
 
-    "all" stands for every case, approach, position, weather or speed; a single
-    position, weather or speed has no rows of its own. The ratio is missing where none
-    of the runs has weight.
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By the layout's display name.
+
+    Returns
+    -------
+    table : DataFrame
+        Columns layout, party, case, approach, position, weather, vut_speed_kmh, apr,
+        n_runs, n_avoided. "all" stands for every case, approach, position, weather or
+        speed; a single position, weather or speed has no rows of its own. Speeds are
+        told of all approaches, positions and weathers together, positions of all
+        weathers and speeds, either of all approaches or of all cases together. The
+        ratio is missing where none of the runs has weight.
     """
     import pandas as pd
 
@@ -71,7 +95,19 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
 
 
 def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
-    """Every run's outcome for every party; times and speeds that do not exist are missing."""
+    """Every run's outcome for every party.
+
+    Parameters
+    ----------
+    evaluations : mapping of str to Evaluation
+        By the layout's display name.
+
+    Returns
+    -------
+    table : DataFrame
+        One row per layout, party and run. Times that do not exist (never confirmed, no
+        braking avoids) are missing.
+    """
     import pandas as pd
 
     return pd.concat(

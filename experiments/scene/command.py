@@ -337,6 +337,7 @@ def findings_text(summary: "SceneCheckResult") -> str:
 
 
 def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
+    """The arms of the only junction, or the junctions of a map."""
     if not junctions:
         return ["  no junctions"]
     if len(junctions) == 1 and junctions[0].arm_list is not UNSET:

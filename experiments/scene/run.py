@@ -204,7 +204,29 @@ def run_import(
     out: Path,
     progress: StageProgress,
 ) -> SceneResult:
-    """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError."""
+    """Make a scene of map files and write it.
+
+    Parameters
+    ----------
+    files : sequence of str
+        Map files; "town05" alone is the study's junction.
+    options : ImportOptions
+        What is to be cut out.
+    bbox : str
+        West, south, east, north with commas between: fetch OpenStreetMap there; empty:
+        do not.
+    out : Path
+        Folder that gets ``scene.toml``, ``things.glb`` and two pictures, or a .zip
+        file.
+    progress : StageProgress
+        Is told the stages.
+
+    Raises
+    ------
+    InputError
+        See :func:`geometry.maps.importing.import_scene`; `out` cannot be written, or is
+        a folder with other things in it.
+    """
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
     progress.kept = f"nothing was written to {out}"
@@ -333,7 +355,28 @@ def run_show(
     progress: StageProgress,
     sort: str = "arms",
 ) -> SceneResult:
-    """Summarise a scene or map files, or else the study's junction; draw it into `out`."""
+    """Tell what a scene or a map has.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        A scene, or map files; none: the study's junction.
+    reading : ReadingOptions
+        What map files do not say of themselves.
+    out : Path, optional
+        Folder for pictures of a scene.
+    progress : StageProgress
+        Is told the stages.
+    sort : str
+        Order of the junctions of a map, see
+        :func:`geometry.maps.junctions.sort_junctions`.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read; pictures of a map are asked for, of which nothing is cut
+        out yet.
+    """
     if out is not None:
         check_folder(out)
     progress("read", 0, 0)
@@ -381,7 +424,20 @@ def _pictures_of_map(
 
 
 def run_check(path: str, *, progress: StageProgress) -> SceneCheckResult:
-    """Check a scene; an empty path is the study's junction. Raises InputError: there is none."""
+    """Check a scene.
+
+    Parameters
+    ----------
+    path : str
+        Of the scene; empty: the study's junction.
+    progress : StageProgress
+        Is told the stages.
+
+    Raises
+    ------
+    InputError
+        There is no such scene.
+    """
     progress("check", 0, 0)
     scene = load_scene(path)
     findings = (*check_scene(scene), *find_sharp_bends(scene))

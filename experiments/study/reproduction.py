@@ -53,7 +53,17 @@ AS_STUDIED = Question(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variant:
-    """A setting with one thing changed, which its name says, and the study's 12 cameras in it."""
+    """A setting and the study's layout in it.
+
+    Attributes
+    ----------
+    name : str
+        What is changed.
+    setting : Setting
+        Scene, runs, detector.
+    layout : Layout
+        The study's 12 cameras.
+    """
 
     name: str
     setting: Setting
@@ -282,7 +292,19 @@ _NEARLY_ALL = 0.9
 
 
 class PublishedFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure of the study: quantity as :func:`quantities` names it, case, and share of 1."""
+    """A figure of the study.
+
+    Attributes
+    ----------
+    quantity, case : str
+        What, as :func:`quantities` names it, and in which case.
+    value : float
+        Share of 1.
+    use : str
+        "set by it" or "compared".
+    depends_on : str
+        What of ours it hangs on most.
+    """
 
     quantity: str
     case: str
@@ -292,7 +314,15 @@ class PublishedFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AdditionalFigure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A figure of the study's additional cases, in its words; nothing was fitted to it."""
+    """A figure of the study's additional cases, another recording; nothing was fitted to it.
+
+    Attributes
+    ----------
+    quantity, case : str
+        What, as :func:`quantities` names it, and in which case.
+    published : str
+        What the study says, in words.
+    """
 
     quantity: str
     case: str

@@ -81,10 +81,13 @@ class CityObject:
 def read_cityjson(path: Path) -> SourceMap:
     """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
 
-    Each object is read in its highest level of detail below 3, or else in level 3; a
-    footprint of level 0 is raised by the measured height. Bridges are left out with
-    tunnels and ground: the scene's road is one plane. Heights are absolute. Raises
-    InputError if it is damaged, or has nothing solid.
+    Each object is read in its highest level of detail below 3, or else in level 3; if
+    there is only level 0, its footprint is raised by the measured height. Buildings and
+    their parts become buildings, plants become vegetation, other constructions walls;
+    furniture becomes a wall too, unless its name says lamp or tree. Bridges are left
+    out with tunnels and ground: the scene's road is one plane, and a bridge deck would
+    lie on it. Heights are absolute. Raises InputError if the file cannot be read, is no
+    CityJSON, or has nothing solid.
     """
     where = str(path)
     documents = list(_documents(read_text(path, "CityJSON"), where))
@@ -116,6 +119,7 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
+    """Parse the whole file, or each line of a sequence."""
     if where.lower().endswith(".jsonl"):
         lines = text.splitlines()
     else:
@@ -195,6 +199,7 @@ def _objects(
     left_out: Counter[str],
     empty: Counter[str],
 ) -> Iterator[CityObject]:
+    """Objects of a known type that have surfaces; the others are counted."""
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(
@@ -256,6 +261,7 @@ def _height_m(attributes: _Table) -> float | None:
 def _best(
     geometries: Any, vertices: FloatArray, templates: _Templates, where: str
 ) -> tuple[list[Polygon3D], float]:
+    """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
     best: tuple[list[Polygon3D], float] = ([], -1.0)
@@ -381,6 +387,7 @@ def _city_map(
 
 
 def _thing(item: CityObject, thing_id: str) -> Thing:
+    """One object as triangles; raises InputError if it has no area."""
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)
@@ -407,6 +414,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 
 def _said(skipped: Sequence[Note]) -> str:
+    """What was left out, for the end of a message."""
     words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
     if words:
         return f"; skipped: {words}"
@@ -415,7 +423,14 @@ def _said(skipped: Sequence[Note]) -> str:
 
 # ---------- CityGML
 def read_citygml(path: Path) -> SourceMap:
-    """Read a CityGML file as :func:`read_cityjson` does; a solid counts more than surfaces."""
+    """Read a CityGML file.
+
+    Types and levels of detail: see :func:`geometry.maps.city_json.read_cityjson`, which
+    reads the same model in its other encoding. Of one level of detail a solid counts
+    more than surfaces; references to polygons of the same file are followed, others are
+    not. Heights are absolute. Raises InputError if the file cannot be read, is no
+    CityGML, or has nothing solid.
+    """
     where = str(path)
     root = read_xml(path, expected=_GML)
     namespace = root.tag.rpartition("}")[0]
@@ -488,6 +503,7 @@ class _Document:
         )
 
     def _shapes(self, element: Element, depth: int) -> Iterator[_Shape]:
+        """Geometries of an object and of the surfaces that bound it."""
         if depth > _MAX_DEPTH:
             refuse(self.where, "elements nested too deeply", _GML)
         for child in element:
@@ -549,6 +565,7 @@ class _Document:
                     yield [ring[::-1] for ring in polygon] if is_turned else polygon
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
+        """Points of a ring, (n, 3), in the file's coordinates."""
         words: list[str] = []
         for element in ring.iter():
             name = local_name(element)

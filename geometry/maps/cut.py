@@ -207,7 +207,10 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground."""
+    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground.
+
+    `source_crs` is the reference system for results; empty: unknown.
+    """
     terrain = surroundings.terrain
     half = radius_m + LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -251,7 +254,11 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes to the starts of entry lanes that nothing leads to: straight, or bent past houses."""
+    """Lanes to the begins of entry lanes where the map has nothing that leads there.
+
+    They lead straight on, or where a building stands there round the gentlest bend past
+    it, the same for all lanes of an arm; where none does, straight up to it.
+    """
     arms = [  # the lanes behind which the map does not go on
         [
             lane
@@ -312,7 +319,10 @@ def _lanes(
     outline_m: FloatArray,
     reach_m: float,
 ) -> tuple[list[Lane], list[Lane]]:
-    """Lanes around a junction and through it; and those assumed through others around it."""
+    """Lanes around a junction and through it; and those assumed through others around it.
+
+    Through the others lead only those of the map's lanes that lead about straight on.
+    """
     found: list[Lane] = []
     ends: dict[str, list[Lane]] = defaultdict(
         list
@@ -373,7 +383,10 @@ def _leads_straight_on(points_m: FloatArray) -> bool:
 
 
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:
-    """Lanes through a junction, as straight on as there is a lane; none for those that turn."""
+    """Lanes through a junction, from each one that leads into it and to each one out of it.
+
+    They lead as straight on as there is a lane; lanes that only turn there have none.
+    """
     bends: dict[tuple[int, int], float] = {}
     entries = [lane_line(lane, is_in=True, length_m=_MOUTH_M)[0] for lane in ends]
     exits = [lane_line(lane, is_in=False, length_m=_MOUTH_M)[0] for lane in begins]
@@ -458,6 +471,7 @@ def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
 def _on_circle(
     inside_m: FloatArray, outside_m: FloatArray, reach_m: float
 ) -> FloatArray:
+    """Where a segment leaves the circle around the origin."""
     way = outside_m - inside_m
     a = way @ way
     b = inside_m @ way
@@ -519,6 +533,7 @@ def _off_m(points_m: FloatArray) -> float:
 
 
 def _unique(name: str, source: SourceMap, taken: Counter[str]) -> str:
+    """An id that no other thing has, without characters that separate ids on a command line."""
     clean = plain_id(name) or "thing"
     return unique_id(f"{source.name}-{clean}" if clean in taken else clean, taken)
 
@@ -551,7 +566,12 @@ class Neighbourhoods:
         self._maps = [(source, _trees(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
-        """Parts of the maps around a junction, which make the same scene as the whole ones."""
+        """What the maps have around a junction of the first one.
+
+        The scene that is cut out of these is the one that is cut out of the whole maps;
+        what was left out when the maps were read is not told again. A map that has
+        nothing there is left out.
+        """
         roads = self._maps[0][0]
         middle = junction.position_m
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])

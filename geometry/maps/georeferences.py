@@ -39,14 +39,23 @@ _MIN_EXTENT_M = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocalFrame:
-    """World frame of a scene: east, north and up around a point of the map with the junction."""
+    """World frame of a scene: east, north and up around a point of the map with the junction.
+
+    `crs` is a transverse Mercator around the point: within a kilometre its metres are
+    those of the tangent plane to a hundredth of a millimetre.
+    """
 
     crs: str  # for pyproj; empty: the place on earth is unknown
     map_crs: str  # of the map with the junction; empty: unknown
     origin_m: FloatArray  # (2,), the point in the map's own coordinates
 
     def take(self, points_m: ArrayLike, source: SourceMap) -> FloatArray:
-        """Points (..., 2 or 3) of a map, or else in the roads' system, here; heights stay."""
+        """Points (..., 2) or (..., 3) of a map in this frame; heights stay.
+
+        A map without a reference system is taken to lie in the coordinates of the map
+        with the junction. Raises InputError if only `source` has a reference system, or
+        points cannot be projected.
+        """
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
             alike = (
@@ -228,7 +237,11 @@ def georeference(
 
 
 def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
-    """Horizontal part of a declared reference system, None: it has none; or pyproj's ProjError."""
+    """Horizontal part of a declared coordinate reference system; None if it has none.
+
+    `declared` is what pyproj takes, or one of the spellings of CityGML files. Raises
+    pyproj's ProjError if it is unknown.
+    """
     if declared is None or not str(declared).strip():
         return None
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared)
@@ -274,6 +287,7 @@ def crs_name(crs: "CRS") -> str:
 
 
 def _spelling(declared: str) -> str:
+    """A code that pyproj knows, for spellings that it does not."""
     text = declared.strip()[:_MAX_TEXT]
     found = ((re.fullmatch(pattern, text), code) for pattern, code in _SPELLINGS)
     return next((code(match) for match, code in found if match), text)

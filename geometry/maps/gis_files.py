@@ -77,7 +77,11 @@ class Features:
 
 
 def read_features(path: Path, layer: str = "") -> Features:
-    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip; or InputError."""
+    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
+
+    Raises InputError if the file cannot be read, does not have the format of its
+    suffix, has several layers and none is chosen, or has more than 200,000 features.
+    """
     suffix = path.suffix.lower()
     if suffix == ".zip":
         with unpacked(path, SUFFIXES) as member:
@@ -279,10 +283,12 @@ def read_footprints(
     """Read footprints and raise them to solids.
 
     Heights come from columns such as ``height``, ``building:levels`` or ``min_height``,
-    in metres unless the column (``height_ft``) or the value ("40 ft") says otherwise,
-    or else from ``data/things.toml``. Lines are walls if `class_name` or a column says
-    so. Third coordinates are ignored. Raises InputError if it is damaged, has no area,
-    or does not fit its reference system.
+    in metres unless the column (``height_ft``) or the value ("40 ft") says otherwise;
+    missing or impossible ones are replaced by the defaults of ``data/things.toml``.
+    Lines become walls if `class_name` is "wall", or if a column ``class``, ``kind``,
+    ``type`` or ``barrier`` says wall, fence or hedge. Third coordinates are ignored;
+    heights are above ground. Raises InputError if the file cannot be read, has no area,
+    or has coordinates that are not finite or do not fit its reference system.
     """
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
@@ -325,6 +331,7 @@ def read_footprints(
 def _kind(
     feature: Feature, class_name: str, left_out: Counter[str]
 ) -> ThingKind | None:
+    """Kind of a feature; None if it is not solid."""
     if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
@@ -345,6 +352,7 @@ def _kind(
 def _raised(
     feature: Feature, kind: ThingKind, thing_id: str, place: Georeference
 ) -> Thing:
+    """A feature as a solid; raises InputError if it has no area."""
     flat = shapely.force_2d(feature.geometry)
     where = feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))

@@ -135,6 +135,7 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
 
 
 def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
+    """How many points lie inside each junction or next to it."""
     areas = shapely.STRtree([area_of(one.outline_m) for one in junctions])
     _, hit = areas.query(
         shapely.points(points_m), predicate="dwithin", distance=_BESIDE_M
@@ -161,10 +162,23 @@ def choose_junction(
 ) -> Surveyed:
     """Choose a junction by name or point; by default the first.
 
-    `name`: id; or streets in any order, also shortened (St, Ave, Str.), or some of
-    them; or a part of the name that no other has; or "latitude, longitude". `at`: in
-    the file's own coordinates; points lie within 100 m. Raises InputError: none or
-    several match.
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    surveyed : sequence of Surveyed
+        Its junctions, as :func:`survey_junctions` returns them.
+    name : str
+        Id; or name, streets in any order: "Mannerheimintie / Kaivokatu", or some of
+        them; or a part of the name that no other junction has; empty: any.
+    at : (float, float), optional
+        A point within 100 m, in the file's coordinate reference system: longitude and
+        latitude, or metres.
+
+    Raises
+    ------
+    InputError
+        The map has no junction, or none or several match.
     """
     if not surveyed:
         refuse(source.name, "no junction", "a map in which roads meet")
@@ -445,7 +459,31 @@ _LANELET = re.compile(rb"""k=["']type["']\s+v=["']lanelet["']""")
 # ---------- scenes
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """Which part of the maps becomes the scene."""
+    """Which part of the maps becomes the scene.
+
+    Attributes
+    ----------
+    junction : str
+        Name or id, see :func:`geometry.maps.junctions.choose_junction`.
+    at : (float, float), optional
+        A point near the junction instead of its name.
+    radius_m : float
+        Radius around the middle of the junction within which things are kept. [m]
+    sites : str
+        "auto": poles of the map, or sites every 15 m along the kerbs if it has no pole
+        within the radius; "map": poles of the map alone; "kerb:SPACING"; or a CSV or
+        GeoJSON file.
+    ground_m : float, optional
+        Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
+    terrain : Path, optional
+        Raster with the heights of the ground, see
+        :func:`geometry.maps.elevation.read_elevation`; by default heights are those of
+        the maps.
+    name : str
+        Name of the scene; empty: after the file and the junction.
+    reading : ReadingOptions
+        Answers to what the files leave open.
+    """
 
     junction: str = (
         ""  # name or id, see :func:`geometry.maps.importing.choose_junction`

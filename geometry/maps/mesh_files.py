@@ -178,6 +178,7 @@ def _placed(
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
+    """A closed mesh, even if vertices at the same place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
     return is_closed(same.reshape(-1)[triangles].astype(np.int32))
 
@@ -196,6 +197,7 @@ def _name(node: str, geometry: str, stem: str) -> str:
 
 
 def _check_size(things: list[Thing], where: str, unit: str) -> None:
+    """Refuse a size that only a wrong unit explains."""
     low = np.min([thing.vertices_m.min(axis=0) for thing in things], axis=0)
     high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
     size_m = float((high - low).max())
@@ -206,7 +208,10 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
 
 
 def _check_roofs(things: list[Thing], where: str, up: str) -> None:
-    """Refuse closed buildings whose slanted faces look down; flat roofs are not judged."""
+    """Refuse closed buildings whose slanted faces look down: roofs that stand on their heads.
+
+    Boxes with flat roofs look the same both ways, and are not judged.
+    """
     houses = [thing for thing in things if thing.class_name == "building"]
     solid = [house for house in houses if _is_solid(house.vertices_m, house.triangles)]
     corners = [house.vertices_m[house.triangles] for house in solid]

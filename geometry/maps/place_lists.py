@@ -124,7 +124,11 @@ def known_columns(
 
 
 def read_csv_rows(path: Path) -> Iterator[_Row]:
-    """Rows of a CSV file (comma, semicolon or tab): where each is, and its cells by column."""
+    """Rows of a CSV file with a header: where each is, and its cells by the names of the columns.
+
+    Comma, semicolon or tab; empty lines are left out. Raises InputError for what is no
+    CSV.
+    """
     rows = csv_rows(read_text(path, "CSV"), str(path), separators=";\t,")
     _, names = next(rows, ("", []))
     for number, (here, cells) in enumerate(rows, start=2):
@@ -320,7 +324,19 @@ class Area:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Counts:
-    """Counts at places, or by junction."""
+    """Counts at places, or by junction.
+
+    Attributes
+    ----------
+    positions_m : (n, 2) float or None
+        In the coordinates of the map; None: `junctions` are named.
+    junctions : tuple of str
+        Id or name of the junction of each; empty: places are given.
+    values : (n,) float
+        At least 0.
+    column : str
+        Where the values stand; empty: each place counts 1.
+    """
 
     # (n, 2); in the coordinates of the map; None: `junctions` are named
     positions_m: FloatArray | None
@@ -332,7 +348,11 @@ class Counts:
 
 
 def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
-    """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates; or InputError."""
+    """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates.
+
+    Raises InputError if the file cannot be read, has no geometry, or the map does not
+    say where on earth it lies.
+    """
     table = read_features(path)
     areas = []
     for number, feature in enumerate(table.features, start=1):
@@ -356,9 +376,21 @@ def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
 def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     """Read counts: CSV with x and y, lat and lon, or junction; or points of a GIS file.
 
-    `crs` is that of the map and of x and y. `column`: of the counts; empty: "weight",
-    "count" or the like, or else each place counts 1. Raises InputError: no such column
-    or place, or a wrong count.
+    Parameters
+    ----------
+    path : Path
+        CSV, GeoJSON, GeoPackage or Shapefile.
+    crs : str
+        Of the map; columns x and y are in it.
+    column : str
+        Of the counts; empty: "weight", "count" or the like, and where there is none,
+        each place counts 1.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read; there is no such column, or no place; a count is no
+        number of at least 0.
     """
     if path.suffix.lower() == ".csv":
         rows = list(read_csv_rows(path))

@@ -94,7 +94,11 @@ _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 
 @contextmanager
 def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a ``.las``, ``.laz`` or ``.pcd`` file: its CRS, if any, and chunks; or InputError."""
+    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
+
+    Raises InputError if it cannot be read, claims more than 50 million points or more
+    than it has bytes for, or is damaged (also while its points are read).
+    """
     where = str(path)
     suffix = path.suffix.lower()
     check_one_of(where, suffix, SUFFIXES)
@@ -134,6 +138,7 @@ def _las_reader(path: Path) -> Any:
 
 
 def _check_header(path: Path) -> None:
+    """Raise InputError if a header claims more than the file can contain."""
     where = str(path)
     n_bytes = path.stat().st_size
     with open_file(path) as file:
@@ -257,7 +262,12 @@ def _one_line(error: BaseException) -> str:
 
 # ---------- PCD files
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points with coordinates of an open PCD file, version 0.7, all of class 0; or InputError."""
+    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
+
+    Points without coordinates (NaN) are left out. Raises InputError, while points are
+    read, if the file claims more than 50 million or more than it contains, or is
+    damaged.
+    """
     header = _pcd_header(file, where)
     names = header.get("FIELDS", [])
     kinds = header.get("TYPE", [])
@@ -419,12 +429,18 @@ def fill_gaps(heights_m: FloatArray) -> FloatArray:
 
 
 def filter_ground(heights_m: FloatArray) -> FloatArray:
-    """Ground (n, m) under the lowest points of cells (NaN: none), in metres.
+    """Ground (n, m) under the lowest points of cells (NaN: none). [m].
 
-    A cell that an opening lowers by more than the ground could rise within half the
-    window carries something, and gets the height of the nearest ground. K. Zhang et
-    al., "A progressive morphological filter for removing nonground measurements from
-    airborne lidar data", 2003.
+    A surface is opened with growing windows. A cell that an opening lowers by more than
+    the ground could rise within half the window carries something, and gets the height
+    of the nearest ground. Part of a house that is lower than the ground behind it is
+    taken for ground.
+
+    References
+    ----------
+    .. [1] K. Zhang et al., "A progressive morphological filter for removing nonground
+       measurements
+       from airborne lidar data", 2003.
     """
     surface = fill_gaps(heights_m)
     if min(surface.shape) >= 5:
@@ -690,7 +706,11 @@ def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
 
 
 def clusters(keys: IntArray) -> IntArray:
-    """Cluster number of every sorted voxel, by first voxel: those that touch, if at a corner."""
+    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
+
+    `keys` are sorted and unique; numbers follow the order of the clusters' first
+    voxels.
+    """
     n = len(keys)
     pairs = []
     for step in _HALF_OF_NEIGHBOURS:
@@ -720,7 +740,11 @@ def mean_neighbours(keys: IntArray) -> float:
 
 
 def filled(keys: IntArray, floor: int) -> IntArray:
-    """Voxels of one cluster and the voids they enclose with the ground at z `floor`, sorted."""
+    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
+
+    `floor` is the lowest z above ground. A cluster whose box is too large stays as it
+    is.
+    """
     cells = to_cells(keys)
     low = cells.min(axis=0)
     low[2] = min(low[2], floor)
@@ -738,7 +762,11 @@ def filled(keys: IntArray, floor: int) -> IntArray:
 def columns_to(
     keys: IntArray, floor: int, where: str, *, n_left: int = MAX_WALL_VOXELS
 ) -> IntArray:
-    """Voxels from the floor to the highest of every column, sorted; InputError: too many."""
+    """Voxels from the floor to the highest of every column, sorted.
+
+    Raises InputError if they are more than any building has, or than `n_left` of what
+    all buildings of a file may have: heights in another unit, or damaged.
+    """
     columns, start = np.unique(keys >> _BITS, return_index=True)
     counts = np.maximum(np.maximum.reduceat(keys & _MASK, start) - floor + 1, 0)
     total = int(counts.sum())
@@ -767,7 +795,12 @@ def faces(
     max_triangles: int,
     where: str,
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The closed surface of sorted voxels in large rectangles, counter-clockwise from outside."""
+    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
+
+    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m`
+    (3,) is the lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen
+    from outside. Raises InputError if there are more than `max_triangles`.
+    """
     quads = np.concatenate(
         [_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)]
     )

@@ -190,12 +190,31 @@ def _on_level(
 def read_elevation(
     path: Path, *, crs: str, middle_m: FloatArray, half_m: float
 ) -> SourceMap:
-    """Read the heights of a raster in the square around a place as a map of ground alone.
+    """Read the heights around a place from a raster.
 
-    `path`: one band of heights in metres, with a reference system. `crs`: that of
-    `middle_m` and of the map. `half_m`: to each side. Raises InputError: it is no such
-    GeoTIFF, lies elsewhere, is too coarse, too fine or in too large blocks.
-    MissingExtraError: rasterio is not installed.
+    Parameters
+    ----------
+    path : Path
+        One band of heights in metres, with a coordinate reference system.
+    crs : str
+        Of `middle_m` and of what is returned; projected, in metres.
+    middle_m : (2,) float
+        The place. [m]
+    half_m : float
+        Half the edge of the square around it that is read. [m]
+
+    Returns
+    -------
+    elevation : Elevation
+        Middles of the pixels that have a height.
+
+    Raises
+    ------
+    InputError
+        The raster cannot be read, has no reference system or several bands, lies
+        elsewhere, is too coarse, or has no height near the place.
+    MissingExtraError
+        rasterio is not installed.
     """
     try:
         import rasterio
@@ -228,6 +247,7 @@ def read_elevation(
 def _read(
     raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
 ) -> FloatArray:
+    """Points (n, 3) of an open data set within a square."""
     if raster.count != 1:
         refuse(where, f"{raster.count} bands", "one band, of heights in metres")
     if raster.crs is None:

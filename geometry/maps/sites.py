@@ -170,7 +170,12 @@ def _is_median(
 def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
-    """Drop sites inside buildings, and of those within `snap_m` all but the best known; notes."""
+    """Drop sites inside a building, and all but one of those within `snap_m` of each other.
+
+    Of close ones the site with more details is kept, then the earlier one. `things` are
+    in the same coordinates. Returns the sites kept, in order, and the others with the
+    reason.
+    """
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
     around = _things_over(positions, buildings)
@@ -204,7 +209,11 @@ def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Th
 
 # ---------- the sites of a scene
 def check_sites(where: str, *, crs: str) -> None:
-    """Raise InputError if sites cannot be read, see :func:`choose_sites`; `crs` of the roads."""
+    """Check where sites come from without a junction, see :func:`choose_sites`.
+
+    Raises InputError if `where` cannot be read; `crs` is that of the map with the
+    roads.
+    """
     if _is_list(where):
         read_sites(Path(where), crs=crs)
     elif where.startswith(KERB):
@@ -460,7 +469,22 @@ class Place(NamedTuple):
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
-    """Nearest places off the road and out of walls for things at (n, 2), 15 m or 2 m away."""
+    """Nearest places beside the road and outside walls.
+
+    Parameters
+    ----------
+    positions_m : (n, 2) float
+        Where things would stand, in the scene's frame. [m]
+    surroundings : Surroundings
+        Lanes, outline and things around the junction.
+
+    Returns
+    -------
+    places : list of Place
+        What stands on a lane or in the junction is moved to the nearest kerb, half a
+        metre behind it; what stands inside a building or wall is moved out of it. None:
+        that would be farther than 15 m, or from inside a wall 2 m.
+    """
     positions = np.asarray(positions_m, dtype=np.float64).reshape(-1, 2)
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
@@ -575,7 +599,22 @@ def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
 
 
 def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, ...]]:
-    """Put poles where they can stand; signals over the road are left to a mast within 12 m."""
+    """Put the poles of a map where poles can stand.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Poles may lie where their signals hang.
+
+    Returns
+    -------
+    settled : Surroundings
+        A signal or sign over the road is left to the pole that the map has within 12 m;
+        other poles on the road or inside walls are moved to the nearest place, see
+        :func:`find_places`, or left out if there is none.
+    told : tuple of Skipped
+        Each that was moved or left out.
+    """
     if not surroundings.poles:
         return surroundings, ()
     feet = np.array([pole.position_m[:2] for pole in surroundings.poles])

@@ -52,10 +52,17 @@ MIN_POLE_M = 2.5
 def triangulate(rings_m: Polygon3D) -> Mesh:
     """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
 
-    It is projected across Newell's normal (Sutherland, Sproull, Schumacker, 1974), cut
-    by ear clipping there, and keeps its own corners, so that one that is not quite flat
-    still meets its neighbours. The outer ring runs counter-clockwise seen from the
-    front. Returns none if it has no area.
+    The polygon is projected onto the plane across Newell's normal, cut by ear clipping
+    there, and keeps its own corners, so that a polygon that is not quite flat still
+    meets its neighbours. The outer ring runs counter-clockwise seen from the polygon's
+    front; holes run in either direction. Returns vertices and triangles that face as
+    the polygon does, none if it has no area.
+
+    References
+    ----------
+    .. [1] I. E. Sutherland, R. F. Sproull, R. A. Schumacker, "A characterization of ten
+       hidden-surface algorithms", 1974: Newell's normal, the sum of the cross products
+       of neighbouring corners.
     """
     rings = [
         ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3
@@ -102,7 +109,11 @@ def clip_ears(flat_m: FloatArray, ends: ArrayLike) -> NDArray[np.int32]:
 
 
 def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
-    """One mesh of polygons with corners shared to a millimetre; a closed one faces outwards."""
+    """One mesh of many polygons with shared corners; a closed mesh faces outwards.
+
+    Vertices closer than about a millimetre along every axis are merged. The mesh is
+    empty if no polygon has an area.
+    """
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
@@ -144,6 +155,7 @@ def volume_m3(vertices_m: FloatArray, triangles: NDArray[np.int32]) -> float:
 
 
 def _without_repeats(ring: FloatArray) -> FloatArray:
+    """An open ring without corners that repeat the one before."""
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
@@ -160,7 +172,13 @@ def extrude(
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
 ) -> Mesh:
-    """Closed solid over an outline (n, 2) with holes, in any direction; see the next one."""
+    """A closed solid over a footprint: an outline (n, 2) and holes.
+
+    Rings are open or closed, in either direction. Returns vertices (k, 3) and triangles
+    that run counter-clockwise seen from outside. Outlines that cross themselves are
+    mended first. Raises InputError, with `where` in its message, if no area is left or
+    the roof is not above the floor.
+    """
     outer = float_array(outer_m, (-1, 2), where)
     if len(np.unique(outer, axis=0)) < 3:
         refuse(where, f"{len(outer)} points", "at least three different points")
@@ -266,7 +284,22 @@ class MapLane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapJunction:
-    """A junction of roads."""
+    """A junction of roads.
+
+    Attributes
+    ----------
+    id : str
+        From the source; unique in the map.
+    name : str
+        For people, such as the streets that meet; may be empty.
+    outline_m : (n, 2) float
+        Outline of its road surface, where the lanes of its arms begin and end. [m]
+    height_m : float
+        Height of the road in its middle, as the map counts heights. [m]
+    roads : tuple of LeadingRoad
+        Roads that lead to it, as the map's network has them: what its arms are compared
+        with.
+    """
 
     id: str  # from the source; unique in the map
     name: str  # for people, such as the streets that meet; may be empty
@@ -295,7 +328,21 @@ class MapJunction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thing:
-    """A solid object."""
+    """A solid object.
+
+    Attributes
+    ----------
+    id : str
+        From the source; unique in the map.
+    class_name : str
+        One of :data:`geometry.scene.CLASS_NAMES`.
+    vertices_m : (n, 3) float
+        Heights as the map counts them. [m]
+    triangles : (m, 3) int32
+        Vertex indices, counter-clockwise seen from outside.
+    is_height_assumed : bool
+        The source does not give its height.
+    """
 
     id: str  # from the source; unique in the map
     class_name: str  # one of :data:`geometry.scene.CLASS_NAMES`
@@ -362,7 +409,11 @@ class Omissions:
     found: dict[tuple[str, str], list[str]] = field(default_factory=dict)
 
     def add(self, kind: str, name: str, why: str) -> None:
-        """Note a thing, "road 5 signal 12", of a kind in the plural; once if repeated."""
+        """Note that a thing was left out, or changed.
+
+        `kind` is in the plural, "signals of other kinds", `name` the thing at hand:
+        "road 5 signal 12". Repetitions in a row count once.
+        """
         names = self.found.setdefault((kind, why), [])
         if name not in names[-1:]:
             names.append(name)
@@ -405,7 +456,35 @@ def counted(counts: Counter[str], why: str) -> list[Note]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SourceMap:
-    """The content of one map file."""
+    """The content of one map file.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file.
+    crs : str
+        Projected coordinate reference system of all coordinates here, in metres, for
+        pyproj; empty: the file does not say where on earth it lies.
+    source_crs : str
+        The one that the file itself uses, such as "EPSG:4326".
+    heights : {"above ground", "absolute"}
+        Zero of the z axis.
+    lanes, junctions, things, poles : tuple
+        The objects of the map.
+    connections : tuple of MapLane
+        Lanes through junctions, each from the end of a lane to the begin of another;
+        both their junctions are the one through which they lead. None: the map does not
+        have them.
+    crosswalks_m : (n, 2, 2) float
+        Lines on which pedestrians cross, from end to end. [m]
+    ground_m : (n, 3) float
+        Points of the ground: of roads' surfaces, nodes with a height, a scan's ground.
+        Their heights are absolute, whatever those of things are. [m]
+    keeps_left : bool
+        Traffic keeps left.
+    skipped : tuple of Skipped
+        What was left out, and why.
+    """
 
     name: str  # name of the file
     # projected one of all coordinates here, in metres, for pyproj; empty: unknown

@@ -44,7 +44,19 @@ _UNIT_SUM = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Knapsack:
-    """A problem: the highest sum of profits of one option per group, within limits."""
+    """A problem: the highest sum of profits of one option per group, within limits.
+
+    Attributes
+    ----------
+    group : (n,) int
+        Ascending, 0, 1, 2 ..
+    profit : (n,) float
+        Of each option.
+    rows : (m, n) float
+        What an option takes of each limit; negative: what it adds.
+    limits : (m,) float
+        What all chosen options may take together.
+    """
 
     group: IntArray  # (n,): ascending, 0, 1, 2
     profit: FloatArray  # (n,): of each option
@@ -83,9 +95,23 @@ def solve_knapsack(
     time_limit_s: float = 60.0,
     core_options: int = CORE_OPTIONS,
 ) -> Choice:
-    """Choose one option of each group, up to a relative gap, within a time in seconds.
+    """Choose one option of each group.
 
-    `core_options` are handed to the solver at first; bounds hold for all choices.
+    Parameters
+    ----------
+    problem : Knapsack
+        At least one option in each group.
+    gap : float
+        Relative distance of objective and bound at which it is good enough.
+    time_limit_s : float
+        For all of it. [s]
+    core_options : int
+        Options that the solver is handed at first.
+
+    Returns
+    -------
+    choice : Choice
+        Bounds hold for all choices, whatever the core.
     """
     end_s = now_s() + time_limit_s
     if len(problem.group) <= core_options:
@@ -308,7 +334,19 @@ class District:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityWishes:
-    """Demands of a city on all junctions together."""
+    """What a city asks of all junctions together.
+
+    Attributes
+    ----------
+    budget_units : int, optional
+        At most so many new units.
+    budget_eur : float, optional
+        At most so much money. [EUR]
+    districts : sequence of District
+        Each reaches its APR.
+    least_apr : (n_junctions,) float, optional
+        APR that each junction reaches by itself; by default 0.
+    """
 
     budget_units: int | None = None  # at most so many new units
     budget_eur: float | None = None  # at most so much money. [EUR]
@@ -319,7 +357,19 @@ class CityWishes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityChoice:
-    """Option that each junction gets."""
+    """What each junction gets.
+
+    Attributes
+    ----------
+    rows : (n_junctions,) int
+        Row of the options, for each junction.
+    certificate : Certificate
+        A stage for each objective. The bound of the first holds for all layouts of all
+        junctions, those of the others for the points of the fronts.
+    bound_of_points : float
+        What no choice among the points exceeds in the first stage: what is between this
+        and the first stage's bound is what the fronts leave open.
+    """
 
     rows: IntArray  # (n_junctions,): row of the options, for each junction
     # a stage for each objective. The bound of the first holds for all layouts of all
@@ -340,13 +390,36 @@ def choose(
     gap: float = 0.0,
     time_limit_s: float = 60.0,
 ) -> CityChoice:
-    """The best choice of one option for each junction, with its certificate.
+    """The best choice of one option for each junction.
 
-    `options` are the points of the fronts, `weight` (n_junctions,) that of each
-    junction's accidents, `bounds` those of :func:`placement.city.fronts.stack_bounds`,
-    by default the points. A stage counts as settled at a relative `gap`; `time_limit_s`
-    is for all stages. Raises InputError where a least APR cannot be reached, or not
-    within the budgets.
+    Parameters
+    ----------
+    options : Options
+        Points of the junctions' fronts.
+    weight : (n_junctions,) float
+        Of each junction's accidents; their sum is not 0.
+    wishes : CityWishes
+        Budgets, and what has to be reached.
+    bounds : Options, optional
+        See :func:`placement.city.fronts.stack_bounds`; by default the points, which are
+        then taken for all that there is.
+    names : sequence of str
+        Of the junctions, for messages.
+    gap : float
+        Relative gap at which a stage counts as settled.
+    time_limit_s : float
+        For all stages. [s]
+
+    Returns
+    -------
+    choice : CityChoice
+        With its certificate.
+
+    Raises
+    ------
+    InputError
+        A least APR cannot be reached, or not within the budgets; the message says what
+        it takes.
     """
     end_s = now_s() + time_limit_s
     share = weight / weight.sum()
@@ -648,10 +721,22 @@ class Step:
 def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[Step]:
     """The city's front by money or units: who joins, or gets more, at each step.
 
-    The first option of each junction takes nothing. Each step's choice is the best of
-    all for what it takes, as every choice that is best at some price (H. Everett,
-    "Generalized Lagrange multiplier method", 1963); between two steps there are others,
-    which the knapsack finds.
+    Each step's choice is the best one of all for what it takes, as every choice is that
+    is best at some price [1]_; between two steps there are other choices, which the
+    knapsack finds.
+
+    Parameters
+    ----------
+    options : Options
+        Points of the junctions' fronts; the first of each takes nothing.
+    weight : (n_junctions,) float
+        Of each junction's accidents.
+    by_cost : bool
+        Whether euros are counted; else units.
+
+    References
+    ----------
+    .. [1] H. Everett, "Generalized Lagrange multiplier method", 1963.
     """
     share = weight / weight.sum()
     if by_cost:
@@ -697,7 +782,18 @@ _PHASES_S = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Phases:
-    """When the junctions are ready."""
+    """When the junctions are ready.
+
+    Attributes
+    ----------
+    year : (n,) int
+        From 1; 0 where nothing is mounted.
+    gain_years : float
+        Sum over junctions of gain times the years, up to the last one, in which it is
+        there.
+    bound : float
+        What no other order exceeds.
+    """
 
     year: IntArray  # (n,): from 1; 0 where nothing is mounted
     # Sum over junctions of gain times the years, up to the last one, in which it is

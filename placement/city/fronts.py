@@ -28,7 +28,18 @@ Steps = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
-    """A layout that a junction may get, by what it takes and what it is worth."""
+    """A layout that a junction may get, by what it takes and what it is worth.
+
+    Attributes
+    ----------
+    units : int
+        New ones: those that hang there already are not counted.
+    cost_eur : float
+        Of the new units and their sites. [EUR]
+    apr, apr_one_failed, smallest_margin_s, mean_margin_s : float
+        As :class:`placement.optimiser.PlacementValue` has them, with what hangs there
+        already.
+    """
 
     units: int  # New ones: the existing ones are not counted
     cost_eur: float  # Of the new units and their sites. [EUR]
@@ -63,7 +74,17 @@ def point_of(value: PlacementValue, *, units: int, cost_eur: float) -> Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JunctionFront:
-    """Layouts that a junction may get, and bounds that no layout there exceeds."""
+    """What a junction may get, and what no layout there exceeds.
+
+    Attributes
+    ----------
+    points : tuple of Point
+        The first takes nothing.
+    by_units : tuple of (float, float)
+        From so many new units on, up to the next step, no layout has a higher APR.
+    by_cost : tuple of (float, float)
+        From so many euros on, up to the next step, no layout has a higher APR.
+    """
 
     points: tuple[Point, ...]  # the first takes nothing
     # from so many new units on, up to the next step, no layout has a higher APR
@@ -91,10 +112,19 @@ def build_junction_front(
     by_units: Sequence[tuple[float, float]],
     by_cost: Sequence[tuple[float, float]],
 ) -> JunctionFront:
-    """A front of the points that no other one beats, with steps that rise.
+    """A front of the points that no other one beats.
 
-    A point without new units is among them; `by_units` and `by_cost` are steps (from,
-    APR) from 0 on, ascending, in any order of APR.
+    Parameters
+    ----------
+    points : iterable of Point
+        Any; one without new units is among them.
+    by_units, by_cost : sequence of (from, APR)
+        Steps from 0 on, ascending, in any order of APR: a bound also holds for less.
+
+    Returns
+    -------
+    front : JunctionFront
+        With steps that rise.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
     kept = [
@@ -138,7 +168,19 @@ def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
 # ---------- many junctions, as arrays
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Options:
-    """Options of many junctions, one per row."""
+    """What each of many junctions may get, one option per row.
+
+    Attributes
+    ----------
+    junction : (n,) int
+        Ascending, 0, 1, 2 ..; each junction has an option at least.
+    units : (n,) int
+        New units.
+    cost_eur : (n,) float
+        Of these. [EUR]
+    apr, apr_one_failed, smallest_margin_s, mean_margin_s : (n,) float
+        What the option is worth, see :class:`Point`.
+    """
 
     junction: (
         IntArray  # (n,): ascending, 0, 1, 2 ..; each junction has an option at least
@@ -232,7 +274,17 @@ _MAX_TIERS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SiteFront:
-    """Layouts and bounds of so many sites with more units than one."""
+    """What so many sites with more units than one can do.
+
+    Attributes
+    ----------
+    limits : tuple of float
+        APR that no layout exceeds whose new units hang at 0, 1, 2 .. sites; more sites
+        are not bounded.
+    layouts : tuple of tuple of int
+        Good ones with fewer sites than new units: rows of the detection table, with
+        those kept.
+    """
 
     # APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites are
     # not bounded
@@ -267,11 +319,24 @@ def front_by_sites(
     max_units: int,
     effort: Callable[[], Effort],
 ) -> SiteFront:
-    """Layouts of more new units than sites, and what bounds them, for up to `max_units` new units.
+    """Layouts of more new units than sites, and what bounds them.
 
-    The problem has no floors, and its prices do not count. `base_apr` is that of the
-    existing units; `effort` says what the next step may take. No bounds where each unit
-    confirms alone.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        Without floors; its prices do not count.
+    base_apr : float
+        Of what is kept.
+    max_units : int
+        New ones.
+    effort : callable
+        What the next step may take.
+
+    Returns
+    -------
+    front : SiteFront
+        With bounds up to as many sites as can carry `max_units`; without any where each
+        unit has to confirm alone.
     """
     limits = problem.limits
     room = rooms_of(limits)
@@ -338,12 +403,24 @@ def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
 def bounds_by_money(
     limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]
 ) -> Steps:
-    """Upper bound of the APR by money: by the units and sites that it buys at most.
+    """What no layout for so much money exceeds: by the units and sites that so much buys at most.
 
-    So many new units at so many sites, the dearest of some tier, cost at least what the
-    cheapest ones and one site of that tier do, and do no more than sites up to that
-    tier can. Of each tier, all sites first: the lowest price of its sites, and bounds
-    by new units and by their sites.
+    So many new units at so many sites, the dearest of which is of some tier, cost at
+    least what the cheapest ones and one site of that tier do; they do no more than what
+    sites up to that tier can.
+
+    Parameters
+    ----------
+    limits : Limits
+        With prices, and a number of units.
+    tiers : sequence of (euros, Steps, SiteFront)
+        Lowest price of a site of the tier; bounds by new units, and by their sites,
+        where no site is dearer than those of the tier. The first one has all sites.
+
+    Returns
+    -------
+    by_cost : sequence of (from, APR)
+        Steps that rise. [EUR]
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)

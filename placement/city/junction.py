@@ -80,11 +80,30 @@ class SolvedJunction:
 def solve_junction(
     scene: Scene, question: Question, wishes: JunctionWishes, *, compute: Compute
 ) -> SolvedJunction:
-    """Find the front of a junction; its first point takes nothing.
+    """Find the front of a junction.
 
-    `question` says what is driven and what sites cost. Raises InputError if nothing can
-    be driven there or no site can carry a unit, TimeUpError if the time was up before
-    there was a front.
+    Parameters
+    ----------
+    scene : Scene
+        The junction.
+    question : Question
+        What is driven, and what sites cost.
+    wishes : JunctionWishes
+        How it is looked for.
+    compute : Compute
+        Seed, threads, cache.
+
+    Returns
+    -------
+    solved : SolvedJunction
+        The first point takes nothing.
+
+    Raises
+    ------
+    InputError
+        Nothing can be driven there, or no site can carry a unit.
+    TimeUpError
+        The time was up before there was a front.
     """
     watch = _Watch(wishes.time_limit_s, compute)
     compute = replace(compute, progress=watch)

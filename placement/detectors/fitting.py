@@ -28,7 +28,32 @@ _SAME_ALARM_IOU = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sightings:
-    """Frames in which a detector could have found a road user, a row for each."""
+    """Frames in which a detector could have found a road user, a row for each.
+
+    Attributes
+    ----------
+    height_px : (n,) float
+        Of the visible box. [px]
+    seen_share : (n,) float
+        Share of the road user that is seen: not hidden, and inside the image.
+    contrast : (n,) float
+        Against what is behind it, as light and air leave it.
+    aspect_deg : (n,) float
+        Between line of sight and heading: 0 from behind or ahead, 90 from the side.
+        [deg]
+    vru_class : (n,) int
+        Into ``VRU_CLASSES``.
+    is_found : (n,) bool
+        Whether a box of the detector overlaps the visible box by more than the study's
+        IoU.
+    box_error : (n, 4) float
+        Left, upper, right and lower side of that box minus those of the visible one, as
+        shares of its width or height; NaN where nothing is found.
+    track : (n,) int
+        Equal for frames of one camera and one run.
+    frame : (n,) int
+        Number of the frame: consecutive numbers of one track are consecutive frames.
+    """
 
     height_px: FloatArray  # (n,): of the visible box. [px]
     # (n,): share of the road user that is seen: not hidden, and inside the image
@@ -377,12 +402,31 @@ def fit_response(
     draws: int = _DRAWS,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ResponseFit:
-    """Fit a response table to what was found in at least 50 frames, five found and five missed.
+    """Fit a response table to what was found.
 
-    `draws` sets of figures are drawn for the intervals, by `seed`; `progress` gets the
-    number of fits done, and of all. What no frame says, such as of a class that never
-    appears, is as in the built-in table, which weighs as much as two frames. Raises
-    InputError if there are too few frames.
+    Parameters
+    ----------
+    sightings : Sightings
+        At least 50 frames, at least five found and five missed.
+    name : str
+        Of the new table.
+    seed : int
+        Of the bootstrap.
+    draws : int
+        How many sets of figures are drawn for the intervals.
+    progress : callable
+        Called with the number of fits done, and of all.
+
+    Returns
+    -------
+    fit : ResponseFit
+        What no frame tells about, such as a class that never appears, is as in the
+        built-in table, which weighs as much as two frames.
+
+    Raises
+    ------
+    InputError
+        There are too few frames.
     """
     n_found = int(sightings.is_found.sum())
     least = min(n_found, len(sightings) - n_found)

@@ -548,6 +548,7 @@ def _may_be(side: object, expected: int) -> bool:
 
 
 def _first_line(error: Exception) -> Unquoted:
+    """What a library says, short enough for one line."""
     return Unquoted(str(error).strip().split("\n")[0] or type(error).__name__)
 
 

@@ -546,10 +546,26 @@ def evaluate_layouts(
 ) -> list[Evaluation]:
     """Verdicts of layouts by rendering every frame, detecting, confirming and braking.
 
-    One per layout; units at the same pose in several layouts are rendered once. Misses,
-    lost messages and who carries a device are random; the random numbers of a unit
-    depend on its pose, not on the layout that it is part of. For the progress see
-    :func:`watch`. Raises InputError: the setting's axis does not belong to its runs.
+    Parameters
+    ----------
+    layouts : sequence of Layout
+        Units at the same pose in several layouts are rendered once.
+    setting : Setting
+        Scene, runs, braking rule, detector, radio.
+    compute : Compute
+        What is left to chance are misses, lost messages, who carries a device. A unit's
+        luck depends on its pose, not on the layout that it is part of. For the progress
+        see :func:`placement.evaluator.watch.watch`.
+
+    Returns
+    -------
+    evaluations : list of Evaluation
+        One per layout.
+
+    Raises
+    ------
+    InputError
+        The setting's axis does not belong to its runs.
     """
     runs = setting.runs
     axis = setting.axis

@@ -218,7 +218,11 @@ class Crops:
         return where
 
     def draw_all(self, frames: Sequence[int]) -> Iterator[tuple[int, Crop]]:
-        """Frames and their crops."""
+        """Frames and their crops, in another order than given.
+
+        What stands still is drawn once for the crops of a fixed camera at one scale, if
+        that is less than all of them together.
+        """
         for frame in frames:
             yield frame, self._source._draw_crop(frame, self._view(frame))
 
@@ -318,7 +322,17 @@ VUT_LIDAR_UNIT = "VUT-LIDAR"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Viewpoint:
-    """From where a frame is seen."""
+    """From where a frame is seen.
+
+    Attributes
+    ----------
+    pose : Pose
+        Of the camera, world frame.
+    sensor : CameraModel or LidarModel
+        What looks.
+    with_vut : bool
+        Whether the VUT is there to be seen: not for its own sensors.
+    """
 
     pose: Pose  # of the sensor, world frame
     sensor: Sensor
@@ -343,9 +357,28 @@ def find_frame(run: Run, frame: int) -> int:
 def find_viewpoint(
     layout: Layout, unit_id: str, run: Run, frame_index: int
 ) -> Viewpoint:
-    """Pose and sensor of a unit in a frame; "VUT" is its camera, "VUT-LIDAR" its LiDAR.
+    """Where a unit's sensor is in a frame.
 
-    Raises InputError if there is no such unit.
+    Parameters
+    ----------
+    layout : Layout
+        The units.
+    unit_id : str
+        One of them, or "VUT" for its camera, "VUT-LIDAR" for its LiDAR.
+    run : Run
+        What drives.
+    frame_index : int
+        When.
+
+    Returns
+    -------
+    viewpoint : Viewpoint
+        Pose and sensor.
+
+    Raises
+    ------
+    InputError
+        There is no such unit.
     """
     mount = load_vut_camera()
     own: dict[str, Sensor] = {VUT_UNIT: mount.camera, VUT_LIDAR_UNIT: load_vut_lidar()}

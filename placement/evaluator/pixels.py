@@ -53,7 +53,19 @@ class Image(NamedTuple):
 
 # ---------- inputs and outputs of the drawing of many frames, as tuples for compiled code
 class Tree(NamedTuple):
-    """Boxes around ever fewer triangles: a parent is followed by its first child."""
+    """Boxes around ever fewer triangles: a parent is followed by its first child.
+
+    Attributes
+    ----------
+    corners_m : (n_triangles, 3, 3) float
+        Corners, leaf by leaf.
+    low_m, high_m : (n_nodes, 3) float
+        Box of each node. Without triangles there is no node.
+    second : (n_nodes,) int
+        The second child; -1 for a leaf.
+    start, end : (n_nodes,) int
+        Triangles of a node.
+    """
 
     corners_m: FloatArray  # (n_triangles, 3, 3): leaf by leaf
     low_m: (
@@ -73,7 +85,17 @@ class Vehicles(NamedTuple):
 
 
 class Skin(NamedTuple):
-    """Triangles to draw, shuffled: neighbours do not follow one another."""
+    """Triangles to draw, in an order without order: neighbours do not follow one another.
+
+    Attributes
+    ----------
+    vertices_m : (n_vertices, 3) float
+        In the body frame, without order, too.
+    triangles : (n_triangles, 3) int
+        Rows of vertices.
+    fan_start, fans : (n_vertices + 1,), (3 * n_triangles,) int
+        Rows of the triangles at each vertex, one vertex after the other.
+    """
 
     vertices_m: FloatArray  # (n_vertices, 3): body frame, shuffled, too
     triangles: IntArray  # (n_triangles, 3): rows of vertices

@@ -37,7 +37,18 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demand:
-    """One of the pieces: it can be dropped, or relaxed, without the others."""
+    """One of the pieces: it can be dropped, or relaxed, without the others.
+
+    Attributes
+    ----------
+    kind : str
+        "budget_units", "budget_eur"; "floor": one of them, without failures; "survive":
+        that all floors hold when units fail; "capacity": of all sites; "separation":
+        rivals among the sites; "forced_sites", "forbidden", "forced": all of them
+        together.
+    floor : int, optional
+        Index of the floor.
+    """
 
     # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive":
     # that all floors hold when units fail; "capacity": of all sites; "separation":
@@ -173,7 +184,25 @@ _MAX_TRIALS = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Relaxation:
-    """The least by which a demand gives way."""
+    """The least by which a demand gives way.
+
+    Attributes
+    ----------
+    demand : Demand
+        Which.
+    value : float
+        What can be had in place of its number: units, euros, share, failed units, units
+        per site, metres. NaN where it has none.
+    given_up : tuple of int
+        Of a demand that lists poses, sites or rivals: those that have to go. Poses, and
+        rows of the limits' rivals; sites for "forced_sites".
+    suffices : bool
+        Whether the whole wish can be met then; else only this conflict is settled.
+    is_least : bool
+        Proven: less does not do.
+    pose_index : tuple of int
+        A set of poses that does.
+    """
 
     demand: Demand  # which
     # what can be had in place of its number: units, euros, share, failed units, units

@@ -91,7 +91,24 @@ MAX_PAIR_UNITS = 12  # for layouts with more units, only single failures are eva
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """A layout without some of its units."""
+    """The achievement of a layout without some of its units.
+
+    Attributes
+    ----------
+    unit_ids : tuple of str
+        The units that fail.
+    apr : float
+        Accident prevention ratio of the others, fused, 0 .. 1; 0 where there are no
+        others.
+    smallest_margin_s : float
+        Of the runs with weight that the others still avoid, the least time from the
+        onset of braking to the last moment; NaN where they avoid none. [s]
+    lost_run_ids : tuple of str
+        Runs with weight that all units together avoid and the others do not, those with
+        the highest speed first.
+    site_id : str
+        The site that fails with all its units; empty: units fail, their poles stand.
+    """
 
     unit_ids: tuple[str, ...]  # the units that fail
     # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are none
@@ -109,7 +126,20 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failures:
-    """All evaluated failures of a layout, the worst first."""
+    """All evaluated failures of a layout, the worst first.
+
+    Attributes
+    ----------
+    none_failed : Failure
+        Of all units together.
+    one_failed : tuple of Failure
+        One for each unit.
+    two_failed : tuple of Failure
+        One for each pair; empty for a layout of one unit or of more than
+        ``MAX_PAIR_UNITS``.
+    site_failed : tuple of Failure
+        One for each site: power or a crash takes all of its units at once.
+    """
 
     none_failed: Failure  # of all units together
     one_failed: tuple[Failure, ...]  # one for each unit
@@ -198,10 +228,25 @@ class NextUnit:
 def find_next_unit(
     problem: PlacementProblem, reduced: ReducedProblem, pose_index: Sequence[int]
 ) -> NextUnit | None:
-    """The pose whose APR together with a layout is the highest; None where no further pose fits.
+    """The pose whose APR together with a layout is the highest, as greedy choice would go on.
 
-    Budgets do not count, sites, rivals and wishes do. `reduced` is what presolve left
-    of the problem, `pose_index` are rows of the table, all among those left.
+    Budgets do not count: it is what one more unit buys. Sites, rivals and wishes do.
+    Another layout of as many units may be better still.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        With the detection table.
+    reduced : ReducedProblem
+        What presolve left of it. Poses that fell out see no more than others that are
+        left.
+    pose_index : sequence of int
+        Rows of the table, all among those left.
+
+    Returns
+    -------
+    next_unit : NextUnit or None
+        None where no pose fits beside the layout.
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)

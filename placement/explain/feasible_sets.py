@@ -29,9 +29,11 @@ _MAX_ADDED = 12  # values with failed units take too long to compute for more
 
 
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
-    """Few poses, one by one that first which leaves the floors lacking least, until none does.
+    """Add poses one by one, that first which leaves the floors lacking least.
 
-    No more than there is room for; see :func:`meets`.
+    These are no more poses than are needed, or all that greedy choice has found room
+    for; what comes after the floors does not matter. They may lack something, see
+    :func:`meets`.
     """
     limits = reduced.limits
     units = forced_units(reduced)

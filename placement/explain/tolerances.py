@@ -49,7 +49,19 @@ MAX_UNITS = 30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """By how much one unit may be off if all others are mounted as planned."""
+    """By how much one unit may be off if all others are mounted as planned.
+
+    Attributes
+    ----------
+    unit_id : str
+        The unit.
+    yaw_deg, pitch_deg : (float, float)
+        Clockwise (right) and counter-clockwise (left); down and up: the largest of the
+        tried turns up to which every run that the layout avoids is still avoided; 0:
+        not even the smallest. [deg]
+    height_m : (float, float)
+        Lower and higher, the same. [m]
+    """
 
     unit_id: str  # the unit
     # yaw_deg, pitch_deg: clockwise (right) and counter-clockwise (left); down and up:

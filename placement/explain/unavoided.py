@@ -278,8 +278,10 @@ def find_unavoided(
     """Runs that a set of poses does not avoid on the detection table, and why.
 
     `candidates` are the rows of the problem's table; at least one is mounted
-    (`pose_index`); `compute` has the table's seed. Runs of weight 0 are left out. A
-    candidate that would save a run is allowed beside the others, whatever it costs.
+    (`pose_index`); `compute` has the table's seed. Runs of weight 0, which no ratio
+    counts, are left out. A candidate that would save a run is not forbidden, finds room
+    at its site and is not too near to another unit; what it costs does not matter.
+    Raises InputError if the table does not belong to runs and candidates.
     """
     scene = setting.scene
     seed = compute.seed

@@ -375,7 +375,19 @@ def _unit(vectors: FloatRays) -> FloatRays:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointCloud:
-    """Pulses that came back."""
+    """Pulses that came back.
+
+    Attributes
+    ----------
+    points_m : (n, 3) float32
+        Frame of the LiDAR: x ahead, y left, z up. [m]
+    intensity : (n,) float32
+        Reflectivity times the cosine of incidence, 0 .. 1.
+    instance : (n,) int32
+        Index into `names`.
+    names : tuple of str
+        The scene's instances, "parked-1" .., "vut" if it is there, "vru".
+    """
 
     points_m: NDArray[
         np.float32

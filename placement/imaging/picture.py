@@ -389,7 +389,20 @@ _TILE_PX = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """Colours, things and depths in the image of a camera."""
+    """What a camera sees.
+
+    Attributes
+    ----------
+    rgb : (h, w, 3) uint8
+        sRGB.
+    instance : (h, w) int32
+        Index into `names`; -1 where there is sky.
+    depth_m : (h, w) float32
+        Along the optical axis; infinite where there is sky. [m]
+    names : tuple of str
+        The scene's instances, "parked-1" .. for what parks in the run, "vut" if it is
+        drawn, "vru".
+    """
 
     rgb: NDArray[np.uint8]  # (h, w, 3): sRGB
     instance: NDArray[np.int32]  # (h, w): index into `names`; -1 where there is sky

@@ -292,6 +292,7 @@ def _bound(points_m: FloatRays, is_there: BoolArray) -> _Spheres:
 
 
 def _box(mesh: Mesh, origin_m: FloatArray) -> _Box:
+    """The box around a body, (9,): middle, cosine and sine of its yaw, half sizes, radius."""
     yaw = math.radians(mesh.things[0].pose.yaw_deg)
     cos = math.cos(yaw)
     sin = math.sin(yaw)
@@ -462,13 +463,37 @@ def draw_crop(
     white_cd_m2: float | None = None,
     seed: int = 0,
 ) -> Picture:
-    """Render a window of one frame of a run, as large as the window.
+    """Render a part of one frame of a run.
 
-    `still` has the backdrop's triangles ready for rays, ``place_mesh(backdrop.mesh,
-    np.zeros(3))``; pose and camera are those of the whole image. `with_vut` says if the
-    VUT is seen: its headlights shine in any case. `white_cd_m2` is the luminance that
-    becomes white, by default what :func:`meter` finds in the frame; the seed is that of
-    noise and drops.
+    Parameters
+    ----------
+    backdrop : Backdrop
+        The scene, with what parks in the run.
+    still : FrameMesh
+        Its triangles, ready for rays: ``place_mesh(backdrop.mesh, np.zeros(3))``.
+    run, frame_index : Run, int
+        What moves.
+    pose : Pose
+        The camera's.
+    camera : CameraModel
+        Its lens and the size of its whole image.
+    window : Window
+        What is drawn of the image.
+    weather : Weather
+        Light, air and drops.
+    with_vut : bool
+        Whether the VUT is seen; its headlights shine in any case.
+    materials : Materials, optional
+        Colours; by default those of ``data/materials.toml``.
+    white_cd_m2 : float, optional
+        Luminance that is white; by default what :func:`meter` says of the frame.
+    seed : int
+        Of noise and drops.
+
+    Returns
+    -------
+    picture : Picture
+        Of the window's size.
     """
     still = move_origin(still, pose.position_m)
     mesh = add_moving_meshes(

@@ -20,7 +20,33 @@ Failing = Literal["unit", "site"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Limits:
-    """Sets of poses that may be mounted."""
+    """Sets of poses that may be mounted.
+
+    Attributes
+    ----------
+    site_index : (n_poses,) int
+        Site of every pose; a pose that belongs to no site has one of its own.
+    site_capacity : (n_sites,) int
+        Units that each site can carry.
+    budget_units : int, optional
+        At most so many units; by default as many as the sites can carry.
+    budget_eur : float, optional
+        At most so much money; by default any. [EUR]
+    unit_cost_eur : (n_poses,) float
+        Price of each unit; by default nothing. [EUR]
+    site_cost_eur : (n_sites,) float
+        Paid once if a site carries anything; by default nothing. [EUR]
+    is_forced, is_forbidden : (n_poses,) bool
+        Poses that must, or must not, be chosen; by default none.
+    is_forced_site : (n_sites,) bool
+        Sites that must carry at least one unit; by default none.
+    rivals : (n_pairs, 2) int
+        Pairs of sites that must not both carry units, such as those too near to each
+        other; by default none.
+    failing : {"unit", "site"}
+        What fails at once, wherever failures are asked about: a unit, or a site with
+        everything that it carries.
+    """
 
     site_index: (
         IntArray  # (n_poses,): site of each pose; one that belongs to none has its own

@@ -277,7 +277,11 @@ class _Climb:
         )
 
     def _known_eur(self, last: FrontPoint | None) -> float:
-        """Least cost of whatever is better than a point, and so than all points before it."""
+        """What is better than a point costs at least so much.
+
+        It is better than all points before, too; and it costs more than this point, if
+        that is the best at its cost.
+        """
         if last is None:
             return next_level_eur(self.levels_eur, 0.0, is_more=False)
         if last.is_proven:  # the best at its cost

@@ -87,7 +87,26 @@ class FrontPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Front:
-    """Layouts for growing budgets."""
+    """Layouts for growing budgets.
+
+    Attributes
+    ----------
+    by : {"units", "cost"}
+        What the points are allowed more and more of.
+    points : tuple of FrontPoint
+        In ascending order, at least one; on a front by cost those at which something
+        grows.
+    stages : {"first", "all"}
+        What was optimised: APR and the APR when one unit fails, or margins and cost,
+        too.
+    settled : float, optional
+        Proven that from so many units, or euros, on nothing grows that was optimised,
+        not even beyond the last point; None if that is not known.
+    refused : tuple of (int, str)
+        Numbers of units with which the wishes cannot be met, and why.
+    presolve : PresolveStatistics, optional
+        What dropped out before, once for all points; None if each was solved by itself.
+    """
 
     by: Literal["units", "cost"]  # what the points are allowed more and more of
     points: tuple[

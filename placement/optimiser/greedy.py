@@ -29,7 +29,12 @@ from .problem import PlacementProblem
 def solve_greedy(
     problem: PlacementProblem, reduced: ReducedProblem | None = None
 ) -> tuple[int, ...]:
-    """Rows of the table, ascending: one by one the pose that makes the best set."""
+    """Add, one by one, the pose with the highest APR; ties go to the later objectives.
+
+    Returns rows of the detection table, ascending, within the limits if those leave
+    greedy choice a way. No guarantee of quality holds with fusion "any": three units
+    may be needed to complete one window.
+    """
     if reduced is None:
         reduced = presolve(problem)
     return to_full(reduced, extend_greedily(reduced, forced_units(reduced)))

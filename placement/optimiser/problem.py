@@ -254,7 +254,21 @@ Fusion = Literal["any", "single"]
 
 
 class PlacementValue(NamedTuple):
-    """Value of a set of poses: compared from left to right."""
+    """What a set of poses is worth: compared from left to right.
+
+    Attributes
+    ----------
+    apr : float
+        Accident prevention ratio, 0..1.
+    apr_one_failed : float
+        The same when the most painful one of the units fails.
+    smallest_margin_s : float
+        Of the avoided runs; 0 if there is none. [s]
+    mean_margin_s : float
+        Of the avoided runs, by their weights; 0 if there is none. [s]
+    cost_eur : float
+        Units, and sites once; the less the better. [EUR]
+    """
 
     apr: float  # Accident prevention ratio, 0..1
     apr_one_failed: float  # The same when the most painful one of the units fails
@@ -271,7 +285,20 @@ class PlacementValue(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Floor:
-    """An accident prevention ratio that must be reached."""
+    """An accident prevention ratio that must be reached.
+
+    Attributes
+    ----------
+    name : str
+        Who asks for it, such as "--target", for messages.
+    share : float
+        The ratio, 0..1.
+    is_counted : (n_runs,) bool, optional
+        Runs that count, such as those of a case; by default all, by the problem's own
+        measure.
+    n_failures : int
+        It must still be reached when any so many units fail.
+    """
 
     name: str  # Who asks for it, such as "target", for messages
     share: float  # The ratio, 0..1
@@ -569,7 +596,10 @@ class Chains(NamedTuple):
 def timely_windows_end(
     axis: FrameAxis, rule: AebRule
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Windows that end in time, in runs with weight: last frame, run, margin [s], (n_windows,)."""
+    """Windows of frames in a row that end in time, in runs with weight, each (n_windows,).
+
+    Returns the last frame of each, its run, and the margin that it leaves [s].
+    """
     run = run_of_frames(axis)
     last_brake_s = axis.last_brake_time_s[run]
     counts = (

@@ -35,7 +35,14 @@ class UnmetError(InputError):
 
 
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
-    """Raise UnmetError if two limits cannot both be met; `pose_ids` name poses in messages."""
+    """Check limits against each other, before anything is solved.
+
+    `pose_ids` are the names of the poses in messages.
+
+    Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that
+    is too small, money that does not suffice, rivals that are both forced, or no unit
+    at all.
+    """
     forced = np.flatnonzero(limits.is_forced)
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
@@ -100,7 +107,11 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
 
 
 def check_floors(problem: PlacementProblem, search: Search) -> None:
-    """Raise UnmetError unless the set that was found reaches all floors: out of reach, or late."""
+    """Check that the set that was found reaches all floors.
+
+    Raises UnmetError: it does not: out of reach, and the best that can be reached, or
+    not found in time.
+    """
     if search.units is not None and search.shortfall == 0.0:
         return
     reduced = search.reduced

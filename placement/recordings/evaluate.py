@@ -28,7 +28,25 @@ _FINDS = {"pedestrian": ("pedestrian",), "bicycle": ("bicycle", "pedestrian")}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedEvaluation:
-    """Verdicts of the units of a recording."""
+    """Verdicts of the units of a recording.
+
+    Attributes
+    ----------
+    axis : FrameAxis
+        A run per drive, all of equal weight.
+    vut : Verdict, optional
+        The VUT's own camera alone; None where it is not recorded.
+    units : mapping of str to Verdict
+        Each roadside unit alone, by the name of its folder.
+    rsu_all : Verdict
+        All of them fused: in each frame any of them may be the detector.
+    vut_and_rsus : Verdict, optional
+        The same with the VUT's camera; None where that is not recorded.
+    n_ambiguous : int
+        Frames of a roadside unit with several VRUs of the drive's class in view: it is
+        not known which one the VUT is about to hit, so that they count only if each of
+        them is detected.
+    """
 
     axis: FrameAxis  # A run per drive, all of equal weight
     vut: Verdict | None  # the VUT's own camera alone; None where it is not recorded

@@ -359,7 +359,7 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Files of the frames, in order."""
+    """What a folder and those below it hold, by relative name; empty folders count as well."""
     entries = entries_of(folder, "a folder with frames")
     named = [(int(m[1]), path) for path in entries if (m := _NAME.fullmatch(path.name))]
     found = dict(named)

@@ -55,7 +55,24 @@ _OF_FRAMES = (".png", ".bin")  # images and points of the frames
 # ---------- drives: frames of a scenario up to the impact
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
-    """Frames of one scenario at one speed, up to the impact."""
+    """Frames of one scenario at one speed, up to the impact.
+
+    Attributes
+    ----------
+    scenario : int
+        Index in the recording.
+    vru_class : str
+        "pedestrian", "bicycle", or "unseen".
+    vut_speed_mps, vru_speed_mps : float
+        Target speeds. [m/s]
+    closing_speed_mps : float
+        At which the distance falls in the last second before the impact. [m/s]
+    first_number : int
+        Frame number of the first frame; the others follow one by one.
+    distance_m : (n_frames,) float
+        Between the origins of VUT and VRU; the last one is that of the impact. NaN for
+        a frame that is missing. [m]
+    """
 
     scenario: int  # index in the recording
     vru_class: str  # "pedestrian", "bicycle", or "unseen"
@@ -229,7 +246,27 @@ def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
 # ---------- the folder
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """Contents of a folder in the study's format."""
+    """What a folder in the study's format holds.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it was read.
+    units : tuple of str
+        Names of the roadside units' folders, ascending.
+    has_vut : bool
+        Whether the VUT's own camera is recorded, too.
+    drives : tuple of Drive
+        At least one.
+    labels : mapping of str to mapping of FrameKey to list of Label
+        Per unit ("car": the VUT): VRUs in view, boxes clipped to the image.
+    detections : mapping of str to mapping of FrameKey to list of Detection
+        Per unit: VRUs found, boxes clipped to the image.
+    n_frames : int
+        Frames with WorldData.
+    skipped : mapping of str to int
+        What was left out: reason and count.
+    """
 
     folder: Path  # where it was read
     units: tuple[str, ...]  # names of the roadside units' folders, ascending

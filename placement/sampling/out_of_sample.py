@@ -33,7 +33,19 @@ _NO_SPREAD = 1.0e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanEstimate:
-    """A mean that is estimated from samples."""
+    """A mean that is estimated from samples.
+
+    Attributes
+    ----------
+    mean : float
+        Of the samples.
+    standard_error : float
+        Of the mean: standard deviation / sqrt(n); NaN for a single sample.
+    low, high : float
+        Confidence interval of the true mean.
+    method : str
+        How the interval was found, in words.
+    """
 
     mean: float
     standard_error: float  # of the mean; NaN for a single sample
@@ -100,9 +112,16 @@ def estimate_mean(
 def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     """Conditional value at risk: the mean over the worst share of equally likely worlds.
 
-    max over t of t - mean(max(0, t - apr)) / tail (R. T. Rockafellar, S. Uryasev,
-    "Optimization of conditional value-at-risk", Journal of Risk 2, 2000); up to 1 /
-    n_samples it is the worst world.
+    max over t of t - mean(max(0, t - apr)) / tail. A tail of 1 is the expectation; up
+    to 1 / n_samples, 0 among them, it is the worst world alone. Where the share ends
+    within a world, that one counts in part. Raises InputError if there is no sample, or
+    the tail is no share.
+
+    References
+    ----------
+    .. [1] R. T. Rockafellar, S. Uryasev, "Optimization of conditional value-at-risk",
+       Journal of
+       Risk 2 (2000).
 
     Examples
     --------

@@ -290,7 +290,11 @@ def clear_of_ways(
     *,
     clearance_m: float,
 ) -> dict[GroupKey, tuple[PlacedActor, ...]]:
-    """Vehicles that stand at least `clearance_m` from everybody's way, by group of runs."""
+    """Vehicles that stand in nobody's way, by group of runs.
+
+    Nobody stands nearer to a way than `clearance_m`: a vehicle that would has not come
+    yet, or has left.
+    """
     footprints = _footprints_of(vehicles)
     return {
         key: tuple(compress(vehicles, ~way.blocks(footprints, clearance_m=clearance_m)))

@@ -196,7 +196,31 @@ class VehicleKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StandingTraffic:
-    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction."""
+    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction.
+
+    Attributes
+    ----------
+    taken_share : float
+        Probability that a place in a parking lane is taken. 0 .. 1
+    waiting_share, following_share : float
+        Probability that somebody waits at the stop line of a lane; then, again and
+        again, that another one stands behind. 0 .. 1
+    vehicles : tuple of VehicleKind
+        What stands there; shares of each use sum to 1.
+    free_place_m : float
+        Length of a place that stays free. [m]
+    parked_gap_m, waiting_gap_m : float
+        From bumper to bumper. [m]
+    clear_of_mouth_m : float
+        No parking nearer to the junction. [m]
+    crosswalk_gap_m : float
+        From the line on which pedestrians cross an arm to the first bumper that waits.
+        [m]
+    along_arm_m : float
+        Nobody stands farther from the junction. [m]
+    clearance_m : float
+        Nobody stands nearer to the way of a VUT or a VRU. [m]
+    """
 
     taken_share: float = _up_to(
         1.0

@@ -178,8 +178,21 @@ def save_certificate(
 def load_certificate(path: str | Path) -> StoredCertificate:
     """Read a ``certificate.json``; whether its claims are true is not looked at.
 
-    Raises InputError: the file cannot be read, is no certificate, or a field is missing
-    or not of its kind.
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    stored : StoredCertificate
+        What it claims.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no certificate, or a field is missing or not of its
+        kind.
     """
     where = str(path)
     document = parse_json(read_text(Path(path), "JSON"), where, "a certificate")

@@ -48,7 +48,25 @@ _OF_GRID = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounts:
-    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in."""
+    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in.
+
+    Attributes
+    ----------
+    sites : tuple of str
+        Site of each pose; empty: none.
+    position_m : (n_poses, 3) float
+        World frame. [m]
+    yaw_deg, pitch_deg : (n_poses,) float
+        Counter-clockwise from east, positive up. [deg]
+    latency_s : (n_poses,) float
+        Of its own; NaN: that of the rule. [s]
+    sensor_index : (n_poses,) int
+        Row of `sensors`.
+    sensors : tuple of CameraModel or LidarModel
+        Models, complete.
+    scene_name, scene_sha256 : str
+        Name and :func:`scene_hash` of the scene.
+    """
 
     sites: tuple[str, ...]  # site of each pose; empty: none
     position_m: FloatArray  # (n_poses, 3): world frame. [m]
@@ -349,8 +367,21 @@ def load_problem(path: str | Path) -> PlacementProblem:
 def load_stored_problem(path: Path) -> StoredProblem:
     """Read a problem and what its poses are, checked field by field.
 
-    Raises InputError where the file is missing, damaged or of another kind; a field is
-    missing, unknown, or has another type or shape; or the values contradict each other.
+    Parameters
+    ----------
+    path : Path
+        Written by :func:`save_problem`, or by others in the same form.
+
+    Returns
+    -------
+    stored : StoredProblem
+        With the hash of the one that was written.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or of another kind; a field is missing, unknown, or
+        has another type or shape; or the values contradict each other.
     """
     with _archive(path) as archive:
         stored = _read(archive, "kind", str(path))

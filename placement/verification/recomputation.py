@@ -329,11 +329,13 @@ def most_units(problem: "PlacementProblem") -> int:
 def simple_limits(
     problem: "PlacementProblem", stages: Sequence[Stage]
 ) -> dict[Objective, float]:
-    """Limit of each objective that no layout exceeds, by a look at all poses at once.
+    """What no layout can be better than in each objective, by a look at all poses at once.
 
-    All usable poses together avoid every run that any layout avoids, with the largest
-    margin. If the layout that `stages` claim avoids as much, every layout as good
-    avoids the very same runs, so that their margins bound it.
+    `stages` are what is claimed of a layout: limits of later stages hold for layouts
+    that are as good in earlier ones. The more poses, the earlier each run is confirmed:
+    all usable poses together avoid every run that any layout avoids, with the largest
+    margin. If the layout avoids as much as they do, every layout as good as it avoids
+    the very same runs, so that their margins bound it.
     """
     limits = problem.limits
     weight = problem.table.axis.weight

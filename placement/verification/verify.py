@@ -92,12 +92,29 @@ def verify_certificate(
     max_sets: int = MAX_SETS,
     on_stage: Callable[[str], None] | None = None,
 ) -> Verification:
-    """Check a certificate against the problem that it is about, as it was saved.
+    """Check a certificate against the problem that it is about.
 
-    `shown` are the units of the layout file next to it, `units` the same with their
-    sensors; `mounts` is what the poses of the problem are, as the instance file says.
-    At most `max_sets` sets of poses are compared; `on_stage` is called with what is
-    done next. Every check is made, also after one has failed, as far as it can be.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        As it was saved.
+    stored : StoredCertificate
+        What is claimed.
+    shown : sequence of mapping
+        Units of the layout file beside it.
+    mounts : Mounts, optional
+        What the poses of the problem are, as the instance file says.
+    units : sequence of CandidatePose
+        Units of the layout file, with their sensors.
+    max_sets : int
+        Compare so many sets of poses at most.
+    on_stage : callable, optional
+        Called with what is done next.
+
+    Returns
+    -------
+    verification : Verification
+        Every check, also after one has failed, as far as it can be made.
     """
     report = on_stage or (lambda stage: None)
     report("recompute the layout's values")

@@ -137,9 +137,17 @@ def loss(
 ) -> Tensor:
     """Focal loss of the classes, and that of the overlap of boxes in positive cells.
 
-    `boxes` (b, 4) are visible boxes in pixels, `classes` (b,) their classes, -1 where
-    there is none. Where a road user is hardly to be seen it does not count (`counts`
-    (b,)), nor do cells on it.
+    Parameters
+    ----------
+    logits, sides : Tensor
+        What the network says.
+    boxes : (b, 4) Tensor
+        The visible box in each image, in pixels.
+    classes : (b,) Tensor
+        Its class; -1 where there is none.
+    counts : (b,) Tensor of bool
+        Whether the box counts; where a road user is hardly to be seen, cells on it do
+        not.
     """
     n_images, n_classes, height, width = logits.shape
     across, down = cell_middles(height, width, logits.device)
@@ -250,9 +258,22 @@ def train(
 ) -> VruNetwork:
     """Train a network on crops.
 
-    After each round `tell` gets the steps done, its mean loss and the network so far,
-    and the state is written to `checkpoint`, from which training goes on if it exists.
-    Returns the network with the running mean of its weights, ready to look at images.
+    Parameters
+    ----------
+    crops : Crops or callable
+        What it learns from; a callable is asked before each round.
+    recipe : Recipe
+        How.
+    tell : callable
+        Is told after each round: steps done, its mean loss, and the network so far.
+    checkpoint : Path, optional
+        Where the state is kept after each round; training goes on from there if it
+        exists.
+
+    Returns
+    -------
+    network : VruNetwork
+        With the running mean of its weights, ready to look at images.
     """
     torch.manual_seed(recipe.seed)
     network = VruNetwork().to(recipe.device, memory_format=torch.channels_last)

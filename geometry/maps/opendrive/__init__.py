@@ -47,10 +47,17 @@ _JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbou
 def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Roads outside junctions become lanes, connecting roads lanes through their
-    junctions, whose outlines are those of these roads' surface; objects and signals
-    things, poles, crosswalks and parking lanes. Heights are absolute. Raises InputError
-    if it is damaged, has no roads, or needs too many points.
+    Roads outside junctions become lanes in driving direction, connecting roads lanes
+    through their junctions, whose outlines are those of these roads' surface; objects
+    and signals become things, poles, crosswalks and parking lanes. Heights are
+    absolute; across, roads have their superelevation and shape.
+
+    Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a
+    number or has one out of range, or needs too many points.
+
+    References
+    ----------
+    .. [1] ASAM OpenDRIVE 1.8.1, and 1.4 to 1.7 for features that were dropped.
     """
     where = path.name
     root = read_xml(path, expected="OpenDRIVE")
@@ -152,6 +159,7 @@ def _read_roads(
 def _beyond(
     link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]
 ) -> RoadLink:
+    """What a link leads to, roads without a length passed over."""
     for _ in range(len(joints)):
         if link.kind != "road" or link.id not in joints:
             break

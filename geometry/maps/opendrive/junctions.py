@@ -79,7 +79,11 @@ def find_road_ends(
     junctions: Mapping[str, JunctionRecord],
     omissions: Omissions,
 ) -> dict[str, RoadEnds]:
-    """Junctions at both ends of roads, by their links or else by those of connecting roads."""
+    """Junctions at both ends of the roads outside junctions, by id of the road.
+
+    They come from the roads' own links, or else from the connecting roads that lead to
+    them. Links to missing roads and junctions are noted in `omissions`.
+    """
     led_to: dict[tuple[str, str], str] = {}
     for road in roads.values():
         if road.junction in junctions:
@@ -172,7 +176,13 @@ def build_junctions(
     omissions: Omissions,
     where: str,
 ) -> tuple[list[MapJunction], list[MapLane]]:
-    """Junctions with the outlines of their roads' surface, and lanes with links to these alone."""
+    """Junctions with their outlines, and lanes without links to missing junctions.
+
+    An outline is that of the union of the driving lanes of the connecting roads,
+    without holes; the ends of driving and parking lanes that lead there lie on it.
+    Junctions without surface, and lanes that end far from theirs, are noted. Raises
+    InputError if a junction needs too many points.
+    """
     members: dict[str, list[str]] = {}
     for road in roads.values():
         members.setdefault(road.junction, []).append(road.id)

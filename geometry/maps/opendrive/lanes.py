@@ -90,7 +90,11 @@ class SampledSection:
 def sample_road(
     road: Road, *, chord_error_m: float = _CHORD_ERROR_M
 ) -> tuple[SampledSection, ...]:
-    """Sample the lane sections of a road, every 5 m along any lane and 3 cm off it at most."""
+    """Sample all lane sections of a road.
+
+    Stations are at most 5 m apart along any lane, and chords by default at most 3 cm
+    from the curve. Raises InputError if that needs too many points.
+    """
     bends = road.line.bends()
     return tuple(
         _sample_section(road, section, bends, chord_error_m)
@@ -408,7 +412,11 @@ def _runs(
 
 # ---------- short roads at the mouth of a junction
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Join very short lanes at a junction to those of their kind that go on within half a metre."""
+    """Join very short lanes that lead to a junction at one end to the lanes at their other end.
+
+    A stub's points and junction go to the lane of its kind that continues within half a
+    metre and keeps its id.
+    """
     joined = list(lanes)
     waiting = deque(lanes)
     while waiting:

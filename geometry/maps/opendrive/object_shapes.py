@@ -237,7 +237,12 @@ def build_prism(
     holes_m: Sequence[FloatArray] = (),
     where: str,
 ) -> Mesh:
-    """A solid over an outline (n, 2) with heights (n,) at its corners; level if that has holes."""
+    """A closed solid over an open outline (n, 2) with floor and roof heights (n,) at its corners.
+
+    With holes, or if the outline crosses itself, floor and roof are level at the lowest
+    and highest corner. Raises InputError if the outline has no area, or the solid no
+    height.
+    """
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
         low_m = float(bottom_m.min())
@@ -389,6 +394,7 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
 def _holes_inside(
     outline_m: FloatArray, holes: Sequence[FloatArray]
 ) -> list[FloatArray]:
+    """The holes of this outline, if an object has several outlines."""
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)

@@ -57,7 +57,12 @@ _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def object_kind(element: Element) -> str | None:
-    """Kind of an object from its type and name, "obstacle" if these say no more; or None."""
+    """Kind of an object from its type and name; None: none that matters here.
+
+    "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked
+    vehicle", one of ``POLE_KINDS``, or "obstacle" if the standard's type says no more
+    than that.
+    """
     object_type = element.get("type", "")
     name = element.get("name", "")
     subtype = element.get("subtype", "")
@@ -85,7 +90,10 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Signal as "sign", "crosswalk" (painted), unless static "traffic light"; None: paint."""
+    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint.
+
+    What the file calls static is no traffic light, whatever its name.
+    """
     facts = load_facts()["signals"]
     texts = (
         element.get("name", ""),
@@ -205,7 +213,11 @@ def read_space(
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
-    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane."""
+    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane.
+
+    It is as wide as the spaces are on average, and runs in the direction of traffic on
+    its side.
+    """
     rows: list[list[Space]] = []
     open_rows: list[list[Space]] = []  # those that may still go on
     for space in sorted(spaces, key=lambda space: space.first_m):
@@ -256,7 +268,11 @@ class Found:
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
-    """Objects of all roads; InputError: a number is missing, or there are too many of them."""
+    """Objects of all roads; what is left out is noted in `omissions`.
+
+    Raises InputError if a number is missing or not finite, or there are too many
+    objects or corners.
+    """
     found = Found()
     n_places = n_vertices = n_counted = 0
 
@@ -370,7 +386,11 @@ def read_signals(
     offset: Offset,
     omissions: Omissions,
 ) -> tuple[list[Pole], list[FloatArray]]:
-    """Poles, one per signal not over a driving lane, and crosswalks written as signals (2, 2)."""
+    """Poles, one per signal, and crosswalk lines (2, 2) that are written as signals.
+
+    A signal that hangs over a driving lane has no pole there. Raises InputError if a
+    number is missing or not finite.
+    """
     facts = load_facts()["signals"]
     poles: list[Pole] = []
     crosswalks: list[FloatArray] = []
@@ -462,6 +482,7 @@ def _find_position(
 def _driving_edges(
     sections: Sequence[SampledSection], s_m: float
 ) -> list[tuple[float, float]]:
+    """Edges (right, left) of the driving lanes at a station."""
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
     section = sections[min(index, len(sections) - 1)]
     edges = []
@@ -477,7 +498,11 @@ def _driving_edges(
 
 # ---------- poles
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
-    """Join poles within half a metre: as high as the highest, of the most telling kind."""
+    """Join poles within half a metre of one another.
+
+    A joined pole is as high as the highest and of the most telling kind; it stands
+    where the file has the pole itself, or else where the first signal hangs.
+    """
     if len(poles) < 2:
         return list(poles)
     positions = np.array([pole.position_m[:2] for pole in poles])

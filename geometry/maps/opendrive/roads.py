@@ -43,7 +43,11 @@ _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 def take_number(element: Element, key: str, where: str) -> float:
-    """Finite number of an attribute that must be there; `where` is file and element."""
+    """Finite number of an attribute that must be there, at most ``MAX_MAGNITUDE`` in size.
+
+    `where` is file and element, for messages: "Town.xodr: road 5 geometry[2]". Raises
+    InputError if the attribute is missing, no number, or not finite.
+    """
     text = element.get(key)
     if text is None:
         refuse(f"{where}.{key}", "nothing", "a number")
@@ -66,7 +70,10 @@ def take_number_or(element: Element, key: str, where: str, default: float) -> fl
 
 
 def take_size(element: Element, key: str, where: str) -> float | None:
-    """A length above 0, or None; InputError: not finite, or larger than anything near a road."""
+    """A length, width, height or radius; None if it is missing, left open or not above 0.
+
+    Raises InputError if it is not finite, or larger than anything beside a road.
+    """
     value = take_number_or(element, key, where, 0.0)
     if value > MAX_SIZE_M:
         raise InputError(f"{where}.{key}", value, f"metres, at most {MAX_SIZE_M:g}")
@@ -94,7 +101,13 @@ def numbered(
 # ---------- the header
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """Offset from a file's coordinates to those of its projection; rotation is applied first."""
+    """Offset from the coordinates of a file to those of its projection; rotation is applied first.
+
+    References
+    ----------
+    .. [1] ASAM OpenDRIVE 1.8, "Georeferencing": x' = x cos(hdg) - y sin(hdg) + xOffset,
+       y' = x sin(hdg) + y cos(hdg) + yOffset, z' = z + zOffset.
+    """
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -123,7 +136,11 @@ def read_offset(root: Element, where: str) -> Offset:
 
 
 def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
-    """Coordinate reference system for pyproj, in metres without heights, and the declared one."""
+    """Coordinate reference system of a document: one for pyproj, and the declared one.
+
+    The first is projected, in metres and without parameters of heights; it is empty if
+    the file names none, or one that does not fit (noted in `omissions`).
+    """
     element = root.find("header/geoReference")
     if element is None:
         source = ""
@@ -295,7 +312,12 @@ class ReferenceLine:
         return polynomial(p, parameters[:, :4], parameters[:, 4:8])
 
     def bends(self) -> FloatArray:
-        """Largest curvature of each piece, of its change per metre, and of metres per s, (n, 3)."""
+        """How fast each piece turns, (n, 3).
+
+        The largest curvature [1/m], its largest change per metre [1/m^2], and the
+        largest distance that the line takes per metre of s (1 except for parametric
+        polynomials).
+        """
         rows = np.ones((len(self.starts_m), 3))
         for index, shape in enumerate(self.shapes):
             length_m = self.lengths_m[index]
@@ -329,7 +351,12 @@ def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, flo
 def read_reference_line(
     road: Element, where: str, *, length_m: float, offset: Offset
 ) -> ReferenceLine:
-    """Read a road's planView; InputError: a number is missing or wrong, or a shape unknown."""
+    """Read a road's planView.
+
+    Raises InputError if there is no piece of a length above 0, a number is missing or
+    not finite, a piece begins outside the road or far from its begin, or has an unknown
+    shape.
+    """
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
         row = _read_piece(element, here)
@@ -410,7 +437,10 @@ class PiecewiseCubic:
     coefficients: FloatArray  # (n, 4): a, b, c, d
 
     def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
-        """Coefficients (k, 4) from other stations on; `inside_m` selects where two meet."""
+        """Coefficients (k, 4) of the same polynomials counted from other stations (Taylor's shift).
+
+        `inside_m` (k,) are stations that select the piece where two meet.
+        """
         if not len(self.starts_m):
             return np.zeros((len(starts_m), 4))
         piece = np.searchsorted(self.starts_m, inside_m, side="right") - 1
@@ -435,7 +465,11 @@ def read_cubics(
     start_key: str = "s",
     first_m: float = 0.0,
 ) -> PiecewiseCubic:
-    """Children of `parent` with a, b, c, d, by begin; of several that begin there the last one."""
+    """Read the children of `parent` with a tag and attributes a, b, c, d, sorted by begin.
+
+    `first_m` is the zero of the attribute `start_key`. Of several that begin at one
+    station the last one holds.
+    """
     rows = [
         tuple(take_number(element, key, here) for key in (start_key, *"abcd"))
         for element, here in numbered(parent, tag, where)

@@ -219,7 +219,22 @@ def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements,
 
 # ---------- a public server
 def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
-    """Fetch OpenStreetMap within west, south, east, north by the Overpass API; or InputError."""
+    """Fetch all OpenStreetMap data within a box, by the Overpass API.
+
+    Parameters
+    ----------
+    bbox : (4,) float
+        West, south, east, north. WGS 84. [deg]
+    path : Path
+        File to write, as XML; its folder must exist.
+
+    Raises
+    ------
+    InputError
+        The box is not valid or too large; or the server does not answer with a map.
+    MissingExtraError
+        The package for requests over the network is not installed.
+    """
     west, south, east, north = box = float_array(bbox, (4,), "bbox")
     online = DEFAULTS["online"]
     size_deg = np.array([east - west, north - south])

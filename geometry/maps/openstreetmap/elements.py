@@ -77,7 +77,12 @@ class Elements:
 
 
 def read_elements(path: Path) -> Elements:
-    """Read OpenStreetMap data, by its first bytes; of several versions the last one counts."""
+    """Read a file of OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF.
+
+    The first bytes show the format. Deleted elements are left out; of several versions
+    the last one counts. Raises InputError if the file cannot be read, has another
+    format, is damaged or too large, or a node lies nowhere on earth.
+    """
     with reading(
         path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError
     ):

@@ -65,7 +65,11 @@ class Arm:
 
 
 def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
-    """Find how far from a junction's nodes its arms begin: a corner beyond all others' surfaces."""
+    """Find how far from a junction's nodes its arms begin.
+
+    They begin a corner beyond the point where their carriageways have left those of the
+    others and of the streets `inside`; the carriageways of one arm begin side by side.
+    """
     limits = DEFAULTS["junction"]
     directions = [arm.direction for arm in arms]
     most_m = limits["max_mouth_m"]
@@ -519,6 +523,7 @@ def _road_beside_m(network: Network, street: Street, at: int) -> float:
 def _outline(
     arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
 ) -> FloatArray:
+    """Road surface of a junction up to where its arms begin."""
     corner_m = DEFAULTS["junction"]["corner_m"]
     surfaces = [surface(street, 0.0, street.length_m) for street in inside]
     surfaces += [surface(arm.street, 0.0, arm.mouth_m) for arm in arms]
@@ -538,6 +543,7 @@ def _outline(
 
 
 def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
+    """Names of the streets that meet, the busiest first."""
     ranks: dict[str, int] = {}
     edges = [arm.street.parts[0][0] for arm in arms]
     counts = Counter(edge.name for edge in edges)
@@ -579,7 +585,12 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
 def find_leading_roads(
     network: Network, rows: Iterable[int], outline_m: FloatArray
 ) -> tuple[LeadingRoad, ...]:
-    """Ways that leave a junction's outline and go on for a stub's length, with their lanes."""
+    """Ways that leave a junction and go on.
+
+    The network is walked from the junction's nodes until its ways leave the outline.
+    Those that end nowhere less than a stub's length beyond it are no roads. Lanes are
+    those of the tags at the stub's length.
+    """
     area = area_of(outline_m).buffer(_BEYOND_M)
     shapely.prepare(area)
     waiting = deque(rows)

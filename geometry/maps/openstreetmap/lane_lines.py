@@ -44,7 +44,11 @@ _Piece = tuple[str, list[_Part]]  # id of a lane, and its parts one after the ot
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
-    """One lane per strip of each street and stretch between junctions with as many lanes."""
+    """One lane per strip of each street and stretch between junctions.
+
+    If the number of lanes of a direction changes, all of them end, and the following
+    ones begin at the same points.
+    """
     found = [lane for reach in reaches for lane in _street_lanes(reach)]
     two_way = {lane.id for lane, is_two_way in found if is_two_way}
     return tuple(_lead_on([lane for lane, _ in found], two_way))
@@ -100,7 +104,12 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
 def _without_stubs(
     parts: Sequence[int], spans: Sequence[tuple[float, float]], reach: Reach
 ) -> tuple[list[int], list[tuple[float, float]]]:
-    """Parts of a street with lanes of their own, not cut off just outside a junction; stations."""
+    """Parts of a street that have lanes of their own, and their stations.
+
+    A way that is cut in two just outside a junction, as at a crosswalk, leaves a stub
+    there: the lanes of the part beyond it run on to the junction, unless that is driven
+    in other directions.
+    """
     least_m = DEFAULTS["cross_section"]["stub_m"]
     kept = list(parts)
     whole = list(spans)
@@ -325,6 +334,7 @@ def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
 
 
 def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
+    """Unit vector in driving direction at an end of a lane, (2,)."""
     points = lane.centreline_m[:, :2]
     return unit(points[1] - points[0] if is_begin else points[-1] - points[-2])
 

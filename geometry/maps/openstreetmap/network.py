@@ -75,7 +75,11 @@ def runs_backward(tags: Tags) -> bool:
 
 
 def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
-    """Lanes of a road in each direction, a one-way one along its nodes; odd tags are noted."""
+    """Lanes of a road in each direction; senseless tags are noted.
+
+    If it is a one-way road, its tags must be turned so that cars drive in the order of
+    its nodes.
+    """
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
 
@@ -185,6 +189,7 @@ def roadside_strips(
 
 
 def _parking(tags: Tags, side: str) -> tuple[str, str]:
+    """Position and orientation of parked cars on a side."""
     position = side_value(tags, "parking", side)
     if position is not None:
         restriction, orientation = (
@@ -697,7 +702,11 @@ class Street:
 
 
 def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street]:
-    """Streets to nodes that `stops(row)`; elsewhere roads go straight on, others end there."""
+    """Follow roads from node to node until `stops(row)`; every edge is part of exactly one street.
+
+    At other nodes a road goes straight on if it can, and roads that join from the side
+    end there.
+    """
     partner: dict[End, End] = {}
     for row, ends in network.ends.items():
         if not stops(row):
@@ -782,7 +791,11 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
 
 
 def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
-    """Which points of a line next to a street's axis `middle` run on as that does, (n,)."""
+    """Which points of a line beside a street to keep, so that it runs as the street does, (n,).
+
+    At sharp bends a line on the inner side would run backwards for a while; `middle`
+    are the points of the street's axis beside those of the line.
+    """
     is_kept = np.ones(len(line_m), dtype=bool)
     steps = np.einsum("ij,ij->i", np.diff(line_m, axis=0), np.diff(middle, axis=0))
     if (steps > 0.0).all():

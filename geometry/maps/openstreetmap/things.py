@@ -245,6 +245,7 @@ def _kind(tags: Tags) -> str:
 def _at_kerbs(
     places: Sequence[_Place], tags: Tags, *, keeps_left: bool
 ) -> list[FloatArray]:
+    """Feet of the poles of one mapped signal or sign."""
     feet: list[FloatArray] = []
     for reach, station_m in places:
         for is_forward in _directions(reach, station_m, tags):
@@ -630,6 +631,7 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
+    """Height of the roof in metres, and whether it is assumed."""
     tags = area.tags
     usual = DEFAULTS["building"]
     note = partial(omissions.add, "buildings", _element(area))

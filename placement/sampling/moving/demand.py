@@ -54,7 +54,29 @@ class DrivingKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Demand:
-    """Traffic through a junction."""
+    """Traffic through a junction.
+
+    Attributes
+    ----------
+    vehicles_per_hour_per_lane : float
+        Into the junction, on each lane of an arm.
+    arms : mapping of str to float
+        In place of that, on all lanes of an arm together, by its name. [1/h]
+    turns : mapping of str to float
+        Share of each of ``TURNS``; sums to 1.
+    vehicles : tuple of DrivingKind
+        What drives; shares sum to 1.
+    speed_limit_mps : float
+        On all lanes. [m/s]
+    approach_m : float
+        Length of each arm, at least. [m]
+    warm_up_s : float
+        Until the streets are full. [s]
+    pause_s : tuple of float
+        Shortest and longest time between two windows. [s]
+    name : str
+        What it is called in reports.
+    """
 
     vehicles_per_hour_per_lane: float  # into the junction, on each lane of an arm
     arms: Mapping[

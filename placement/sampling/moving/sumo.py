@@ -340,7 +340,18 @@ _MAX_SEED = 2**31 - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedWindows:
-    """Traffic that SUMO drove."""
+    """What SUMO drove.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        Vehicles near the junction, on the simulation's clock.
+    impact_s : dict
+        By group: when its runs end. [s]
+    n_departed, n_waiting : int
+        Vehicles that entered the network until the end, and those that found no room
+        to.
+    """
 
     trajectories: Trajectories  # vehicles near the junction, on the simulation's clock
     impact_s: dict[Any, float]  # by group: when its runs end. [s]
@@ -359,11 +370,28 @@ def simulate_windows(
 ) -> SimulatedWindows:
     """Drive traffic through a junction long enough to cut one window for each group of runs.
 
-    Runs of a group, at least one, share a window as long as the longest, with the VUT
-    of the run in the middle of their speeds. Vehicles farther than `reach_m` from the
-    junction's middle are left out. `rng` decides order and pauses of the windows, and
-    SUMO's seed. Raises InputError if SUMO cannot drive the demand, MissingExtraError
-    without SUMO.
+    Parameters
+    ----------
+    network : RoadNetwork
+        Of the scene's lanes.
+    demand : Demand
+        How much drives, where to and with what.
+    groups : mapping of tuple of Run
+        Runs that share a window, at least one in each group. It is as long as the
+        longest; the VUT is that of the run in the middle of their speeds.
+    reach_m : float
+        Vehicles farther from the middle of the junction are not told. [m]
+    step_s : float
+        Of the simulation, and from frame to frame of the runs. [s]
+    rng : numpy.random.Generator
+        Of order and pauses of the windows, and SUMO's seed.
+
+    Raises
+    ------
+    InputError
+        The demand does not fit the junction, or SUMO cannot drive it.
+    MissingExtraError
+        SUMO is not installed.
     """
     seed = int(rng.integers(_MAX_SEED))
     keys = list(groups)
@@ -509,10 +537,27 @@ class MovingTraffic:
     ) -> tuple[tuple[Run, ...], TrafficCount]:
         """Runs with the vehicles that drive by in one world.
 
-        `groups` are indices of runs that see the same window of time, which all end at
-        the same moment. Who comes nearer than `clearance_m` to the VUT or the VRU of a
-        run is left out of it. Raises InputError if SUMO cannot drive the demand,
-        MissingExtraError without SUMO.
+        Parameters
+        ----------
+        runs : sequence of Run
+            With all that is parked.
+        groups : mapping of sequence of int
+            Indices of runs that see the same traffic: one window of time for each
+            group. All end at the same moment, so that runs of different speeds have
+            their impact in the same.
+        frame_s : float
+            From frame to frame. [s]
+        clearance_m : float
+            Who comes nearer to the VUT or the VRU of a run is left out of that run. [m]
+        rng : numpy.random.Generator
+            Of the world.
+
+        Raises
+        ------
+        InputError
+            The file's traffic is shorter than a run, or SUMO cannot drive the demand.
+        MissingExtraError
+            SUMO is not installed.
         """
         members = {
             key: tuple(runs[index] for index in rows) for key, rows in groups.items()

@@ -20,7 +20,25 @@ _GAP_STEPS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trajectories:
-    """Vehicles on the road, each with samples in ascending order of time."""
+    """Vehicles on the road, each with samples in ascending order of time.
+
+    Attributes
+    ----------
+    bodies : tuple of Actor
+        One per vehicle.
+    row_start : (n_vehicles + 1,) int
+        Samples of vehicle v are row_start[v] .. row_start[v + 1] - 1.
+    time_s : (n_rows,) float
+        On any clock. [s]
+    position_m : (n_rows, 2) float
+        Middle of the footprint. World frame. [m]
+    yaw_deg : (n_rows,) float
+        Without jumps of a full turn from sample to sample of a vehicle. [deg]
+    step_s : float
+        From sample to sample. [s]
+    first_s, last_s : float
+        From when to when traffic is known. [s]
+    """
 
     bodies: tuple[Actor, ...]  # one per vehicle
     # (n_vehicles + 1,): rows of v are row_start[v] .. row_start[v + 1] - 1
@@ -85,11 +103,24 @@ def build_trajectories(
     step_s: float,
     span_s: tuple[float, float],
 ) -> Trajectories:
-    """Trajectories from SUMO's samples, in any order.
+    """Trajectories from what SUMO tells, sample by sample, in any order.
 
-    `vehicle` (n,) is each sample's index into `bodies`; `front_m` (n, 2) the middle of
-    the front bumper in the world frame; `angle_deg` (n,) clockwise from north. Traffic
-    is known over `span_s`, with samples `step_s` apart.
+    Parameters
+    ----------
+    bodies : tuple of Actor
+        By number; those without a sample are dropped.
+    vehicle : (n,) int
+        Number of the vehicle of each sample.
+    time_s : (n,) float
+        When. [s]
+    front_m : (n, 2) float
+        Middle of the front bumper, in the world frame, as SUMO's x and y. [m]
+    angle_deg : (n,) float
+        Clockwise from north, as SUMO's angle. [deg]
+    step_s : float
+        From sample to sample. [s]
+    span_s : (float, float)
+        From when to when traffic is known. [s]
     """
     order = np.lexsort((time_s, vehicle))
     vehicle = vehicle[order]
@@ -161,10 +192,18 @@ def cut_window(
     middle_m: FloatArray,
     reach_m: float = REACH_M,
 ) -> tuple[MovingActor, ...]:
-    """Vehicles near a point (2,) at ascending times (n_frames,) on their clock.
+    """Vehicles near a point at some times.
 
-    Frames in which a vehicle is farther away than `reach_m` are cut; so is who is never
-    near.
+    Parameters
+    ----------
+    trajectories : Trajectories
+        Vehicles on the road.
+    time_s : (n_frames,) float
+        On their clock, ascending. [s]
+    middle_m : (2,) float
+        The point. [m]
+    reach_m : float
+        Frames in which a vehicle is farther away are cut; so is who is never near. [m]
     """
     bodies = []
     for vehicle in trajectories.between(float(time_s[0]), float(time_s[-1])).tolist():
