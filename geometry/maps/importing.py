@@ -19,7 +19,17 @@ from ..errors import InputError, check_one_of, refuse
 from ..files import Progress, check_file, load_data, open_file, read_text, silent
 from ..junction import build_junction
 from ..notes import Note
-from ..scene import Instance, Lane, Scene, Site, area_of, join_bodies
+from ..scene import (
+    MAX_COORDINATE_M,
+    MAX_LINE_POINTS,
+    Instance,
+    Lane,
+    Scene,
+    Site,
+    area_of,
+    is_lane_width,
+    join_bodies,
+)
 from ..scene_checks import arms_that_end
 from ..terrain import GROUND
 from ..untrusted_files import local_name, read_xml_root, unpacked
@@ -237,7 +247,10 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
     # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
     near = []
     for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
-        line_m = lane.centreline_m[:, :2] - middle
+        whole_m = lane.centreline_m[:, :2] - middle
+        line_m = whole_m[(np.abs(whole_m) <= MAX_COORDINATE_M).all(axis=1)][:MAX_LINE_POINTS]
+        if len(line_m) < 2 or not is_lane_width(lane.width_m):
+            continue
         near.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m))
     scene = Scene(
         name=junction.id,
