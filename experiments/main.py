@@ -75,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code, message = _EXIT_BAD_INPUT, f"place-rsus: {text}"
     except OSError as error:  # such as a disk that is full
         where = f"{error.filename}: " if error.filename else ""
-        code, message = _EXIT_BAD_INPUT, f"place-rsus: {where}{error.strerror or error}"
+        notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+        code, message = _EXIT_BAD_INPUT, f"place-rsus: {where}{error.strerror or error}{notes}"
     except Exception as error:
         if progress.signum:  # libraries make errors of their own of what ends their loading
             code, message = 128 + progress.signum, progress.interruption()
@@ -116,6 +117,7 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
     from importlib.metadata import version
 
     said = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    said += "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     text = "".join(traceback.format_exception(error))
     message = f"place-rsus: unexpected error in stage '{progress.stage}': {said}; {progress.kept}"
     report = (
