@@ -187,3 +187,12 @@ def test_each_hostile_scene_is_answered_in_one_line(path, tmp_path):
         assert done.returncode == 2
         assert len(done.stderr.strip().splitlines()) == 1
         assert "expected" in done.stderr
+
+
+@pytest.mark.skipif(not HOSTILE.is_dir(), reason="the hostile files are not here")
+def test_the_hostile_lists_and_clouds_are_refused_at_reading():
+    with pytest.raises(InputError, match=r"line 2: id: got .*; expected printable text"):
+        read_sites(HOSTILE / "poles_nbsp.csv", crs="EPSG:32633")
+    packed = open_points(HOSTILE / "grid20M.laz")
+    with pytest.raises(InputError, match="at most 200 times as many"), packed:
+        pass
