@@ -45,16 +45,34 @@ def _change_toml(folder: Path, key: str, value: str) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("centreline_m", "[[1e9, 0.0], [9.0, 1.75]]", rf"centreline_m: got 1\S+; expected {FAR}"),
-        ("centreline_m", "[[-1e200, 0.0], [9.0, 1.75]]", rf"got -1e\+200; expected {FAR}"),
+        (
+            "centreline_m",
+            "[[1e9, 0.0], [9.0, 1.75]]",
+            rf"centreline_m: got 1\S+; expected {FAR}",
+        ),
+        (
+            "centreline_m",
+            "[[-1e200, 0.0], [9.0, 1.75]]",
+            rf"got -1e\+200; expected {FAR}",
+        ),
         ("width_m", "1e-300", r"width_m: got 1e-300; expected 0\.5 to 30 metres"),
         ("width_m", "30.5", r"width_m: got 30\.5; expected 0\.5 to 30 metres"),
         ("position_m", "[0.0, 1e9, 0.0]", rf"position_m: got 1\S+; expected {FAR}"),
-        ("ends_m", "[[-1e9, 10.0], [1e9, 10.0]]", rf"crosswalks_m: got -1\S+; expected {FAR}"),
-        ("outline_m", "[[0, 0], [1e9, 0], [0, 9]]", rf"outline_m: got 1\S+; expected {FAR}"),
+        (
+            "ends_m",
+            "[[-1e9, 10.0], [1e9, 10.0]]",
+            rf"crosswalks_m: got -1\S+; expected {FAR}",
+        ),
+        (
+            "outline_m",
+            "[[0, 0], [1e9, 0], [0, 9]]",
+            rf"outline_m: got 1\S+; expected {FAR}",
+        ),
     ],
 )
-def test_a_scene_with_a_size_that_no_junction_has_is_refused(folder, key, value, message):
+def test_a_scene_with_a_size_that_no_junction_has_is_refused(
+    folder, key, value, message
+):
     _change_toml(folder, key, value)
     with pytest.raises(InputError, match=message):
         load_scene_folder(folder)
@@ -63,7 +81,9 @@ def test_a_scene_with_a_size_that_no_junction_has_is_refused(folder, key, value,
 def test_a_lane_with_too_many_points_is_refused(folder):
     points = [[0.001 * index, 0.0] for index in range(10_001)]
     _change_toml(folder, "centreline_m", str(points))
-    with pytest.raises(InputError, match="centreline_m: got 10,001 of them; expected at most 10,"):
+    with pytest.raises(
+        InputError, match="centreline_m: got 10,001 of them; expected at most 10,"
+    ):
         load_scene_folder(folder)
 
 
@@ -71,7 +91,9 @@ def test_a_scene_with_too_many_crosswalks_is_refused(folder):
     path = folder / SCENE_FILE
     more = "\n[[crosswalks]]\nends_m = [[-3.5, 10.0], [3.5, 10.0]]\n" * 501
     path.write_text(path.read_text() + more)
-    with pytest.raises(InputError, match=r"crosswalks_m: got .* of them; expected at most 500"):
+    with pytest.raises(
+        InputError, match=r"crosswalks_m: got .* of them; expected at most 500"
+    ):
         load_scene_folder(folder)
 
 
@@ -100,7 +122,11 @@ def test_a_buffer_of_a_scenes_mesh_in_another_file_is_refused(folder, name):
 def test_an_image_of_a_scenes_mesh_is_not_opened(folder, name):
     os.mkfifo(folder / "fifo")
     texture = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
-    fields = {"images": [{"uri": name}], "textures": [{"source": 0}], "materials": [texture]}
+    fields = {
+        "images": [{"uri": name}],
+        "textures": [{"source": 0}],
+        "materials": [texture],
+    }
     _add_to_glb(folder / THINGS_FILE, fields)
     assert load_scene_folder(folder).instances == load_study_scene().instances
 
@@ -114,15 +140,22 @@ def test_a_packed_point_cloud_out_of_too_few_bytes_is_not_unpacked(tmp_path):
     cloud.z = np.zeros(400_000)
     cloud.write(path)
     assert path.stat().st_size < 50_000
-    with pytest.raises(InputError, match="at most 200 times as many"), open_points(path):
+    with (
+        pytest.raises(InputError, match="at most 200 times as many"),
+        open_points(path),
+    ):
         pass
 
 
 @pytest.mark.parametrize("hidden", ["\u00ad", "\u200b", "\u2060", "\u00a0", "\u202e"])
-def test_a_character_that_nobody_sees_in_a_sites_id_is_refused_at_reading(tmp_path, hidden):
+def test_a_character_that_nobody_sees_in_a_sites_id_is_refused_at_reading(
+    tmp_path, hidden
+):
     path = tmp_path / "poles.csv"
     path.write_text(f"id,x,y\nLP{hidden}12,1,2\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"poles\.csv: line 2: id: got .*; expected printable"):
+    with pytest.raises(
+        InputError, match=r"poles\.csv: line 2: id: got .*; expected printable"
+    ):
         read_sites(path, crs="")
 
 
@@ -144,7 +177,10 @@ def test_a_fault_while_results_are_written_keeps_its_own_words(tmp_path):
     with pytest.raises(InputError) as refused:
         _fail_while_writing(tmp_path / "out", fault)
     kept = tmp_path / "out.unfinished"
-    words = "lane 3.width_m: got 0.0; expected 0.5 to 30 metres; what was computed is kept in"
+    words = (
+        "lane 3.width_m: got 0.0; expected 0.5 to 30 metres; what was computed is"
+        " kept in"
+    )
     assert str(refused.value) == f"{words} {kept}"
 
 
@@ -193,7 +229,9 @@ def test_each_hostile_scene_is_answered_in_one_line(path, tmp_path):
 
 @pytest.mark.skipif(not HOSTILE.is_dir(), reason="the hostile files are not here")
 def test_the_hostile_lists_and_clouds_are_refused_at_reading():
-    with pytest.raises(InputError, match=r"line 2: id: got .*; expected printable text"):
+    with pytest.raises(
+        InputError, match=r"line 2: id: got .*; expected printable text"
+    ):
         read_sites(HOSTILE / "poles_nbsp.csv", crs="EPSG:32633")
     packed = open_points(HOSTILE / "grid20M.laz")
     with pytest.raises(InputError, match="at most 200 times as many"), packed:
