@@ -111,8 +111,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             where = f"{error.filename}: "
         else:
             where = ""
+        notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
         code = _EXIT_BAD_INPUT
-        message = f"place-rsus: {where}{error.strerror or error}"
+        message = f"place-rsus: {where}{error.strerror or error}{notes}"
     except Exception as error:
         if (
             progress.signum
@@ -163,6 +164,7 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
     from importlib.metadata import version
 
     said = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    said += "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     text = "".join(traceback.format_exception(error))
     message = (
         f"place-rsus: unexpected error in stage '{progress.stage}': {said};"

@@ -61,6 +61,16 @@ def check_one_of(where: str, got: object, known: Collection[str]) -> None:
         raise InputError(where, got, "one of " + ", ".join(known))
 
 
+def check_name(name: str, where: str) -> None:
+    """Raise InputError if a name has characters that nobody sees, or half of one.
+
+    Line breaks, soft hyphens, spaces of no width or that do not break: two names that
+    look the same would be different ones.
+    """
+    if not name.isprintable():
+        raise InputError(where, name, "printable text")
+
+
 def check_field(
     value: object, where: str, field: str, is_valid: bool, expected: str
 ) -> None:

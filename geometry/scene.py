@@ -1,5 +1,6 @@
 """A junction as it stands: triangles that hide things, and sites that carry sensors."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -11,7 +12,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import FloatArray, Point2, Point3, Points2, float_array, freeze, set_arrays
-from .errors import InputError, check_field, check_one_of, refuse
+from .errors import InputError, check_field, check_name, check_one_of, refuse
 from .notes import Note
 from .sensors import load_limits
 
@@ -29,6 +30,14 @@ CLASS_NAMES = (
 Turn = Literal["left", "through", "right", "reverse"]
 _SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
 _MIN_AREA_M2 = 1.0e-6
+MAX_COORDINATE_M = 10_000.0
+"""Farthest that anything of a scene may lie from its origin, along each axis."""
+MAX_LINE_POINTS = 10_000
+"""Most points of a lane's line, or of an outline."""
+MAX_LANES = 2_000
+MAX_CROSSWALKS = 500
+LANE_WIDTH_M = (0.5, 30.0)
+"""Narrowest and widest lane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,8 +78,11 @@ class Site:
 
     def __post_init__(self) -> None:
         where = f"site {self.id}"
+        check_name(self.id, f"{where}.id")
         check = partial(check_field, self, where)
         set_arrays(self, f"{where}.", position_m=(3,), height_range_m=(2,))
+        _check_near(self.position_m, f"{where}.position_m")
+        _check_near(self.height_range_m, f"{where}.height_range_m")
         low, high = self.height_range_m.tolist()
         if not 0.0 < low <= high:
             expected = "[low, high] in metres, 0 < low <= high"
@@ -100,6 +112,7 @@ class Instance:
     is_height_assumed: bool = False  # the sources do not tell it
 
     def __post_init__(self) -> None:
+        check_name(self.id, f"instance {self.id}.id")
         check_one_of(f"instance {self.id}.class_name", self.class_name, CLASS_NAMES)
 
 
@@ -131,6 +144,7 @@ class LeadingRoad:
 
     def __post_init__(self) -> None:
         set_arrays(self, "", point_m=(2,), direction=(2,))
+        _check_near(self.point_m, f"road {self.name}.point_m")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -174,6 +188,14 @@ class Scene:
             "crosswalks_m": (-1, 2, 2),
         }
         set_arrays(self, f"{self.name}: ", **shapes, source_origin_m=(2,))
+        for name in shapes:
+            _check_near(getattr(self, name), f"{self.name}: {name}")
+        for name, most in (
+            ("outline_m", MAX_LINE_POINTS),
+            ("crosswalks_m", MAX_CROSSWALKS),
+            ("lanes", MAX_LANES),
+        ):
+            _check_count(len(getattr(self, name)), most, f"{self.name}: {name}")
         for name in ("triangles", "triangle_instance"):
             array = np.array(getattr(self, name), dtype=np.int32)
             object.__setattr__(self, name, freeze(array))
@@ -195,7 +217,7 @@ class Scene:
             ("site", [site.id for site in self.sites]),
             ("instance", [instance.id for instance in self.instances]),
         ):
-            repeated = sorted({name for name in ids if ids.count(name) > 1})
+            repeated = sorted(name for name, count in Counter(ids).items() if count > 1)
             if repeated:
                 raise InputError(f"{self.name}: {kind}s", repeated[0], "every id once")
 
@@ -215,14 +237,45 @@ class Lane:
     # one lane to the start of another; or "assumed": straight on from beyond the map to
     # the start of one
     kind: Annotated[str, Meta(min_length=1)]
-    width_m: Annotated[float, Meta(gt=0.0)]  # full width
+    width_m: float  # full width, within ``LANE_WIDTH_M``
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
     # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
     turns: tuple[Turn, ...] = ()  # from its end, by its markings; empty: it bears none
 
     def __post_init__(self) -> None:
-        set_arrays(self, f"lane {self.id}.", centreline_m=(-1, 2))
+        where = f"lane {self.id}"
+        check_name(self.id, f"{where}.id")
+        set_arrays(self, f"{where}.", centreline_m=(-1, 2))
+        _check_near(self.centreline_m, f"{where}.centreline_m")
+        _check_count(len(self.centreline_m), MAX_LINE_POINTS, f"{where}.centreline_m")
+        if not is_lane_width(self.width_m):
+            low_m, high_m = LANE_WIDTH_M
+            raise InputError(
+                f"{where}.width_m", self.width_m, f"{low_m:g} to {high_m:g} metres"
+            )
+
+
+def is_lane_width(width_m: float) -> bool:
+    """True if a lane may be so wide."""
+    low_m, high_m = LANE_WIDTH_M
+    return low_m <= width_m <= high_m
+
+
+def _check_near(values_m: FloatArray, where: str) -> None:
+    """Raise InputError if a coordinate lies farther from the origin than a scene reaches."""
+    if not values_m.size:
+        return
+    farthest = float(values_m.flat[np.abs(values_m).argmax()])
+    if abs(farthest) > MAX_COORDINATE_M:
+        limit = f"{MAX_COORDINATE_M:,.0f}"
+        raise InputError(where, farthest, f"-{limit} to {limit} metres from the origin")
+
+
+def _check_count(count: int, most: int, where: str) -> None:
+    """Raise InputError if a list of a scene is longer than any junction has it."""
+    if count > most:
+        refuse(where, f"{count:,} of them", f"at most {most:,}")
 
 
 # One thing of a scene: instance, vertices (world frame) and triangles.

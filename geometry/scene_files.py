@@ -35,7 +35,7 @@ from .frames import from_gltf_points, parse_crs, to_gltf_points
 from .notes import Note
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
-from .untrusted_files import check_gltf, refuse_bomb
+from .untrusted_files import NoFiles, check_gltf, refuse_bomb
 
 FORMAT = "place-rsus scene"
 VERSION = 1
@@ -357,7 +357,9 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
     check_file(path, max_bytes=_MAX_BYTES[THINGS_FILE])
     try:
         check_gltf(path)  # a header that claims more would be given memory
-        loaded = trimesh.load_scene(path, file_type="glb", process=False)
+        options = {"resolver": NoFiles(shown), "skip_materials": True, "process": False}
+        with open_file(path) as file:
+            loaded = trimesh.load_scene(file, file_type="glb", **options)
         meshes = {
             str(name): (
                 from_gltf_points(mesh.vertices),

@@ -288,6 +288,20 @@ class _Gltf(Struct, frozen=True):
     extensionsRequired: tuple[str, ...] = ()
 
 
+class NoFiles:
+    """Resolver for trimesh that opens no file: a mesh has all its data in itself."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+
+    def __getitem__(self, name: str) -> bytes:
+        """Raise InputError: the mesh names a file."""
+        got = f"a reference to {str(name)[:100]!r}"
+        refuse(self._where, got, "all of its data in the file itself")
+
+    get = __getitem__
+
+
 def check_gltf(path: Path) -> None:
     """Check the claims of a glTF 2 file before memory is given to it.
 

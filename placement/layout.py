@@ -22,7 +22,7 @@ from geometry.catalogue import (
     read_sensor,
     sensor_kind,
 )
-from geometry.errors import InputError, refuse
+from geometry.errors import InputError, check_name, refuse
 from geometry.files import Text, load_data, parse_json, pick, read_table, read_text
 from geometry.frames import from_carla_pose
 from geometry.maps.place_lists import (
@@ -90,8 +90,7 @@ class Layout:
             for word in (unit.id, unit.sensor.name, unit.site_id)
         )
         for text in (self.name, *words):
-            if not text.isprintable():  # a line break, or half of a surrogate pair
-                raise InputError("layout: name or id", text, "printable text")
+            check_name(text, "layout: name or id")
         for name in ids:
             if name in RESERVED_IDS:
                 meant = ", ".join(RESERVED_IDS)

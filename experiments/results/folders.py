@@ -194,14 +194,27 @@ def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Pat
         if isinstance(error, Exception) and (temporary / MARKER).exists():
             kept = _free_name(real, "unfinished")
             temporary.rename(kept)
-            raise unwritable(
-                folder, error, f"; what was computed is kept in {kept}"
-            ) from error
+            more = f"; what was computed is kept in {kept}"
+            if isinstance(error, InputError):
+                raise InputError(
+                    error.where, error.got, f"{error.expected}{more}"
+                ) from error
+            if isinstance(error, OSError) and _is_of(error, real, temporary):
+                raise unwritable(folder, error, more) from error
+            error.add_note(more.removeprefix("; "))
         shutil.rmtree(temporary, ignore_errors=True)
         with suppress(OSError):
             for parent in made:
                 parent.rmdir()
         raise
+
+
+def _is_of(error: OSError, *folders: Path) -> bool:
+    """True if a system's error names no file at all, or one in some folders or above them."""
+    if error.filename is None:
+        return True
+    path = Path(os.fsdecode(error.filename))
+    return any(path.is_relative_to(one) or one.is_relative_to(path) for one in folders)
 
 
 def _check_name(folder: Path) -> None:

@@ -19,7 +19,16 @@ from ..junction import (
 )
 from ..lines import steps_m, true_runs, unit
 from ..notes import Note, assumptions
-from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, join_bodies
+from ..scene import (
+    Body,
+    Instance,
+    Lane,
+    LeadingRoad,
+    Scene,
+    Site,
+    is_lane_width,
+    join_bodies,
+)
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Relief, find_relief
@@ -339,7 +348,7 @@ def _lanes(
         else:
             points = _longest_within(whole, reach_m)
         points = _apart(points)
-        if len(points) < 2:
+        if len(points) < 2 or not is_lane_width(lane.width_m):
             continue
         cut = Lane(
             id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points
@@ -363,7 +372,7 @@ def _lanes(
             and _leads_straight_on(whole)
         )
         points = _apart(whole)
-        if is_taken and len(points) > 1:
+        if is_taken and len(points) > 1 and is_lane_width(lane.width_m):
             width_m = lane.width_m
             found.append(
                 Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points)

@@ -26,7 +26,17 @@ from ..files import (
 )
 from ..junction import build_junction
 from ..notes import Note
-from ..scene import Instance, Lane, Scene, Site, area_of, join_bodies
+from ..scene import (
+    MAX_COORDINATE_M,
+    MAX_LINE_POINTS,
+    Instance,
+    Lane,
+    Scene,
+    Site,
+    area_of,
+    is_lane_width,
+    join_bodies,
+)
 from ..scene_checks import arms_that_end
 from ..terrain import GROUND
 from ..untrusted_files import local_name, read_xml_root, unpacked
@@ -308,7 +318,12 @@ def _survey(
     # counts.
     near = []
     for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
-        line_m = lane.centreline_m[:, :2] - middle
+        whole_m = lane.centreline_m[:, :2] - middle
+        line_m = whole_m[(np.abs(whole_m) <= MAX_COORDINATE_M).all(axis=1)][
+            :MAX_LINE_POINTS
+        ]
+        if len(line_m) < 2 or not is_lane_width(lane.width_m):
+            continue
         near.append(
             Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m)
         )

@@ -11,7 +11,7 @@ from ..arrays import FloatArray
 from ..errors import check_one_of, refuse
 from ..files import load_data, open_file, read_bytes, reading
 from ..scene import CLASS_NAMES
-from ..untrusted_files import MAX_FILE_BYTES, check_gltf
+from ..untrusted_files import MAX_FILE_BYTES, NoFiles, check_gltf
 from .source_map import (
     MAX_TRIANGLES,
     SourceMap,
@@ -95,11 +95,13 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
     options: dict[str, Any] = (
         {"split_objects": True} if path.suffix.lower() == ".obj" else {}
     )
-    options |= {
-        "resolver": _folder_resolver(path),
-        "skip_materials": True,
-        "process": False,
-    }
+    # Only a .gltf has its geometry in files beside it: its buffers.
+    has_buffers_beside = path.suffix.lower() == ".gltf"
+    if has_buffers_beside:
+        resolver = _folder_resolver(path)
+    else:
+        resolver = NoFiles(where)
+    options |= {"resolver": resolver, "skip_materials": True, "process": False}
     n_triangles = 0
     parts: list[_Part] = []
     left_out: Counter[str] = Counter()

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
-from ..errors import InputError, refuse
+from ..errors import InputError, check_name, refuse
 from ..files import csv_rows, float_of, load_data, read_text
 from ..frames import parse_crs
 from .georeferences import WGS84, horizontal_crs, transform
@@ -203,6 +203,7 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     site_id = str(values.get("id", "")).strip()
     if not site_id:
         refuse(f"{where}: id", "nothing", "a name")
+    check_name(site_id, f"{where}: id")
     low = read_number(values, "min_height", where, least=0.0)
     high = read_number(values, "max_height", where, least=0.0)
     if high is None:

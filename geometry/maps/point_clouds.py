@@ -27,7 +27,7 @@ from ..errors import InputError, Unquoted, check_one_of, refuse
 from ..files import open_file, reading
 from ..notes import Note
 from ..scene import CLASS_NAMES
-from ..untrusted_files import check_unpacked
+from ..untrusted_files import refuse_bomb
 from .georeferences import Georeference, georeference
 from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted
 
@@ -173,7 +173,7 @@ def _check_header(path: Path) -> None:
         elif claimed > n_bytes:
             got = f"a header with {n_points:,} points in {n_bytes:,} bytes: cut off"
             refuse(where, got, f"{claimed:,} bytes")
-    check_unpacked(n_points * max(point_bytes, 20), where)
+    refuse_bomb(n_points * max(point_bytes, 20), where)
 
 
 def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> int:
