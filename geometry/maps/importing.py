@@ -492,7 +492,7 @@ class ImportOptions:
         Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
     terrain : Path, optional
         Raster with the heights of the ground, see
-        :func:`geometry.maps.elevation.read_elevation`; by default heights are those of
+        :func:`geometry.maps.relief.read_elevation`; by default heights are those of
         the maps.
     name : str
         Name of the scene; empty: after the file and the junction.

@@ -555,7 +555,7 @@ def evaluate_layouts(
     compute : Compute
         What is left to chance are misses, lost messages, who carries a device. A unit's
         luck depends on its pose, not on the layout that it is part of. For the progress
-        see :func:`placement.evaluator.watch.watch`.
+        see :func:`placement.evaluator.evaluate.watch`.
 
     Returns
     -------
